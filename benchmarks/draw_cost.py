@@ -1,0 +1,191 @@
+"""What a draw costs through rhi, against bare moderngl doing the same OpenGL work with the same GL objects.
+
+    python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize]
+
+Each draw has its own vertex buffer and its own constants, into a 64×64 target. The variants take turns round by
+round in one process; a figure is the median over the rounds of the time for all draws, divided by their number.
+`ratio` is the median of the per-round ratios to the bare loop of the same round. The GPU's work (llvmpipe runs
+it on the same cores) is waited for between rounds, outside the measured time. Triangles stop before the
+rasteriser unless --rasterize is given: filling pixels costs all variants the same and hides what is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import statistics
+import time
+from collections.abc import Callable
+
+import moderngl
+import numpy as np
+
+import rhi
+from rhi import ColorWrite, CullMode, DepthWrite
+from rhi.backends.gl.backend import GlBackend
+from rhi.shading import Shader, Struct, Uniform, vec2, vec4
+
+
+RASTERIZER_DISCARD = 0x8C89
+
+
+class Corner(Struct):
+    position: vec2
+
+
+class Camera(Struct):
+    scale: vec4
+
+
+class Object(Struct):
+    offset: vec4
+    color: vec4
+
+
+class Varying(Struct):
+    clip: vec4
+    color: vec4
+
+
+class Flat(Shader):
+    """Per-object constants in a uniform range."""
+
+    camera: Uniform[Camera]
+    object: Uniform[Object]
+
+    def vertex(self, v: Corner) -> Varying:
+        place = vec4(v.position, 0.5, 1.0) * self.camera.scale + self.object.offset
+        return Varying(clip=place, color=self.object.color)
+
+    def fragment(self, v: Varying) -> vec4:
+        return v.color
+
+
+class CornerOfObject(Corner):
+    offset: vec4
+    color: vec4
+
+
+class FlatMany(Shader):
+    """Per-object constants in a stream of instances, picked by each draw's base instance."""
+
+    camera: Uniform[Camera]
+
+    def vertex(self, v: CornerOfObject) -> Varying:
+        place = vec4(v.position, 0.5, 1.0) * self.camera.scale + v.offset
+        return Varying(clip=place, color=v.color)
+
+    def fragment(self, v: Varying) -> vec4:
+        return v.color
+
+
+def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[str, dict[str, float]]:
+    """Microseconds a draw and ratio to the bare loop, by variant."""
+    device = rhi.create_device("gl")
+    backend = device.backend_as(GlBackend)
+    program, many = device.program(Flat), device.program(FlatMany)
+    random = np.random.default_rng(0)
+    corners = (random.random((draws, triangles * 3, 2), np.float32) - 0.5) * 0.1
+    meshes = [device.mesh({"position": part}) for part in corners]
+    rows = np.zeros(draws, Object.dtype)
+    rows["offset"][:, :2] = random.random((draws, 2)) * 2 - 1
+    rows["color"] = random.random((draws, 4))
+    objects = device.uniform_array(Object, draws)
+    padded = np.zeros(draws, objects.dtype)
+    for name in rows.dtype.names or ():
+        padded[name] = rows[name]
+    objects.write(padded)
+    shared = device.mesh({"position": corners.reshape(-1, 2)}, instances=rows)
+    camera = device.uniform(Camera(scale=(1, 1, 1, 1)))
+    image = device.texture((64, 64), rhi.Format.RGBA8)
+    ranges = [objects[i] for i in range(draws)]
+    pairs = list(zip(meshes, ranges, strict=True))
+
+    draw, own_draw, states = device.draw, program.draw, device.states
+
+    def through_device() -> None:
+        for mesh, constants in pairs:
+            draw(program, mesh, camera=camera, object=constants)
+
+    def through_program() -> None:
+        for mesh, constants in pairs:
+            own_draw(mesh, camera=camera, object=constants)
+
+    parts = shared.draws(np.arange(draws) * triangles * 3, triangles * 3, base_instance=np.arange(draws))
+
+    def many_draws() -> None:
+        device.draw_many(many, shared, parts, camera=camera)
+
+    def scopes() -> None:
+        for _ in range(draws):
+            with states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF):
+                pass
+
+    with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
+        through_device()
+    pipeline = backend._programs[program.id]
+    buffer = backend._buffers.objects[objects.buffer.id]
+    bare_pairs = [
+        (pipeline._made[mesh.vertex_arrays[program]], constants.offset, constants.size)
+        for mesh, constants in pairs
+    ]
+    mode, count = moderngl.TRIANGLES, triangles * 3
+
+    def bare() -> None:
+        for array, offset, size in bare_pairs:
+            buffer.bind_to_uniform_block(1, offset, size)
+            array.render(mode, count)
+
+    variants: dict[str, Callable[[], None]] = {
+        "bare moderngl": bare,
+        "device.draw": through_device,
+        "program.draw": through_program,
+        "device.draw_many": many_draws,
+        "scope of 3 states": scopes,
+    }
+    times: dict[str, list[float]] = {name: [] for name in variants}
+    if not rasterize:
+        backend.gl.Enable(RASTERIZER_DISCARD)
+    gc.disable()
+    for _ in range(rounds):
+        for name, run in variants.items():
+            with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
+                # One draw first, so that program and camera are bound alike for the bare loop.
+                own_draw(meshes[0], camera=camera, object=ranges[0])
+                start = time.perf_counter()
+                run()
+                times[name].append((time.perf_counter() - start) / draws * 1e6)
+            device.finish()
+    gc.enable()
+    bare_times = times["bare moderngl"]
+    result = {
+        name: {
+            "microseconds": statistics.median(values),
+            "ratio": statistics.median(v / b for v, b in zip(values, bare_times, strict=True)),
+        }
+        for name, values in times.items()
+    }
+    device.close()
+    return result
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print the figures as JSON")
+    parser.add_argument("--draws", type=int, default=2000)
+    parser.add_argument("--triangles", type=int, default=10, help="triangles a draw")
+    parser.add_argument("--rounds", type=int, default=41)
+    parser.add_argument("--rasterize", action="store_true", help="let the triangles reach the rasteriser")
+    options = parser.parse_args()
+    result = measure(options.draws, options.triangles, options.rounds, options.rasterize)
+    if options.json:
+        print(json.dumps(result, indent=2))
+        return
+    print(f"{options.draws} draws of {options.triangles} triangles, {options.rounds} rounds")
+    for name, row in result.items():
+        print(f"{name:<20} {row['microseconds']:8.3f} µs   ×{row['ratio']:.2f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,143 @@
+"""How fast commands are recorded on the null device, with call sites, and the memory they take.
+
+    python benchmarks/recording.py [--json] [--draws 5000] [--rounds 15]
+
+Each draw has its own constants, so it is two commands (bind_uniform, draw). The variants take turns round by
+round in one process, with the garbage collector on, as in a program; a figure is the median over the rounds.
+`executed` adds what the null backend does with the commands when a fence demands them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import statistics
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+import rhi
+from rhi.backends.null import create_backend
+from rhi.descriptors import Primitive
+from rhi.recorder import Recorder
+from rhi.shading import Shader, Struct, Uniform, vec2, vec4
+
+
+class Corner(Struct):
+    position: vec2
+
+
+class Camera(Struct):
+    scale: vec4
+
+
+class Object(Struct):
+    offset: vec4
+
+
+class Varying(Struct):
+    clip: vec4
+
+
+class Flat(Shader):
+    camera: Uniform[Camera]
+    object: Uniform[Object]
+
+    def vertex(self, v: Corner) -> Varying:
+        return Varying(clip=vec4(v.position, 0.5, 1.0) * self.camera.scale + self.object.offset)
+
+    def fragment(self, v: Varying) -> vec4:
+        return vec4(1.0, 1.0, 1.0, 1.0)
+
+
+def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
+    """Commands a second and bytes a command, by variant."""
+    device = rhi.create_device("null")
+    program = device.program(Flat)
+    mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
+    image = device.texture((64, 64), rhi.Format.RGBA8)
+    camera = device.uniform(Camera(scale=(1, 1, 1, 1)))
+    objects = device.uniform_array(Object, draws)
+    ranges = [objects[i] for i in range(draws)]
+
+    def through_device() -> None:
+        draw = device.draw
+        with device.render_pass(image, clear=(0, 0, 0, 1)):
+            for constants in ranges:
+                draw(program, mesh, camera=camera, object=constants)
+
+    def through_program() -> None:
+        draw = program.draw
+        with device.render_pass(image, clear=(0, 0, 0, 1)):
+            for constants in ranges:
+                draw(mesh, camera=camera, object=constants)
+
+    backend = create_backend()
+    recorder = Recorder(backend)
+    offsets = [constants.offset for constants in ranges]
+
+    def bare() -> None:
+        bind_uniform, draw = recorder.bind_uniform, recorder.draw
+        for offset in offsets:
+            bind_uniform(1, 2, offset, 16)
+            draw(1, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
+
+    fences = iter(range(1, 1 << 30))
+    variants: dict[str, tuple[Callable[[], None], Callable[[], object], rhi.CommandStream]] = {
+        "device.draw": (through_device, device.finish, device.stream),
+        "program.draw": (through_program, device.finish, device.stream),
+        "recorder alone": (bare, lambda: recorder.signal(next(fences)), recorder.stream),
+    }
+    recorded: dict[str, list[float]] = {name: [] for name in variants}
+    executed: dict[str, list[float]] = {name: [] for name in variants}
+    size: dict[str, float] = {}
+    for _ in range(rounds):
+        for name, (run, finish, stream) in variants.items():
+            stream.clear()
+            gc.collect()
+            start = time.perf_counter()
+            run()
+            middle = time.perf_counter()
+            finish()
+            end = time.perf_counter()
+            recorded[name].append(len(stream) / (middle - start))
+            executed[name].append(len(stream) / (end - start))
+            size[name] = bytes_per_command(stream)
+    device.close()
+    return {
+        name: {
+            "commands_per_second": statistics.median(recorded[name]),
+            "executed_per_second": statistics.median(executed[name]),
+            "bytes_per_command": size[name],
+        }
+        for name in variants
+    }
+
+
+def bytes_per_command(stream: rhi.CommandStream) -> float:
+    """Memory of the list and of the instruction offsets in it; arguments are the caller's own objects."""
+    offsets = sum(sys.getsizeof(command.offset) for command in stream)
+    return (sys.getsizeof(stream.data) + offsets) / len(stream)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--draws", type=int, default=5000, help="draws a round")
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    arguments = parser.parse_args()
+    result = measure(arguments.draws, arguments.rounds)
+    if arguments.json:
+        print(json.dumps(result, indent=2))
+        return
+    print(f"{'':16} {'recorded/s':>12} {'executed/s':>12} {'bytes each':>11}")
+    for name, row in result.items():
+        numbers = row["commands_per_second"], row["executed_per_second"], row["bytes_per_command"]
+        print("{:16} {:12,.0f} {:12,.0f} {:11.1f}".format(name, *numbers))
+
+
+if __name__ == "__main__":
+    main()

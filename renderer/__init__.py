@@ -1,0 +1,1 @@
+"""A renderer written once against `rhi`: scenes, visibility, techniques and their measurements."""

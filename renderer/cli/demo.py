@@ -1,0 +1,153 @@
+"""`demo`: pictures of a scene along its paths, and a table of what each way to render them costs."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import rhi
+from renderer.cli.arguments import add_command, parse_count, parse_size
+from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.measure import alternate, format_table
+from renderer.renderer import FrameResult, FrameStatistics, Renderer
+from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND, load_scene
+from renderer.visibility import VISIBILITY
+
+_EXAMPLES = """\
+  python -m renderer demo
+  python -m renderer demo hall --output pictures
+  python -m renderer demo city:blocks=12 --frames 20
+
+The frames lie evenly along each path. In turn, each is rendered in all ways; the times are medians until the
+GPU is done, `vs none` is the median of the ratios to no culling, and the counters are means per frame. The
+null device records the same commands and draws nothing: its time is the CPU's."""
+
+_PICTURED = {"ground": 640, "sky": 500}
+"""The frame of a path that is pictured."""
+
+
+@dataclass(eq=False, slots=True)
+class Way:
+    """One row of the table: a path, and the renderer that draws it; `statistics` are by frame."""
+
+    path: str
+    visibility: str
+    renderer: Renderer
+    statistics: dict[int, FrameStatistics] = field(default_factory=dict)
+
+    @property
+    def backend(self) -> str:
+        return self.renderer.device.backend_name
+
+    @property
+    def name(self) -> str:
+        return _name(self.path, self.visibility, self.backend)
+
+    def render(self, frame: int) -> FrameResult:
+        """Draw one frame of the path and wait for it."""
+        renderer = self.renderer
+        camera = renderer.scene.paths[self.path].camera(frame)
+        result = renderer.render(camera, frame / FRAMES_PER_SECOND)
+        renderer.device.finish()
+        if self.backend == "null":
+            renderer.device.stream.clear()
+        self.statistics[frame] = result.statistics
+        return result
+
+    def mean(self, name: str) -> int:
+        """The mean of a counter over the frames, in whole numbers."""
+        counts = [getattr(one, name) for one in self.statistics.values()]
+        return round(sum(counts) / len(counts))
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands,
+        "demo",
+        run,
+        "picture a scene along its paths and print what each way to render it costs",
+        _EXAMPLES,
+    )
+    parser.add_argument(
+        "scene",
+        metavar="SCENE",
+        nargs="?",
+        default="city",
+        help="a generator or a model file (default: city)",
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("out"), metavar="DIR", help="where pictures go (default: out)"
+    )
+    parser.add_argument(
+        "--frames", type=parse_count, default=9, metavar="N", help="frames of each path (default: 9)"
+    )
+    parser.add_argument(
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the images (default: 960x540)"
+    )
+
+
+def run(given: argparse.Namespace) -> None:
+    """Render the pictures, then measure and print the table."""
+    scene = load_scene(given.scene)
+    with ExitStack() as stack:
+        devices = [stack.enter_context(rhi.create_device())]
+        if devices[0].backend_name != "null":
+            devices.append(stack.enter_context(rhi.create_device("null")))
+        renderers = {
+            (device, name): stack.enter_context(
+                Renderer(device, scene, visibility=VISIBILITY[name](), size=given.size)
+            )
+            for device in devices
+            for name in VISIBILITY
+        }
+        ways = [
+            Way(path, name, renderer) for path in scene.paths for (_, name), renderer in renderers.items()
+        ]
+        for path in scene.paths:
+            write_picture(next(way for way in ways if way.path == path), given.output)
+        print(measure(ways, given.frames))
+
+
+def write_picture(way: Way, folder: Path) -> None:
+    """One picture of the way's path."""
+    if not way.renderer.device.capabilities.shading:
+        note(f"the {way.backend} device records and draws nothing: there is no image")
+        return
+    scene = way.renderer.scene
+    suffix = "" if way.path == next(iter(scene.paths)) else f"-{way.path}"
+    result = way.render(_PICTURED.get(way.path, FRAME_COUNT // 2))
+    path = prepare_image(folder / f"{name_of(scene)}{suffix}.png")
+    write_image(path, result.image.read())
+    note(f"wrote {path}")
+
+
+def _name(path: str, visibility: str, backend: str) -> str:
+    return f"{path}, {visibility}, {backend}"
+
+
+def measure(ways: list[Way], count: int) -> str:
+    """The table of all ways over `count` frames."""
+    frames = [(2 * number + 1) * FRAME_COUNT // (2 * count) for number in range(count)]
+    work = {way.name: lambda number, way=way: way.render(frames[number]) for way in ways}
+    for way in ways:
+        way.statistics.clear()
+    times = alternate(work, show_progress(range(count), count, "measure"))
+    rows = []
+    for way in ways:
+        time, base = times[way.name], times[_name(way.path, "none", way.backend)]
+        rows.append(
+            (
+                way.path,
+                way.visibility,
+                way.backend,
+                1e3 * time.median,
+                time.ratio_to(base),
+                *(way.mean(counter.name) for counter in fields(FrameStatistics)),
+            )
+        )
+    names = [counter.name.replace("_", " ").replace(" changes", "s") for counter in fields(FrameStatistics)]
+    return format_table(["path", "visibility", "backend", "ms", "vs none", *names], rows)

@@ -1,0 +1,147 @@
+"""`render`: one run, its image and what it cost."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import rhi
+from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.measure import FrameCost, measure_frame
+from renderer.renderer import Renderer
+from renderer.scene import (
+    FRAMES_PER_SECOND,
+    Camera,
+    Depth,
+    Orthographic,
+    Perspective,
+    load_scene,
+    parse_camera,
+)
+from renderer.techniques import TECHNIQUES
+from renderer.visibility import VISIBILITY
+
+_EXAMPLES = """\
+  python -m renderer render city --output city.png
+  python -m renderer render city:blocks=12,seed=3 --camera sky --frame 600
+  python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
+  python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
+  python -m renderer render city --backend null --json
+
+Times are from the scene's update until the GPU is done, after one frame that isn't counted. Counters are
+those of one frame, and with several frames their mean. The image is that of the last frame."""
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "render", run, "render a scene to an image and say what it cost", _EXAMPLES
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+    parser.add_argument(
+        "--backend",
+        metavar="NAME",
+        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
+    )
+    parser.add_argument(
+        "--technique", choices=TECHNIQUES, default="forward", help="how to draw (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--visibility", choices=VISIBILITY, default="frustum", help="what to draw (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--camera",
+        metavar="CAMERA",
+        help="a path (ground, sky), a view of the scene, x,y,z, or x,y,z,x,y,z with a target "
+        "(default: the scene's first view)",
+    )
+    parser.add_argument(
+        "--frame", type=parse_frame, default=0, metavar="N", help="first frame, 60 a second (default: 0)"
+    )
+    parser.add_argument(
+        "--frames", type=parse_count, default=1, metavar="N", help="how many frames to time (default: 1)"
+    )
+    parser.add_argument(
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
+    )
+    parser.add_argument(
+        "--depth",
+        choices=[depth.value for depth in Depth],
+        default=Depth.REVERSED.value,
+        help="which way depth runs (default: %(default)s)",
+    )
+    parser.add_argument("--output", type=Path, metavar="F.png", help="the image (default: SCENE.png)")
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(given: argparse.Namespace) -> None:
+    """Render and report."""
+    if given.output is not None:
+        prepare_image(given.output)
+    scene = load_scene(given.scene)
+    cameras = [
+        with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
+        for frame in range(given.frame, given.frame + given.frames)
+    ]
+    with (
+        rhi.create_device(given.backend) as device,
+        Renderer(
+            device,
+            scene,
+            technique=TECHNIQUES[given.technique](),
+            visibility=VISIBILITY[given.visibility](),
+            size=given.size,
+        ) as renderer,
+    ):
+        shots = list(enumerate(cameras, given.frame))
+        measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
+        costs = []
+        for frame, camera in show_progress(shots, len(shots), "render"):
+            result, cost = measure_frame(renderer, camera, frame / FRAMES_PER_SECOND)
+            costs.append(cost)
+        image = None
+        if device.capabilities.shading:
+            image = prepare_image(given.output or Path(f"{name_of(scene)}.png"))
+            write_image(image, result.image.read())
+        else:
+            note(f"the {device.backend_name} device records and draws nothing: there is no image")
+        report = describe_run(renderer, costs, image)
+    print(json.dumps(report) if given.json else show_report(report))
+
+
+def with_depth(camera: Camera, depth: Depth) -> Camera:
+    """The same camera with depth running this way."""
+    lens = camera.projection
+    assert isinstance(lens, Perspective | Orthographic)
+    return camera.with_projection(replace(lens, depth=depth))
+
+
+def describe_run(renderer: Renderer, costs: list[FrameCost], image: Path | None) -> dict[str, Any]:
+    """The keys of `--json`."""
+    summary = FrameCost.summarize(costs)
+    summary["uploads_bytes"] = summary.pop("upload_bytes")
+    return {
+        "backend": renderer.device.backend_name,
+        "device": renderer.device.capabilities.device,
+        "scene": renderer.scene.name,
+        "size": list(renderer.size),
+        "frames": len(costs),
+        **summary,
+        "image": None if image is None else str(image),
+    }
+
+
+def show_report(report: dict[str, Any]) -> str:
+    """The same for people."""
+    times = report["milliseconds"]
+    shown = report | {
+        "size": "{} × {}".format(*report["size"]),
+        "milliseconds": f"{times['median']:.2f} (least {times['min']:.2f}, most {times['max']:.2f})",
+        "image": report["image"] or "none: this device draws nothing",
+    }
+    texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
+    return "\n".join(f"{key.replace('_', ' ') + ':':<24}{text}" for key, text in texts.items())

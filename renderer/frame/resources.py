@@ -1,0 +1,171 @@
+"""A scene's arrays on a device: written when they differ from what the device has, and only then.
+
+- All meshes are one mesh, all images the layers of one array texture, per-object data one row each: a whole
+  scene can be one `draw_many`, in which an object's row is its draw's base instance.
+- Objects are kept in two arrays. `objects` holds what changes when an object moves (112 bytes), `positions`
+  what changes when the eye does (16 bytes): positions are relative to it, subtracted in float64.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from renderer import shaders
+from renderer.scene import Camera, Scene, normal_matrices
+from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer
+from rhi.shading import vec4
+
+T = TypeVar("T")
+
+LARGEST_IMAGE = 2048
+"""Images are scaled down to this many texels on a side."""
+
+
+class MirroredArray(Generic[T]):
+    """A storage buffer that follows an array; there is none while the array is empty."""
+
+    def __init__(self, device: Device, element: type[T], label: str) -> None:
+        self.buffer: StorageBuffer[T] | None = None
+        self._device = device
+        self._element = element
+        self._label = label
+        self._rows: NDArray[np.uint8] = np.zeros((0, 0), np.uint8)
+
+    def __len__(self) -> int:
+        return 0 if self.buffer is None else self.buffer.count
+
+    def write(self, array: NDArray[Any]) -> None:
+        """Let the buffer hold `array`: of the element's std430 layout, names aside.
+
+        From the first to the last row that differ, rows are uploaded.
+        """
+        rows = (
+            np.ascontiguousarray(array).view(np.uint8).reshape(len(array), array.nbytes // max(len(array), 1))
+        )
+        if rows.shape != self._rows.shape:
+            self.destroy()
+            if len(array):
+                self.buffer = self._device.storage(self._element, len(array), label=self._label)
+                self._upload(rows, 0)
+        else:
+            changed = np.flatnonzero((rows != self._rows).any(1))
+            if not changed.size:
+                return
+            first, last = int(changed[0]), int(changed[-1])
+            self._upload(rows[first : last + 1], first)
+        self._rows = rows.copy()
+
+    def _upload(self, rows: NDArray[np.uint8], first: int) -> None:
+        assert self.buffer is not None
+        base, shape = self.buffer.dtype.subdtype or (self.buffer.dtype, ())
+        self.buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
+
+    def destroy(self) -> None:
+        if self.buffer is not None:
+            self.buffer.destroy()
+            self.buffer = None
+        self._rows = np.zeros((0, 0), np.uint8)
+
+
+class SceneResources:
+    """One scene on one device; techniques share it.
+
+    Attributes:
+        mesh: all meshes in one; draws: (n,) of `rhi.DRAW`, one for each object.
+        mirrored: (n,) bool, whether an object's transform turns its triangles round.
+        images: the scene's images as layers, None without any.
+        objects, positions, materials, directional, point, spot: what shaders read, row by row.
+        view, ambient: constants of the frame.
+    """
+
+    def __init__(self, device: Device, scene: Scene) -> None:
+        self.scene = scene
+        meshes, objects = scene.meshes, scene.objects
+        self.mesh: Mesh = device.mesh(meshes.vertices, meshes.indices, label=scene.name)
+        ranges = meshes.ranges[objects.mesh]
+        self.draws: NDArray[Any] = self.mesh.draws(
+            ranges["first_index"],
+            ranges["index_count"],
+            base_vertex=ranges["base_vertex"],
+            base_instance=np.arange(len(objects)),
+        )
+        self.images: Texture | None = _make_images(device, scene)
+        self.objects = MirroredArray(device, shaders.Object, "objects")
+        self.positions = MirroredArray(device, vec4, "positions")
+        self.materials = MirroredArray(device, shaders.Material, "materials")
+        self.directional = MirroredArray(device, shaders.DirectionalLight, "directional lights")
+        self.point = MirroredArray(device, shaders.PointLight, "point lights")
+        self.spot = MirroredArray(device, shaders.SpotLight, "spot lights")
+        self._view = shaders.View(relative_view_projection=np.eye(4))
+        self._ambient = shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)
+        self.view: UniformBuffer[shaders.View] = device.uniform(self._view)
+        self.ambient: UniformBuffer[shaders.Ambient] = device.uniform(self._ambient)
+        self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
+        self._rows["material"] = objects.material
+        self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self._transform(np.arange(len(objects)))
+        self.objects.write(self._rows)
+
+    def update(self, camera: Camera) -> None:
+        """Bring the device up to date with the scene as `camera` sees it."""
+        scene, eye = self.scene, camera.position
+        if scene.objects.dynamic_rows.size:
+            self._transform(scene.objects.dynamic_rows)
+            self.objects.write(self._rows)
+        positions = np.zeros((len(scene.objects), 4), np.float32)
+        positions[:, :3] = scene.nodes.world[:, :3, 3][scene.objects.node] - eye
+        self.positions.write(positions)
+        self.materials.write(scene.materials)
+        lights = scene.lights.relative_to(eye)
+        self.directional.write(lights.directional)
+        self.point.write(lights.point)
+        self.spot.write(lights.spot)
+        view = shaders.View(relative_view_projection=camera.relative_view_projection)
+        if view != self._view:
+            self.view.write(view)
+            self._view = view
+        ambient = shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)
+        if ambient != self._ambient:
+            self.ambient.write(ambient)
+            self._ambient = ambient
+
+    def _transform(self, rows: NDArray[np.int64]) -> None:
+        """The parts of transforms that don't depend on the eye, of the objects `rows`."""
+        world = self.scene.nodes.world[self.scene.objects.node[rows]]
+        normal = normal_matrices(world)
+        largest = np.abs(normal).max(axis=(1, 2), keepdims=True)  # no float32 under- or overflow
+        part = np.zeros(len(rows), self._rows.dtype)
+        part["material"] = self._rows["material"][rows]
+        part["linear"][:, :, :3] = world[:, :3, :3]
+        part["normal"][:, :, :3] = normal / np.where(largest > 0.0, largest, 1.0)
+        self._rows[rows] = part
+        self.mirrored[rows] = np.linalg.det(world[:, :3, :3]) < 0.0
+
+    def destroy(self) -> None:
+        """Give everything back."""
+        arrays = (self.objects, self.positions, self.materials, self.directional, self.point, self.spot)
+        for resource in (self.mesh, self.view, self.ambient, *arrays):
+            resource.destroy()
+        if self.images is not None:
+            self.images.destroy()
+
+
+def _make_images(device: Device, scene: Scene) -> Texture | None:
+    """The scene's images as layers of the largest one's size: smaller ones are stretched, which leaves
+    texture coordinates as they are."""
+    if not scene.images:
+        return None
+    limit = min(LARGEST_IMAGE, device.capabilities.max_texture_size)
+    height, width = np.minimum(np.max([image.shape[:2] for image in scene.images], axis=0), limit).tolist()
+    layers = np.stack([_resize(image, width, height) for image in scene.images])
+    return device.texture(layers, Format.RGBA8_SRGB, kind=TextureKind.D2_ARRAY, levels=None, label="images")
+
+
+def _resize(image: NDArray[np.uint8], width: int, height: int) -> NDArray[np.uint8]:
+    if image.shape[:2] == (height, width):
+        return image
+    return np.asarray(Image.fromarray(image).resize((width, height), Image.Resampling.LANCZOS))

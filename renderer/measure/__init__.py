@@ -1,0 +1,7 @@
+"""Measurements: alternate what is compared, in one process; quote medians and ratios."""
+
+from renderer.measure.alternate import Measurement, alternate
+from renderer.measure.frames import FrameCost, measure_frame
+from renderer.measure.table import format_table
+
+__all__ = ["FrameCost", "Measurement", "alternate", "format_table", "measure_frame"]

@@ -1,0 +1,39 @@
+"""What frames cost: the time until the GPU is done, and the counters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from statistics import median
+from time import perf_counter
+
+from renderer.renderer import FrameResult, FrameStatistics, Renderer
+from renderer.scene import Camera
+
+
+@dataclass(frozen=True, slots=True)
+class FrameCost:
+    """Milliseconds of one frame, from the scene's update until the GPU is done, and its counters."""
+
+    milliseconds: float
+    statistics: FrameStatistics
+
+    @staticmethod
+    def summarize(costs: Sequence[FrameCost]) -> dict[str, float | dict[str, float]]:
+        """Least, median and greatest milliseconds, and the mean of each counter in whole numbers, of at least
+        one frame."""
+        times = [cost.milliseconds for cost in costs]
+        return {
+            "milliseconds": {"min": min(times), "median": median(times), "max": max(times)},
+        } | {
+            field.name: round(sum(getattr(cost.statistics, field.name) for cost in costs) / len(costs))
+            for field in fields(FrameStatistics)
+        }
+
+
+def measure_frame(renderer: Renderer, camera: Camera, seconds: float) -> tuple[FrameResult, FrameCost]:
+    """Render one frame and wait for it."""
+    began = perf_counter()
+    result = renderer.render(camera, seconds)
+    renderer.device.finish()
+    return result, FrameCost(1e3 * (perf_counter() - began), result.statistics)

@@ -1,0 +1,76 @@
+"""The scene as arrays: what there is, where it is, what lights it and who looks at it.
+
+scene = load_scene("city:blocks=12,seed=3")
+camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
+moved = scene.update(seconds=10.0)
+"""
+
+from renderer.scene.camera import Camera, Depth, Frustum, Orthographic, Perspective, Plane, Projection
+from renderer.scene.library import GENERATORS, load_scene, parse_camera
+from renderer.scene.lights import (
+    DIRECTIONAL,
+    POINT,
+    RELATIVE_POINT,
+    RELATIVE_SPOT,
+    SPOT,
+    Lights,
+    RelativeLights,
+)
+from renderer.scene.materials import MATERIAL, Image, make_material
+from renderer.scene.meshes import RANGE, VERTEX, Geometry, Meshes, make_geometry
+from renderer.scene.models import load_model
+from renderer.scene.nodes import Nodes
+from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
+from renderer.scene.scene import Objects, Scene, SceneBuilder
+from renderer.scene.shapes import BUILT_IN
+from renderer.scene.specs import Generator, Option
+from renderer.scene.textures import IMAGE_SIZE
+from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
+
+__rhi_internal__ = True
+
+__all__ = [
+    "BUILT_IN",
+    "DIRECTIONAL",
+    "FRAMES_PER_SECOND",
+    "FRAME_COUNT",
+    "GENERATORS",
+    "IMAGE_SIZE",
+    "MATERIAL",
+    "POINT",
+    "RANGE",
+    "RELATIVE_POINT",
+    "RELATIVE_SPOT",
+    "SPOT",
+    "VERTEX",
+    "Camera",
+    "CameraPath",
+    "Depth",
+    "Frustum",
+    "Generator",
+    "Geometry",
+    "Image",
+    "Lights",
+    "Meshes",
+    "Nodes",
+    "Objects",
+    "Option",
+    "Orthographic",
+    "Perspective",
+    "Plane",
+    "Projection",
+    "RelativeLights",
+    "Scene",
+    "SceneBuilder",
+    "load_model",
+    "load_scene",
+    "make_geometry",
+    "make_material",
+    "make_path",
+    "normal_matrices",
+    "parse_camera",
+    "relative_to",
+    "rotation",
+    "scaling",
+    "translation",
+]

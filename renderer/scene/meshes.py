@@ -1,0 +1,154 @@
+"""Meshes: triangles in one shared vertex array and one shared index array.
+
+A `Geometry` is one mesh as its maker hands it over. `Meshes` holds all of a scene's: index ranges with
+base vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw
+serve every object.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer import rules
+from renderer.scene.transforms import Floats, normal_matrices
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
+"""32 bytes, tightly packed: what every mesh of the renderer is made of."""
+
+RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
+"""One mesh's part of the shared arrays; the names and meanings of an indexed draw."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Geometry:
+    """One mesh: `vertices` (v,) of `VERTEX`, `indices` (3 * triangles,) uint32, counter-clockwise outside."""
+
+    vertices: NDArray[Any]
+    indices: NDArray[np.uint32]
+
+    def __post_init__(self) -> None:
+        call = "Geometry"
+        if self.vertices.dtype != VERTEX:
+            refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX")
+        if self.indices.dtype != np.uint32 or self.indices.ndim != 1 or len(self.indices) % 3:
+            given = f"indices of {self.indices.dtype}, shape {self.indices.shape}"
+            refuse(rules.BAD_MESH, call, given, "uint32, shape (3 * triangles,)")
+        if not len(self.indices):
+            refuse(rules.BAD_MESH, call, "no triangle", "at least one")
+        if int(self.indices.max()) >= len(self.vertices):
+            refuse(rules.BAD_MESH, call, f"index {self.indices.max()}", f"0 to {len(self.vertices) - 1}")
+        floats = self.vertices.view(np.float32)
+        if not np.isfinite(floats).all():
+            worst = int(np.flatnonzero(~np.isfinite(floats.reshape(-1, 8)).all(1))[0])
+            refuse(rules.BAD_VERTICES, call, f"vertex {worst}: {self.vertices[worst]}", "finite numbers")
+
+    @property
+    def triangle_count(self) -> int:
+        return len(self.indices) // 3
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper corner, (3,) float64."""
+        position = self.vertices["position"]
+        return position.min(0).astype(np.float64), position.max(0).astype(np.float64)
+
+    def transformed(self, matrix: ArrayLike) -> Geometry:
+        """The same mesh moved by one affine matrix (4, 4); mirroring turns the triangles round."""
+        m = np.asarray(matrix, np.float64)
+        vertices = self.vertices.copy()
+        vertices["position"] = self.vertices["position"] @ m[:3, :3].T + m[:3, 3]
+        normals = self.vertices["normal"] @ normal_matrices(m).T
+        vertices["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
+        mirrored = np.linalg.det(m[:3, :3]) < 0.0
+        corners = self.indices.reshape(-1, 3)
+        return Geometry(vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1))
+
+
+def join(parts: Sequence[Geometry]) -> Geometry:
+    """One mesh of several."""
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    indices = [part.indices + np.uint32(offset) for part, offset in zip(parts, offsets, strict=True)]
+    return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
+
+
+def make_geometry(
+    positions: ArrayLike, indices: ArrayLike, normals: ArrayLike | None = None, uv: ArrayLike | None = None
+) -> Geometry:
+    """A mesh from plain arrays: positions (v, 3), indices (3t,) or (t, 3), normals (v, 3), uv (v, 2).
+
+    Missing normals are computed, weighted by area; missing texture coordinates are 0.
+    """
+    points = np.asarray(positions, np.float64)
+    corners = np.asarray(indices).reshape(-1)
+    if corners.size and (int(corners.min()) < 0 or int(corners.max()) >= len(points)):
+        refuse(rules.BAD_MESH, "make_geometry", f"an index outside 0 to {len(points) - 1}")
+    vertices = np.zeros(len(points), VERTEX)
+    vertices["position"] = points
+    vertices["normal"] = compute_normals(points, corners) if normals is None else normals
+    if uv is not None:
+        vertices["uv"] = uv
+    return Geometry(vertices, corners.astype(np.uint32))
+
+
+def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
+    """Unit vertex normals (v, 3), weighted by the area of the triangles around each vertex.
+
+    A vertex that only degenerate triangles use gets +Y: a unit vector, so that nothing divides by 0.
+    """
+    points = np.asarray(positions, np.float64)
+    corners = np.asarray(indices).reshape(-1, 3)
+    a, b, c = (points[corners[:, i]] for i in range(3))
+    size = max(float(np.ptp(points)), 1e-300) if points.size else 1.0
+    faces = np.cross((b - a) / size, (c - a) / size)
+    target = corners.T.reshape(-1)
+    total = np.stack(
+        [np.bincount(target, np.tile(faces[:, axis], 3), len(points)) for axis in range(3)], axis=1
+    )
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), (0.0, 1.0, 0.0))
+
+
+class Meshes:
+    """All meshes of a scene in shared arrays.
+
+    Attributes:
+        vertices: (v,) of `VERTEX`; indices: (i,) uint32, relative to each mesh's base vertex.
+        ranges: (m,) of `RANGE`.
+        lower, upper: (m, 3) float64, local bounds.
+        names: (m,) names.
+    """
+
+    def __init__(self, geometries: Sequence[Geometry], names: Sequence[str]) -> None:
+        count = len(geometries)
+        self.vertices: NDArray[Any] = np.concatenate(
+            [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
+        )
+        self.indices: NDArray[np.uint32] = np.concatenate(
+            [g.indices for g in geometries] or [np.empty(0, np.uint32)]
+        )
+        self.ranges: NDArray[Any] = np.zeros(count, RANGE)
+        self.ranges["index_count"] = [len(g.indices) for g in geometries]
+        self.ranges["first_index"][1:] = np.cumsum(self.ranges["index_count"], dtype=np.uint32)[:-1]
+        self.ranges["base_vertex"][1:] = np.cumsum([len(g.vertices) for g in geometries])[:-1]
+        bounds = np.array([g.bounds for g in geometries]).reshape(count, 2, 3)
+        self.lower: Floats = bounds[:, 0]
+        self.upper: Floats = bounds[:, 1]
+        self.names: tuple[str, ...] = tuple(names)
+        for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
+            array.flags.writeable = False
+
+    def __len__(self) -> int:
+        return len(self.ranges)
+
+    @property
+    def triangle_counts(self) -> NDArray[np.int64]:
+        """(m,) triangles of each mesh."""
+        return self.ranges["index_count"].astype(np.int64) // 3

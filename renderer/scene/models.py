@@ -1,0 +1,246 @@
+"""Model files: glTF, OBJ, PLY and STL as scenes, read by trimesh.
+
+trimesh is imported on first use (0.3 s). The node hierarchy of glTF is kept. Files that far-away origins
+would ruin in float32 are moved: positions are stored around each mesh's centre and a node moves them back.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from renderer import rules
+from renderer.scene.camera import Perspective
+from renderer.scene.materials import Image
+from renderer.scene.meshes import Geometry, join, make_geometry
+from renderer.scene.paths import make_path
+from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.transforms import Floats, is_affine, multiply, translation
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
+"""The extensions of files that can be read."""
+
+_FAR: Final = 64.0  # a mesh this many times its size from its origin is stored around its centre
+
+
+@dataclass(frozen=True, slots=True)
+class _Node:
+    """A node of the file: its parent's place in the list or -1, and its mesh's name or None."""
+
+    name: str
+    parent: int
+    local: Floats
+    mesh: str | None
+
+
+def load_model(path: str) -> Scene:
+    """The scene in a model file; a sun is added, and cameras that fit.
+
+    Refuses, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
+    `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`.
+    """
+    meshes, nodes = _read(path)
+    builder = SceneBuilder(path)
+    builder.background = (0.30, 0.36, 0.44)
+    ids: dict[str, tuple[int, int, Floats]] = {}
+    for name, mesh in meshes.items():
+        geometry, centre = _convert(path, mesh)
+        ids[name] = (builder.add_mesh(geometry, name), _add_material(builder, mesh), centre)
+    rows: list[int] = []
+    for node in nodes:
+        parent = -1 if node.parent < 0 else rows[node.parent]
+        rows.append(builder.add_node(node.local, parent, name=node.name))
+        if node.mesh is not None:
+            mesh_id, material, centre = ids[node.mesh]
+            at = builder.add_node(translation(centre), rows[-1]) if centre.any() else rows[-1]
+            builder.add_objects(at, mesh_id, material)
+    _add_surroundings(builder)
+    scene = builder.build()
+    _add_paths(scene)
+    return scene
+
+
+def read_geometry(path: str) -> Geometry:
+    """All triangles of a model file as one mesh, in the file's world space."""
+    meshes, nodes = _read(path)
+    worlds: list[Floats] = []
+    parts = []
+    for node in nodes:
+        worlds.append(node.local if node.parent < 0 else multiply(worlds[node.parent], node.local))
+        if node.mesh is not None:
+            geometry, centre = _convert(path, meshes[node.mesh])
+            parts.append(geometry.transformed(multiply(worlds[-1], translation(centre))))
+    return join(parts)
+
+
+def _read(path: str) -> tuple[dict[str, Any], list[_Node]]:
+    """The file's triangle meshes by name, and its nodes, parents first."""
+    file = Path(path)
+    call = f"load_model({path!r})"
+    if not file.exists():
+        refuse(rules.MISSING_FILE, call, path, tip=f"the path is taken from {Path.cwd()}")
+    if file.suffix.lower() not in FORMATS:
+        refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
+    if file.is_file() and not file.stat().st_size:
+        refuse(rules.EMPTY_MODEL, call, f"{path}, 0 bytes")
+    with _quiet():
+        import trimesh
+
+        try:
+            loaded = trimesh.load_scene(str(file), process=False)
+        except Exception as error:
+            refuse(rules.UNREADABLE_MODEL, call, f"{path}: {type(error).__name__}: {error}")
+        meshes = {
+            name: mesh
+            for name, mesh in loaded.geometry.items()
+            if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)
+        }
+        nodes = _list_nodes(loaded.graph, meshes)
+    if not any(node.mesh is not None for node in nodes):
+        refuse(rules.EMPTY_MODEL, call, path)
+    for node in nodes:
+        if not is_affine(node.local):
+            refuse(rules.BAD_TRANSFORM, call, f"{path}: node {node.name!r}")
+    return meshes, nodes
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps warnings about trimesh's own use of NumPy and pillow from our users."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        yield
+
+
+def _list_nodes(graph: Any, meshes: dict[str, Any]) -> list[_Node]:
+    forest = graph.transforms
+    order = [graph.base_frame]
+    nodes = [_Node(str(graph.base_frame), -1, np.eye(4), _mesh_at(forest, graph.base_frame, meshes))]
+    for parent, above in enumerate(order):  # grows while it is walked: breadth first
+        for name in forest.children.get(above, ()):
+            matrix = forest.edge_data[(above, name)].get("matrix")
+            local = np.eye(4) if matrix is None else np.array(matrix, np.float64)
+            order.append(name)
+            nodes.append(_Node(str(name), parent, local, _mesh_at(forest, name, meshes)))
+    return nodes
+
+
+def _mesh_at(forest: Any, name: Any, meshes: dict[str, Any]) -> str | None:
+    mesh = forest.node_data.get(name, {}).get("geometry")
+    return mesh if mesh in meshes else None
+
+
+def _convert(path: str, mesh: Any) -> tuple[Geometry, Floats]:
+    """The mesh in our arrays, and the centre (3,) that was taken from its positions."""
+    call = f"load_model({path!r})"
+    positions = np.array(mesh.vertices, np.float64)
+    with np.errstate(over="ignore"):
+        finite = np.isfinite(positions.astype(np.float32)).all(1)
+    if not finite.all():
+        worst = int(np.flatnonzero(~finite)[0])
+        refuse(rules.BAD_VERTICES, call, f"{path}: vertex {worst} is {positions[worst]}", "finite float32")
+    lower, upper = positions.min(0), positions.max(0)
+    centre = 0.5 * (lower + upper)
+    if np.abs(centre).max() <= _FAR * (upper - lower).max():
+        centre = np.zeros(3)
+    faces = np.asarray(mesh.faces, np.int64)
+    if faces.min() < 0 or faces.max() >= len(positions):
+        refuse(
+            rules.UNREADABLE_MODEL,
+            call,
+            f"{path}: a face names vertex {faces.max()}",
+            f"0 to {len(positions) - 1}",
+        )
+    uv = _texture_coordinates(mesh, len(positions))
+    return make_geometry(positions - centre, faces, _stored_normals(mesh, len(positions)), uv), centre
+
+
+def _stored_normals(mesh: Any, count: int) -> Floats | None:
+    """Unit normals from the file, or None when there are none or a bad one."""
+    if "vertex_normals" not in mesh._cache:  # asking for the property would compute them
+        return None
+    normals = np.array(mesh.vertex_normals, np.float64)
+    if normals.shape != (count, 3) or not np.isfinite(normals).all():
+        return None
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / length if (length > 1e-6).all() else None
+
+
+def _texture_coordinates(mesh: Any, count: int) -> Floats | None:
+    uv = getattr(mesh.visual, "uv", None)
+    if uv is None or np.shape(uv) != (count, 2):
+        return None
+    flipped = np.array(uv, np.float64) * (1.0, -1.0) + (0.0, 1.0)  # trimesh's v = 0 is an image's last row
+    return np.where(np.isfinite(flipped), flipped, 0.0)
+
+
+def _add_material(builder: SceneBuilder, mesh: Any) -> int:
+    """Colours and texture of a mesh; what glTF calls roughness becomes an exponent."""
+    visual = mesh.visual
+    material = getattr(visual, "material", None)
+    image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
+    texture = -1 if image is None else builder.add_image(_pixels(image))
+    if material is not None and hasattr(material, "baseColorFactor"):
+        factor = material.baseColorFactor
+        color = np.ones(4) if factor is None else _unit_range(factor)
+        metallic = _number(material.metallicFactor, 0.0 if image is None else 0.1)
+        alpha = np.clip(_number(material.roughnessFactor, 0.7), 0.05, 1.0) ** 2
+        specular = 0.04 + (color[:3] - 0.04) * metallic
+        color = color * (*np.full(3, 1.0 - 0.5 * metallic), 1.0)
+        shininess = float(np.clip(2.0 / alpha**2 - 2.0, 1.0, 2048.0))
+        return builder.add_material(
+            base_color=tuple(color), specular_color=tuple(specular), shininess=shininess, texture=texture
+        )
+    given = (
+        getattr(material, "diffuse", None) if material is not None else getattr(visual, "main_color", None)
+    )
+    color = np.ones(4) if given is None or texture >= 0 else _unit_range(given)
+    linear = np.where(color <= 0.04045, color / 12.92, ((color + 0.055) / 1.055) ** 2.4)
+    return builder.add_material(base_color=(*linear[:3], color[3]), texture=texture, rim_strength=0.1)
+
+
+def _pixels(image: Any) -> Image:
+    with _quiet():
+        return np.asarray(image.convert("RGBA"), np.uint8)
+
+
+def _unit_range(color: Any) -> Floats:
+    """A colour of three or four numbers as RGBA from 0 to 1."""
+    given = np.asarray(color)
+    values = given.astype(np.float64) / (255.0 if given.dtype.kind in "ui" else 1.0)
+    return np.clip(np.append(values, 1.0)[:4] if len(values) == 3 else values, 0.0, 1.0)
+
+
+def _number(value: Any, default: float) -> float:
+    return default if value is None else float(value)
+
+
+def _add_surroundings(builder: SceneBuilder) -> None:
+    builder.lights.add_directional((-0.45, -0.8, -0.4), (1.0, 0.96, 0.9), 1.9)
+    builder.lights.sky, builder.lights.ground = (0.28, 0.32, 0.40), (0.14, 0.13, 0.12)
+
+
+def _add_paths(scene: Scene) -> None:
+    """`ground` through the model low down, `sky` over it, along its longer side."""
+    lower, upper = scene.bounds
+    size = np.maximum(upper - lower, 1e-3 * max(float((upper - lower).max()), 1e-6))
+    middle = 0.5 * (lower + upper)
+    along = np.array([1.0, 0.0, 0.0]) if size[0] >= size[2] else np.array([0.0, 0.0, 1.0])
+    reach = 0.6 * float(size @ along)
+    near = max(1e-4 * float(size.max()), 1e-6)
+    lens = Perspective(near=near)
+    for name, height in (("ground", 0.15), ("sky", 1.25)):
+        level = middle * (1.0, 0.0, 1.0) + np.array([0.0, lower[1] + height * size[1], 0.0])
+        sink = 0.0 if name == "ground" else 0.75 * float(size[1])
+        ends = np.stack([level - reach * along, level + reach * along])
+        scene.paths[name] = make_path(ends, lens, rounding=0.1 * reach, ahead=0.5 * reach, sink=sink)
+    scene.views = {name: view.with_projection(lens) for name, view in scene.views.items()}

@@ -1,0 +1,141 @@
+"""The node hierarchy as arrays, sorted by depth and updated by whole levels.
+
+Rows are sorted by level, so the parents of a level all lie before it, and its world transforms are one
+multiplication of stacks. Only rows that moved, or whose parent moved, are multiplied; a level without any
+is skipped. A row is static unless it or an ancestor was declared dynamic, and a static row can't move:
+hierarchies over static objects are built once and may rely on it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer import rules
+from renderer.scene.transforms import Floats, is_affine, multiply
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+
+class Nodes:
+    """Parents, local and world transforms of all nodes.
+
+    Attributes:
+        parents: (n,) int32, the parent's row, or -1.
+        local: (n, 4, 4) float64, node to parent; read-only, changed by `set_local`.
+        world: (n, 4, 4) float64, node to world; read-only, brought up to date by `update`.
+        dynamic: (n,) bool.
+        level_starts: (levels + 1,) int64; level l is the rows level_starts[l] to level_starts[l + 1].
+        rows: (n,) int64, the row of each id in the order in which the constructor was given them.
+        names: name of each row; may be empty.
+    """
+
+    def __init__(
+        self, parents: ArrayLike, local: ArrayLike, dynamic: ArrayLike = False, names: Sequence[str] = ()
+    ) -> None:
+        given = np.asarray(parents, np.int64).reshape(-1)
+        count = len(given)
+        matrices = np.asarray(local, np.float64)
+        if matrices.shape != (count, 4, 4) or not is_affine(matrices):
+            refuse(rules.BAD_TRANSFORM, "Nodes(local=...)", f"shape {matrices.shape}", f"({count}, 4, 4)")
+        if ((given < -1) | (given >= np.arange(count))).any():
+            refuse(
+                rules.BAD_INDEX, "Nodes(parents=...)", "a parent at or after its child", "-1 or an earlier id"
+            )
+        moves = np.broadcast_to(np.asarray(dynamic, bool), count).copy()
+
+        depth = _depths(given)
+        order = np.argsort(depth, kind="stable")
+        self.rows: NDArray[np.int64] = np.empty(count, np.int64)
+        self.rows[order] = np.arange(count)
+        self.parents: NDArray[np.int32] = np.where(given < 0, -1, self.rows[given])[order].astype(np.int32)
+        levels = int(depth.max()) + 1 if count else 0
+        self.level_starts: NDArray[np.int64] = np.searchsorted(depth[order], np.arange(levels + 1))
+        self.dynamic: NDArray[np.bool_] = moves[order]
+        self.names: tuple[str, ...] = tuple(names[i] for i in order) if names else ("",) * count
+        self._local: Floats = matrices[order].copy()
+        self._world: Floats = self._local.copy()
+        self._dirty: NDArray[np.bool_] = np.ones(count, bool)
+        for start, end in self._levels():
+            if start:
+                self.dynamic[start:end] |= self.dynamic[self.parents[start:end]]
+        for array in (self.parents, self.dynamic, self.rows):
+            array.flags.writeable = False
+        self.update()
+
+    def __len__(self) -> int:
+        return len(self.parents)
+
+    @property
+    def local(self) -> Floats:
+        return _read_only(self._local)
+
+    @property
+    def world(self) -> Floats:
+        return _read_only(self._world)
+
+    def find(self, name: str) -> int:
+        """The row of the first node with this name."""
+        if name not in self.names:
+            rules.refuse_name(rules.UNKNOWN_NODE, "find", name, [n for n in self.names if n][:20])
+        return self.names.index(name)
+
+    def set_local(self, rows: ArrayLike, local: ArrayLike) -> None:
+        """Give dynamic `rows` (k,) new local transforms (k, 4, 4) or (4, 4); `update` makes them count."""
+        chosen = np.atleast_1d(np.asarray(rows, np.int64))
+        matrices = np.asarray(local, np.float64)
+        if chosen.size and (chosen.min() < 0 or chosen.max() >= len(self)):
+            refuse(rules.BAD_INDEX, "set_local(rows=...)", chosen, f"0 to {len(self) - 1}")
+        if matrices.shape not in ((4, 4), (len(chosen), 4, 4)) or not is_affine(matrices):
+            refuse(rules.BAD_TRANSFORM, "set_local(local=...)", f"shape {matrices.shape}", "(k, 4, 4)")
+        static = chosen[~self.dynamic[chosen]]
+        if static.size:
+            refuse(rules.STATIC_NODE, "set_local(rows=...)", f"row {static[0]} {self.names[static[0]]!r}")
+        self._local[chosen] = matrices
+        self._dirty[chosen] = True
+
+    def update(self) -> NDArray[np.bool_]:
+        """Bring world transforms up to date; returns which rows changed, (n,) bool."""
+        changed = self._dirty
+        for start, end in self._levels():
+            level = changed[start:end]
+            if start:
+                level |= changed[self.parents[start:end]]
+            if not level.any():
+                continue
+            moved = np.flatnonzero(level) + start
+            if start:
+                self._world[moved] = multiply(self._world[self.parents[moved]], self._local[moved])
+            else:
+                self._world[moved] = self._local[moved]
+        self._dirty = np.zeros(len(self), bool)
+        return changed
+
+    def _levels(self) -> list[tuple[int, int]]:
+        starts = self.level_starts.tolist()
+        return list(pairwise(starts))
+
+
+def _depths(parents: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Depth of each node, by pointer doubling: log2(depth) passes over all nodes."""
+    count = len(parents)
+    depth = (parents >= 0).astype(np.int64)
+    ancestor = parents.copy()
+    while (ancestor >= 0).any():
+        inside = np.flatnonzero(ancestor >= 0)
+        above = ancestor[inside]
+        depth[inside] += depth[above]
+        ancestor[inside] = ancestor[above]
+    assert len(depth) == count
+    return depth
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    view = array.view()
+    view.flags.writeable = False
+    return view

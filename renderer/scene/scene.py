@@ -1,0 +1,270 @@
+"""The scene: nodes, objects, meshes, materials, images, lights and cameras, all as arrays.
+
+A `SceneBuilder` takes things one by one or by arrays and checks them; `build` gives a `Scene`, whose
+make-up is fixed: transforms of dynamic nodes, lights and materials may change, what there is may not.
+An object is a mesh with a material at a node. `Scene.update` is the one call a frame needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer import rules
+from renderer.scene.camera import Camera
+from renderer.scene.lights import Lights
+from renderer.scene.materials import MATERIAL, Image, check_image, make_material
+from renderer.scene.meshes import Geometry, Meshes
+from renderer.scene.nodes import Nodes
+from renderer.scene.paths import CameraPath
+from renderer.scene.transforms import Floats, is_affine, relative_to, transform_bounds
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+Animation = Callable[[Nodes, float], None]
+"""Moves dynamic nodes to where they are at a time in seconds; depends on nothing but the time."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Objects:
+    """All objects, one row each.
+
+    Attributes:
+        node, mesh, material: (n,) int32 rows of nodes, meshes, materials.
+        lower, upper: (n, 3) float64 world bounds, kept up to date by `Scene.update`.
+        dynamic: (n,) bool, whether the object's node can move.
+        static_rows, dynamic_rows: int64 rows of either kind, ascending.
+    """
+
+    node: NDArray[np.int32]
+    mesh: NDArray[np.int32]
+    material: NDArray[np.int32]
+    lower: Floats
+    upper: Floats
+    dynamic: NDArray[np.bool_]
+    static_rows: NDArray[np.int64]
+    dynamic_rows: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+class Scene:
+    """What there is to draw; made by `SceneBuilder.build`, `load_scene` or a generator.
+
+    Attributes:
+        name: what it was made from.
+        nodes, objects, meshes, lights: see their classes.
+        materials: (k,) of `MATERIAL`; images: the textures that they index.
+        background: linear colour where there is nothing.
+        views: named cameras, the first of which is the default; paths: named camera paths.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        nodes: Nodes,
+        objects: Objects,
+        meshes: Meshes,
+        materials: NDArray[Any],
+        images: tuple[Image, ...],
+        lights: Lights,
+        views: Mapping[str, Camera],
+        paths: Mapping[str, CameraPath],
+        animations: tuple[Animation, ...] = (),
+        background: tuple[float, float, float] = (0.02, 0.02, 0.03),
+    ) -> None:
+        self.name = name
+        self.background = background
+        self.nodes = nodes
+        self.objects = objects
+        self.meshes = meshes
+        self.materials = materials
+        self.images = images
+        self.lights = lights
+        self.views = dict(views)
+        self.paths = dict(paths)
+        self._animations = animations
+        self._refresh_bounds(np.arange(len(objects)))
+        self.update()
+        if not self.views:
+            self.views["overview"] = self._fitting_camera()
+
+    def update(self, seconds: float = 0.0) -> NDArray[np.int64]:
+        """Move what is animated to `seconds`, then bring transforms and bounds up to date.
+
+        Returns the rows of the objects whose transform was computed again.
+        """
+        for animate in self._animations:
+            animate(self.nodes, seconds)
+        changed = np.flatnonzero(self.nodes.update()[self.objects.node])
+        if changed.size:
+            self._refresh_bounds(changed)
+        return changed
+
+    @property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper corner (3,) of all objects."""
+        return self.objects.lower.min(0), self.objects.upper.max(0)
+
+    @property
+    def triangle_count(self) -> int:
+        """Triangles drawn when every object is."""
+        return self.count_triangles(np.arange(len(self.objects)))
+
+    def count_triangles(self, objects: NDArray[np.int64]) -> int:
+        """Triangles of the objects with these rows."""
+        return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
+
+    def relative_transforms(
+        self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float32]:
+        """(k, 4, 4) float32 transforms of `objects` (all, without) from mesh space to the eye's axes.
+
+        World axes with `eye` (3,) as origin, subtracted in float64: multiply with the camera's
+        `relative_view_projection`.
+        """
+        nodes = self.objects.node if objects is None else self.objects.node[objects]
+        return relative_to(self.nodes.world[nodes], eye)
+
+    def _refresh_bounds(self, rows: NDArray[np.int64]) -> None:
+        mesh = self.objects.mesh[rows]
+        world = self.nodes.world[self.objects.node[rows]]
+        lower, upper = transform_bounds(world, self.meshes.lower[mesh], self.meshes.upper[mesh])
+        self.objects.lower[rows], self.objects.upper[rows] = lower, upper
+
+    def _fitting_camera(self) -> Camera:
+        lower, upper = self.bounds
+        centre, size = 0.5 * (lower + upper), max(float(np.linalg.norm(upper - lower)), 1e-6)
+        return Camera.look_at(centre + size * np.array([0.5, 0.4, 0.8]), centre)
+
+
+class SceneBuilder:
+    """Gathers a scene. Ids that it returns are what later calls take; `build` may be called once."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.lights = Lights()
+        self.background = (0.02, 0.02, 0.03)
+        self.views: dict[str, Camera] = {}
+        self.paths: dict[str, CameraPath] = {}
+        self._geometries: list[Geometry] = []
+        self._mesh_names: list[str] = []
+        self._materials: list[NDArray[Any]] = []
+        self._images: list[Image] = []
+        self._parents: list[NDArray[np.int64]] = []
+        self._locals: list[Floats] = []
+        self._dynamic: list[NDArray[np.bool_]] = []
+        self._node_names: list[str] = []
+        self._objects: list[NDArray[np.int64]] = []
+        self._object_count = 0
+        self._animations: list[tuple[NDArray[np.int64], Callable[[float], Floats]]] = []
+
+    def add_mesh(self, geometry: Geometry, name: str = "") -> int:
+        """Add a mesh; returns its id."""
+        self._geometries.append(geometry)
+        self._mesh_names.append(name)
+        return len(self._geometries) - 1
+
+    def add_image(self, image: NDArray[Any]) -> int:
+        """Add a texture's pixels (height, width, 4) uint8; returns its id."""
+        self._images.append(check_image(image))
+        return len(self._images) - 1
+
+    def add_material(self, **values: Any) -> int:
+        """Add a material from the arguments of `make_material`; returns its id."""
+        material = make_material(**values)
+        if material["texture"] >= len(self._images):
+            refuse(rules.BAD_INDEX, "add_material(texture=...)", int(material["texture"]), "an image's id")
+        self._materials.append(material)
+        return len(self._materials) - 1
+
+    def add_node(
+        self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = ""
+    ) -> int:
+        """Add one node with a local transform (4, 4), the identity without; returns its id."""
+        matrix = np.eye(4) if local is None else np.asarray(local, np.float64)
+        first = self.add_nodes(matrix[None], parent, dynamic)[0]
+        self._node_names[-1] = name
+        return int(first)
+
+    def add_nodes(
+        self, locals: ArrayLike, parents: ArrayLike = -1, dynamic: ArrayLike = False
+    ) -> NDArray[np.int64]:
+        """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one; returns their ids (k,)."""
+        matrices = np.asarray(locals, np.float64)
+        if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or not is_affine(matrices):
+            refuse(rules.BAD_TRANSFORM, "add_nodes(locals=...)", f"shape {matrices.shape}", "(k, 4, 4)")
+        first, count = len(self._node_names), len(matrices)
+        above = np.broadcast_to(np.asarray(parents, np.int64), count)
+        if count and (above.min() < -1 or above.max() >= first):
+            refuse(rules.BAD_INDEX, "add_nodes(parents=...)", parents, f"-1 to {first - 1}")
+        self._parents.append(above.copy())
+        self._locals.append(matrices.copy())
+        self._dynamic.append(np.broadcast_to(np.asarray(dynamic, bool), count).copy())
+        self._node_names.extend([""] * count)
+        return np.arange(first, first + count)
+
+    def add_objects(self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike) -> NDArray[np.int64]:
+        """Add objects: node, mesh and material ids, (k,) or one for all; returns their rows (k,)."""
+        columns = np.broadcast_arrays(
+            *(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials))
+        )
+        limits = (len(self._node_names), len(self._geometries), len(self._materials))
+        for name, column, limit in zip(("nodes", "meshes", "materials"), columns, limits, strict=True):
+            if column.size and (column.min() < 0 or column.max() >= limit):
+                refuse(rules.BAD_INDEX, f"add_objects({name}=...)", column, f"0 to {limit - 1}")
+        self._objects.append(np.stack(columns, axis=1))
+        first = self._object_count
+        self._object_count += len(columns[0])
+        return np.arange(first, self._object_count)
+
+    def animate(self, nodes: ArrayLike, motion: Callable[[float], Floats]) -> None:
+        """Let dynamic `nodes` (k,) follow `motion`: seconds to local transforms (k, 4, 4)."""
+        self._animations.append((np.atleast_1d(np.asarray(nodes, np.int64)), motion))
+
+    def build(self) -> Scene:
+        """The scene. It must have at least one object."""
+        if not self._object_count:
+            refuse(rules.EMPTY_MODEL, "build", f"{self.name!r} without an object")
+        nodes = Nodes(
+            np.concatenate(self._parents),
+            np.concatenate(self._locals),
+            np.concatenate(self._dynamic),
+            self._node_names,
+        )
+        table = np.concatenate(self._objects)
+        node = nodes.rows[table[:, 0]].astype(np.int32)
+        dynamic = nodes.dynamic[node]
+        objects = Objects(
+            node=node,
+            mesh=table[:, 1].astype(np.int32),
+            material=table[:, 2].astype(np.int32),
+            lower=np.zeros((len(table), 3)),
+            upper=np.zeros((len(table), 3)),
+            dynamic=dynamic,
+            static_rows=np.flatnonzero(~dynamic),
+            dynamic_rows=np.flatnonzero(dynamic),
+        )
+        return Scene(
+            self.name,
+            nodes,
+            objects,
+            Meshes(self._geometries, self._mesh_names),
+            np.array(self._materials, MATERIAL),
+            tuple(self._images),
+            self.lights,
+            self.views,
+            self.paths,
+            tuple(_follow(nodes.rows[ids], motion) for ids, motion in self._animations),
+            self.background,
+        )
+
+
+def _follow(rows: NDArray[np.int64], motion: Callable[[float], Floats]) -> Animation:
+    return lambda nodes, seconds: nodes.set_local(rows, motion(seconds))

@@ -1,0 +1,204 @@
+"""Built-in meshes: sheets, lathes, lofts, and the solids made of them.
+
+A sheet is a grid of points; its normal is columns x rows. Outlines are closed polygons in the xz plane,
+counter-clockwise seen from above, around a point from which every corner can be seen: that makes their
+caps fans. Texture coordinates have v = 0 at an image's first row, its top, so v falls where y rises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer.scene.meshes import VERTEX, Geometry, join
+from renderer.scene.transforms import Floats
+
+__rhi_internal__ = True
+
+
+def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> Geometry:
+    """Quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
+
+    Without `normals` (rows, columns, 3) each quad is flat and has its own corners. `uv` is
+    (rows, columns, 2). Quads without an area, as at a pole, keep only the triangles that have one.
+    """
+    grid = np.asarray(points, np.float64)
+    rows, columns = grid.shape[:2]
+    coordinates = np.zeros((rows, columns, 2)) if uv is None else np.asarray(uv, np.float64)
+    if normals is not None:
+        vertices = np.zeros(rows * columns, VERTEX)
+        vertices["position"] = grid.reshape(-1, 3)
+        vertices["normal"] = np.asarray(normals).reshape(-1, 3)
+        vertices["uv"] = coordinates.reshape(-1, 2)
+        corner = np.arange(rows * columns).reshape(rows, columns)
+        quads = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(
+            -1, 4
+        )
+        return Geometry(vertices, _triangles(vertices["position"], quads))
+    count = (rows - 1) * (columns - 1)
+    vertices = np.zeros((count, 4), VERTEX)
+    for name, values in (("position", grid), ("uv", coordinates)):
+        parts = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
+        vertices[name] = np.stack([part.reshape(count, -1) for part in parts], axis=1)
+    a, b, c, d = (vertices["position"][:, i].astype(np.float64) for i in range(4))
+    normal = np.cross(c - a, d - b)  # of the diagonals: right for quads that taper to a point
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    vertices["normal"] = (normal / np.maximum(length, 1e-30))[:, None]
+    flat = vertices.reshape(-1)
+    return Geometry(flat, _triangles(flat["position"], np.arange(4 * count).reshape(count, 4)))
+
+
+def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> Geometry:
+    """A flat cap facing up over an outline (k, 2), around the origin."""
+    ring = np.asarray(outline, np.float64)
+    count = len(ring)
+    vertices = np.zeros(count + 1, VERTEX)
+    vertices["position"][1:, (0, 2)] = ring
+    vertices["position"][:, 1] = y
+    vertices["normal"] = (0.0, 1.0, 0.0)
+    vertices["uv"] = uv
+    edge = np.arange(count)
+    corners = np.stack([np.zeros(count, np.int64), 1 + edge, 1 + (edge + 1) % count], axis=1)
+    return Geometry(vertices, corners.astype(np.uint32).reshape(-1))
+
+
+def box(detail: int = 1) -> Geometry:
+    """A cube from -1/2 to 1/2, each face `detail` by `detail` quads: 12 * detail² triangles."""
+    steps = np.linspace(-0.5, 0.5, detail + 1)
+    u, v = np.meshgrid(steps, steps)
+    face = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
+    uv = np.stack([u + 0.5, 0.5 - v], axis=-1)
+    parts = []
+    for axis in range(3):
+        for sign in (1.0, -1.0):
+            turned = face * (sign, 1.0, sign)  # half a turn about the second axis keeps the orientation
+            parts.append(sheet(np.roll(turned, axis, axis=-1), uv))
+    return join(parts)
+
+
+def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> Geometry:
+    """A square from -1/2 to 1/2 in xz, facing up."""
+    steps = np.linspace(-0.5, 0.5, detail + 1)
+    x, z = np.meshgrid(steps, -steps)
+    return sheet(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
+
+
+def lathe(profile: ArrayLike, segments: int) -> Geometry:
+    """A surface of revolution about y: `profile` (k, 2) holds (radius, y), from the bottom up.
+
+    Normals are smooth around and flat along the profile; `segments` * k * 2 triangles at most.
+    """
+    shape = np.asarray(profile, np.float64)
+    parts = []
+    angle = np.linspace(0.0, 2.0 * np.pi, segments + 1)
+    around = np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+    for (r0, y0), (r1, y1) in pairwise(shape):
+        slope = np.array([y1 - y0, r0 - r1]) / np.hypot(y1 - y0, r0 - r1)
+        points = np.stack([_ring(around * r0, y0), _ring(around * r1, y1)])
+        normal = _ring(around * slope[0], slope[1])
+        uv = np.stack(
+            [np.tile(angle / (2.0 * np.pi), (2, 1)), np.repeat([[-y0], [-y1]], segments + 1, 1)], axis=-1
+        )
+        parts.append(sheet(points, uv, np.stack([normal, normal])))
+    return join(parts)
+
+
+def cylinder(segments: int = 24) -> Geometry:
+    """Radius 1/2, y from -1/2 to 1/2, with caps."""
+    return lathe([(0.0, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5)], segments)
+
+
+def cone(segments: int = 24) -> Geometry:
+    """Base radius 1/2 at y = -1/2, tip at y = 1/2."""
+    return lathe([(0.0, -0.5), (0.5, -0.5), (0.0, 0.5)], segments)
+
+
+def sphere(segments: int = 24) -> Geometry:
+    """Radius 1/2, smooth; `segments` around and half as many from pole to pole."""
+    return _smooth_surface(lambda u, v: _sphere_point(u, v), segments, max(segments // 2, 3))
+
+
+def torus(segments: int = 32) -> Geometry:
+    """A ring in xz that fits into a unit cube, tube radius 1/8."""
+
+    def point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        out = np.stack([np.cos(u), np.zeros_like(u), -np.sin(u)], axis=-1)
+        normal = out * np.cos(v)[..., None] + np.array([0.0, 1.0, 0.0]) * np.sin(v)[..., None]
+        return 0.375 * out + 0.125 * normal, normal
+
+    return _smooth_surface(lambda u, v: point(u, 2.0 * v), segments, max(segments // 2, 3))
+
+
+BUILT_IN: Final[dict[str, Callable[[], Geometry]]] = {
+    "box": box,
+    "plane": plane,
+    "cylinder": cylinder,
+    "cone": cone,
+    "sphere": sphere,
+    "torus": torus,
+}
+"""The meshes that can be asked for by name."""
+
+
+def loft(
+    outline: ArrayLike,
+    rings: Sequence[tuple[float, float, float]],
+    walls: tuple[float, float],
+    roof_uv: tuple[float, float] = (0.0, 0.0),
+    smooth: bool = False,
+) -> Geometry:
+    """Walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
+
+    Texture coordinates of steep parts run `walls` = (times around, times up per unit of y); flatter parts
+    all get `roof_uv`. `smooth` gives steep parts that face outwards normals away from the axis.
+    """
+    shape = np.asarray(outline, np.float64)
+    closed = np.concatenate([shape, shape[:1]])
+    length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(closed, axis=0), axis=1))])
+    around = length / length[-1] * walls[0]
+    points = np.stack([_ring(closed * (sx, sz), y) for y, sx, sz in rings])
+    heights = np.array([-y for y, _, _ in rings]) * walls[1]
+    uv = np.stack(np.broadcast_arrays(around[None, :], heights[:, None]), axis=-1)
+    side = sheet(points, uv)
+    vertices = side.vertices.copy()
+    level = np.abs(vertices["normal"][:, 1]) > 0.3
+    vertices["uv"][level] = roof_uv
+    if smooth:
+        radial = vertices["position"] * np.array([1.0, 0.0, 1.0], np.float32)
+        radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-9)
+        outward = ~level & ((vertices["normal"] * radial).sum(1) > 0.0)
+        vertices["normal"][outward] = radial[outward]
+    parts = [Geometry(vertices, side.indices)]
+    y, sx, sz = rings[-1]
+    if sx > 0.0 and sz > 0.0:
+        parts.append(fan(shape * (sx, sz), y, roof_uv))
+    return join(parts)
+
+
+def _smooth_surface(
+    point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int
+) -> Geometry:
+    u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, columns + 1), np.linspace(-0.5, 0.5, rows + 1) * np.pi)
+    positions, normals = point(u, v)
+    return sheet(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)
+
+
+def _sphere_point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    normal = np.stack([np.cos(u) * np.cos(v), np.sin(v), -np.sin(u) * np.cos(v)], axis=-1)
+    return 0.5 * normal, normal
+
+
+def _ring(xz: Floats, y: float) -> Floats:
+    return np.stack([xz[:, 0], np.full(len(xz), y), xz[:, 1]], axis=1)
+
+
+def _triangles(positions: NDArray[Any], quads: NDArray[np.int64]) -> NDArray[np.uint32]:
+    corners = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    a, b, c = (positions[corners[:, i]].astype(np.float64) for i in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
+    return np.ravel(corners[area > 1e-6 * longest**2]).astype(np.uint32)

@@ -1,0 +1,83 @@
+"""Scene text: the grammar of generators, `name:key=value,key=value`.
+
+A generator lists its options with defaults and ranges; the text is parsed against that list, so that
+what is refused, what `--help` prints and what a generator receives come from one table.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from renderer import rules
+from renderer.scene.scene import Scene
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+Value = int | float | str
+
+
+@dataclass(frozen=True, slots=True)
+class Option:
+    """One key of a generator; its type is that of `default`, `low` and `high` bound numbers."""
+
+    name: str
+    default: Value
+    meaning: str
+    low: float = 0.0
+    high: float = 0.0
+
+    @property
+    def allowed(self) -> str:
+        """What may be given, as text."""
+        if isinstance(self.default, str):
+            return self.meaning
+        kind = "a whole number" if isinstance(self.default, int) else "a number"
+        return f"{kind} from {self.low:g} to {self.high:g}"
+
+    def parse(self, call: str, text: str) -> Value:
+        """`text` as this option's type, or a refusal."""
+        if isinstance(self.default, str):
+            if not text:
+                refuse(rules.BAD_VALUE, call, f"{self.name}=", self.allowed)
+            return text
+        try:
+            value = type(self.default)(text)
+        except ValueError:
+            refuse(rules.BAD_VALUE, call, f"{self.name}={text}", self.allowed)
+        if not self.low <= value <= self.high:
+            refuse(rules.BAD_VALUE, call, f"{self.name}={text}", self.allowed)
+        return value
+
+
+@dataclass(frozen=True, slots=True)
+class Generator:
+    """A scene made by a function of options: `build` takes every option by name."""
+
+    name: str
+    summary: str
+    options: tuple[Option, ...]
+    build: Callable[..., Scene]
+
+    def parse(self, text: str) -> dict[str, Value]:
+        """Every option's value, from `key=value,key=value` or defaults."""
+        call = f"{self.name}:{text}"
+        known = {option.name: option for option in self.options}
+        values: dict[str, Value] = {option.name: option.default for option in self.options}
+        seen: set[str] = set()
+        for part in text.split(",") if text else []:
+            key, equals, value = (piece.strip() for piece in part.partition("="))
+            if not equals:
+                refuse(rules.SPEC_SYNTAX, call, part or "an empty option", f"{self.name}:key=value,key=value")
+            if key not in known:
+                rules.refuse_name(rules.UNKNOWN_KEY, call, key, known)
+            if key in seen:
+                refuse(rules.SPEC_SYNTAX, call, f"{key} twice", "each key once")
+            seen.add(key)
+            values[key] = known[key].parse(call, value)
+        return values
+
+
+SEED: Final = Option("seed", 0, "another seed gives another scene of the same kind", 0, 2**31 - 1)

@@ -1,0 +1,99 @@
+"""Textures painted with NumPy: facades with windows, streets. All are `IMAGE_SIZE` square."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from renderer.scene.materials import Image
+from renderer.scene.transforms import Floats
+
+__rhi_internal__ = True
+
+IMAGE_SIZE: Final = 256
+"""Width and height of every generated texture: one size, so that they can be layers of one array."""
+
+WINDOWS: Final = 4
+"""A facade texture is this many windows wide and high."""
+
+ROOF_UV: Final = (0.125, 0.125)
+"""The middle of a facade's one shuttered window, of an even grey: where roofs take their colour."""
+
+_CELL = IMAGE_SIZE // WINDOWS
+
+
+def paint_facade(style: str, seed: int) -> Image:
+    """A facade of `WINDOWS` x `WINDOWS` windows, near white, to be tinted by a material's base colour.
+
+    Styles: "punched" windows in a wall, "ribbon" windows between bands, "glass" panes in thin frames.
+    """
+    rng = np.random.default_rng([seed, ("punched", "ribbon", "glass").index(style)])
+    left, right, top, bottom = {
+        "punched": (0.26, 0.74, 0.20, 0.78),
+        "ribbon": (0.02, 0.98, 0.24, 0.76),
+        "glass": (0.05, 0.95, 0.07, 0.93),
+    }[style]
+    wall = 0.86 + 0.05 * rng.standard_normal((IMAGE_SIZE // 4, IMAGE_SIZE // 4)).repeat(4, 0).repeat(4, 1)
+    pixels = np.repeat(wall[..., None], 3, axis=2)
+    ramp = np.linspace(1.15, 0.8, _CELL)[:, None, None]  # the sky in the upper part of a pane
+    for row in range(WINDOWS):
+        for column in range(WINDOWS):
+            cell = pixels[row * _CELL : (row + 1) * _CELL, column * _CELL : (column + 1) * _CELL]
+            x0, x1, y0, y1 = (int(edge * _CELL) for edge in (left, right, top, bottom))
+            tint = np.array([0.20, 0.27, 0.34]) * rng.uniform(0.75, 1.35)
+            if rng.random() < 0.12:
+                tint = np.array([0.78, 0.68, 0.45])  # someone is at home
+            cell[y0:y1, x0:x1] = tint * ramp[y0:y1]
+            cell[y1 : y1 + 3, x0:x1] *= 0.7  # the shadow under the sill
+            middle = (x0 + x1) // 2
+            cell[y0:y1, middle : middle + 2] = 0.55
+    shutter = pixels[:_CELL, :_CELL]
+    shutter[int(top * _CELL) : int(bottom * _CELL), int(left * _CELL) : int(right * _CELL)] = 0.52
+    return _image(pixels)
+
+
+def paint_street(street: float, seed: int) -> Image:
+    """One block of ground, the street along its edges: `street` is the street's share of the width.
+
+    Pavement in the middle, asphalt around it with a dashed centre line on the texture's border, and
+    stripes to cross on.
+    """
+    rng = np.random.default_rng([seed, 17])
+    noise = rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE))
+    pixels = np.repeat((0.27 + 0.012 * noise)[..., None], 3, axis=2) * (1.0, 1.0, 1.04)
+    at = (np.arange(IMAGE_SIZE) + 0.5) / IMAGE_SIZE
+    edge = np.minimum(at, 1.0 - at)  # distance from the middle of the street
+    x, z = np.broadcast_arrays(edge[None, :], edge[:, None])
+    half = 0.5 * street
+    pavement = (x > half) & (z > half)
+    slabs = 0.56 + 0.01 * noise - 0.06 * ((at * 32 % 1.0 < 0.12)[None, :] | (at * 32 % 1.0 < 0.12)[:, None])
+    pixels[pavement] = (slabs[..., None] * (1.0, 0.98, 0.95))[pavement]
+    kerb = (np.minimum(x, z) > half) & (np.minimum(x, z) < half + 0.012)
+    pixels[kerb] = 0.66
+    dashes = at * 16 % 1.0 < 0.5
+    for across, along in ((x, dashes[:, None]), (z, dashes[None, :])):
+        other = z if across is x else x
+        line = (across < 0.006) & along & (other > half + 0.05)
+        pixels[line] = 0.75
+        stripes = (
+            (other > half + 0.008)
+            & (other < half + 0.05)
+            & (across < half - 0.01)
+            & (across * 60 % 1.0 < 0.5)
+        )
+        pixels[stripes] = 0.72
+    return _image(pixels)
+
+
+def paint_stripes(first: tuple[float, float, float], second: tuple[float, float, float], count: int) -> Image:
+    """`count` pairs of level stripes in two sRGB colours: a flag."""
+    bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
+    column = np.where(bands[:, None], first, second)
+    return _image(np.repeat(column[:, None], IMAGE_SIZE, axis=1))
+
+
+def _image(pixels: Floats) -> Image:
+    opaque = np.full((*pixels.shape[:2], 4), 255, np.uint8)
+    opaque[..., :3] = np.clip(np.round(pixels * 255.0), 0, 255)
+    return opaque

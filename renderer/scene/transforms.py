@@ -1,0 +1,105 @@
+"""Affine transforms as stacks of matrices: built, multiplied and applied to whole arrays.
+
+Matrices are (..., 4, 4) float64 for column vectors: `matrix @ vector`. Every function takes and returns
+stacks, so that no caller loops over objects.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+__rhi_internal__ = True
+
+Floats = NDArray[np.float64]
+
+
+def translation(offset: ArrayLike) -> Floats:
+    """(..., 4, 4) matrices that move by `offset` (..., 3)."""
+    moved = np.asarray(offset, np.float64)
+    matrix = _identity(moved.shape[:-1])
+    matrix[..., :3, 3] = moved
+    return matrix
+
+
+def scaling(factors: ArrayLike) -> Floats:
+    """(..., 4, 4) matrices that scale the axes by `factors` (..., 3)."""
+    scaled = np.asarray(factors, np.float64)
+    matrix = _identity(scaled.shape[:-1])
+    for axis in range(3):
+        matrix[..., axis, axis] = scaled[..., axis]
+    return matrix
+
+
+def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
+    """(..., 4, 4) matrices that turn by `angle` (...) radians about the unit `axis` (3,), right-handed."""
+    x, y, z = np.asarray(axis, np.float64)
+    turned = np.asarray(angle, np.float64)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, cosine = np.sin(turned)[..., None, None], np.cos(turned)[..., None, None]
+    matrix = _identity(turned.shape)
+    matrix[..., :3, :3] = np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+    return matrix
+
+
+def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
+    """`left @ right` for stacks of affine matrices, with the last row kept exactly 0 0 0 1."""
+    a, b = np.asarray(left, np.float64), np.asarray(right, np.float64)
+    product = a @ b
+    product[..., 3, :] = (0.0, 0.0, 0.0, 1.0)
+    return product
+
+
+def is_affine(matrices: Floats) -> bool:
+    """Whether all of (..., 4, 4) are finite with last row 0 0 0 1."""
+    return bool(np.isfinite(matrices).all() and (matrices[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all())
+
+
+def transform_bounds(matrices: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+    """Axis-aligned bounds of transformed boxes, by the absolute matrix (Arvo, Graphics Gems, 1990).
+
+    `matrices` is (n, 4, 4), `lower` and `upper` are (n, 3). The centre goes through the matrix and the
+    half extents through its absolute values, which gives the bounds of the eight transformed corners.
+    Values are rounded outwards by the error of that sum, so that no corner lies outside.
+    """
+    centre, extent = 0.5 * (lower + upper), 0.5 * (upper - lower)
+    linear = matrices[:, :3, :3]
+    absolute = np.abs(linear)
+    moved = np.einsum("nij,nj->ni", linear, centre) + matrices[:, :3, 3]
+    reach = np.einsum("nij,nj->ni", absolute, extent)
+    size = np.einsum("nij,nj->ni", absolute, np.abs(centre)) + np.abs(matrices[:, :3, 3]) + reach
+    reach += 8.0 * np.finfo(np.float64).eps * size
+    return moved - reach, moved + reach
+
+
+def normal_matrices(matrices: NDArray[Any]) -> Floats:
+    """(..., 3, 3) matrices for normals of (..., 4, 4) transforms: cofactors, right for singular ones too.
+
+    The cofactor matrix is the inverse transpose times the determinant; its sign is taken out so that
+    mirrored objects keep outward normals. Results are not normalised.
+    """
+    linear = np.asarray(matrices, np.float64)[..., :3, :3]
+    x, y, z = linear[..., :, 0], linear[..., :, 1], linear[..., :, 2]
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)
+    determinant = (x * cofactors[..., :, 0]).sum(-1)
+    return np.where(determinant < 0.0, -1.0, 1.0)[..., None, None] * cofactors
+
+
+def relative_to(matrices: Floats, eye: ArrayLike) -> NDArray[np.float32]:
+    """World transforms (..., 4, 4) made relative to `eye` (3,), in float32.
+
+    The subtraction happens in float64 before anything is rounded: near the eye float32 is then as fine
+    at 1e6 m from the origin as at the origin.
+    """
+    moved = np.array(matrices, np.float64)
+    moved[..., :3, 3] -= np.asarray(eye, np.float64)
+    return moved.astype(np.float32)
+
+
+def _identity(shape: tuple[int, ...]) -> Floats:
+    matrix = np.zeros((*shape, 4, 4))
+    for axis in range(4):
+        matrix[..., axis, axis] = 1.0
+    return matrix

@@ -1,0 +1,141 @@
+"""The forward shader: each fragment is lit by all lights, in one pass.
+
+What a scene hasn't got costs nothing: `ForwardShader` knows no lights and no textures, each of the classes
+below adds one kind of them with its binding, and `forward_variant` combines what is needed.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+from renderer.shaders.lighting import (
+    ambient_light,
+    directional_light,
+    point_light,
+    safe_normalize,
+    spot_light,
+    tone_map,
+)
+from renderer.shaders.structs import (
+    Ambient,
+    DirectionalLight,
+    Material,
+    Object,
+    PointLight,
+    SpotLight,
+    Surface,
+    Varying,
+    Vertex,
+    View,
+)
+from rhi.shading import Shader, Storage, Texture2DArray, Uniform, instance_index, vec2, vec3, vec4
+
+
+class ForwardShader(Shader):
+    """Ambient light with the rim term, and emission; the base of all variants."""
+
+    view: Uniform[View]
+    ambient: Uniform[Ambient]
+    objects: Storage[Object]
+    positions: Storage[vec4]
+    materials: Storage[Material]
+
+    def vertex(self, v: Vertex) -> Varying:
+        row = instance_index()
+        thing = self.objects[row]
+        position = thing.linear @ v.position + self.positions[row].xyz
+        return Varying(
+            clip=self.view.relative_view_projection @ vec4(position, 1.0),
+            position=position,
+            normal=thing.normal @ v.normal,
+            uv=v.uv,
+            material=thing.material,
+        )
+
+    def fragment(self, v: Varying) -> vec4:
+        material = self.materials[v.material]
+        surface = Surface(
+            position=v.position,
+            normal=safe_normalize(v.normal),
+            to_eye=safe_normalize(-v.position),
+            base_color=material.base_color.rgb * self.texel(material.texture, v.uv),
+            specular_color=material.specular_color,
+            shininess=material.shininess,
+        )
+        color = surface.base_color * material.emission
+        color += ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
+        color += self.sunlight(surface) + self.pointlight(surface) + self.spotlight(surface)
+        return vec4(tone_map(color), 1.0)
+
+    def texel(self, image: int, uv: vec2) -> vec3:
+        return vec3(1.0)
+
+    def sunlight(self, surface: Surface) -> vec3:
+        return vec3(0.0)
+
+    def pointlight(self, surface: Surface) -> vec3:
+        return vec3(0.0)
+
+    def spotlight(self, surface: Surface) -> vec3:
+        return vec3(0.0)
+
+
+class Textured(ForwardShader):
+    """Adds images, the layers of one texture."""
+
+    images: Texture2DArray
+
+    def texel(self, image: int, uv: vec2) -> vec3:
+        # All fragments of a primitive take the same branch, so the derivatives of uv are defined.
+        if image < 0:
+            return vec3(1.0)
+        return self.images.sample(vec3(uv, float(image))).rgb
+
+
+class WithDirectionalLights(ForwardShader):
+    """Adds directional lights."""
+
+    directional_lights: Storage[DirectionalLight]
+
+    def sunlight(self, surface: Surface) -> vec3:
+        color = vec3(0.0)
+        for i in range(len(self.directional_lights)):
+            color += directional_light(surface, self.directional_lights[i])
+        return color
+
+
+class WithPointLights(ForwardShader):
+    """Adds point lights."""
+
+    point_lights: Storage[PointLight]
+
+    def pointlight(self, surface: Surface) -> vec3:
+        color = vec3(0.0)
+        for i in range(len(self.point_lights)):
+            color += point_light(surface, self.point_lights[i])
+        return color
+
+
+class WithSpotLights(ForwardShader):
+    """Adds spot lights."""
+
+    spot_lights: Storage[SpotLight]
+
+    def spotlight(self, surface: Surface) -> vec3:
+        color = vec3(0.0)
+        for i in range(len(self.spot_lights)):
+            color += spot_light(surface, self.spot_lights[i])
+        return color
+
+
+@cache
+def forward_variant(textures: bool, directional: bool, point: bool, spot: bool) -> type[ForwardShader]:
+    """The forward shader with what is asked for, and the bindings of that alone."""
+    parts = {
+        Textured: textures,
+        WithDirectionalLights: directional,
+        WithPointLights: point,
+        WithSpotLights: spot,
+    }
+    bases = tuple(part for part, wanted in parts.items() if wanted)
+    return type("Forward", (*bases, ForwardShader), {"__module__": __name__})

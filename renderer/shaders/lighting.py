@@ -1,0 +1,104 @@
+"""The lighting model: Blinn-Phong, in linear light.
+
+Reflected light is `base + specular · (s + 8) / 8 · (n · h)^s` per unit of irradiance, times `n · l`: the
+factor keeps a highlight's energy as its exponent s grows (Akenine-Möller, Haines and Hoffman, Real-Time
+Rendering, 3rd ed., 7.6). Colours are of surfaces in full light, so no π appears. Every function is finite for
+every finite input: directions of no length, lights at the surface, ranges and cones of 0.
+"""
+
+from __future__ import annotations
+
+from renderer.shaders.structs import Ambient, DirectionalLight, PointLight, SpotLight, Surface
+from rhi.shading import dot, function, inversesqrt, max, min, mix, pow, reflect, saturate, vec3
+
+
+@function
+def safe_normalize(v: vec3) -> vec3:
+    """`v` with length 1; a vector of no length stays (nearly) so, where `normalize` would give NaN."""
+    return v * inversesqrt(max(dot(v, v), 1e-30))
+
+
+@function
+def reflected_light(surface: Surface, to_light: vec3, irradiance: vec3) -> vec3:
+    """What the surface sends to the eye of light that arrives from the unit direction `to_light`."""
+    facing = dot(surface.normal, to_light)
+    if facing <= 0.0:
+        return vec3(0.0)
+    halfway = safe_normalize(to_light + surface.to_eye)
+    lobe = pow(saturate(dot(surface.normal, halfway)), surface.shininess)
+    specular = surface.specular_color * (lobe * (surface.shininess + 8.0) * 0.125)
+    return (surface.base_color + specular) * irradiance * facing
+
+
+@function
+def directional_light(surface: Surface, light: DirectionalLight) -> vec3:
+    """Light of the same direction everywhere."""
+    return reflected_light(surface, -light.direction, light.color * light.intensity)
+
+
+@function
+def attenuation(distance_squared: float, range: float) -> float:
+    """1 / d², windowed by (1 - (d / range)⁴)² to reach 0 at `range`, and bounded within a centimetre.
+
+    The window is that of Karis, Real Shading in Unreal Engine 4 (2013).
+    """
+    share = distance_squared / max(range * range, 1e-20)
+    window = saturate(1.0 - share * share)
+    return window * window / max(distance_squared, 1e-4)
+
+
+@function
+def point_light(surface: Surface, light: PointLight) -> vec3:
+    """Light from a point, 0 from its range on."""
+    to_light = light.position - surface.position
+    distance_squared = dot(to_light, to_light)
+    if distance_squared >= light.range * light.range:
+        return vec3(0.0)
+    irradiance = light.color * (light.intensity * attenuation(distance_squared, light.range))
+    return reflected_light(surface, safe_normalize(to_light), irradiance)
+
+
+@function
+def spot_light(surface: Surface, light: SpotLight) -> vec3:
+    """Light from a point within a cone: full inside the inner angle, 0 outside the outer, squared between."""
+    to_light = light.position - surface.position
+    distance_squared = dot(to_light, to_light)
+    if distance_squared >= light.range * light.range:
+        return vec3(0.0)
+    direction = safe_normalize(to_light)
+    away = -dot(direction, light.direction)
+    if away <= light.cos_outer:
+        return vec3(0.0)
+    cone = saturate((away - light.cos_outer) / max(light.cos_inner - light.cos_outer, 1e-4))
+    irradiance = light.color * (light.intensity * cone * cone * attenuation(distance_squared, light.range))
+    return reflected_light(surface, direction, irradiance)
+
+
+@function
+def hemisphere(ambient: Ambient, direction: vec3) -> vec3:
+    """Ambient light from around the unit `direction`."""
+    return mix(ambient.ground, ambient.sky, 0.5 + 0.5 * direction.y)
+
+
+@function
+def ambient_light(surface: Surface, ambient: Ambient, rim_strength: float, rim_power: float) -> vec3:
+    """What the surface sends to the eye of light from everywhere: scattered, and mirrored.
+
+    It mirrors `specular + strength · (1 - n · v)^power` of what lies in the mirrored direction: the Fresnel
+    rim term (Duality Engine 4.2.2), with the ambient hemisphere for surroundings.
+    """
+    mirrored = surface.specular_color
+    if rim_strength > 0.0:
+        grazing = 1.0 - saturate(dot(surface.normal, surface.to_eye))
+        mirrored = mirrored + vec3(rim_strength * pow(grazing, rim_power))
+    beyond = reflect(-surface.to_eye, surface.normal)
+    return surface.base_color * hemisphere(ambient, surface.normal) + mirrored * hemisphere(ambient, beyond)
+
+
+@function
+def tone_map(color: vec3) -> vec3:
+    """Linear light of any strength to linear 0…1: Narkowicz's fit of the ACES filmic curve (2016)."""
+    color = min(
+        color * 0.6, 1e4
+    )  # 0.6 is the exposure of the fit; 1e4 is far beyond white and can be squared
+    return saturate((color * (2.51 * color + 0.03)) / (color * (2.43 * color + 0.59) + 0.14))

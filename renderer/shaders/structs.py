@@ -1,0 +1,104 @@
+"""What the renderer's shaders share with the CPU and with each other.
+
+Lengths are metres, colours linear. Positions are relative to the eye, with the world's axes: float32 is then
+as fine far from the world's origin as near it. Structs that mirror an array of `renderer.scene` have its
+std430 layout, so that the array is uploaded as it stands.
+"""
+
+from __future__ import annotations
+
+from rhi.shading import Struct, mat3, mat4, vec2, vec3, vec4
+
+
+class View(Struct):
+    """A camera: from positions relative to the eye to clip space."""
+
+    relative_view_projection: mat4
+
+
+class Ambient(Struct):
+    """Light from everywhere: `sky` from above, `ground` from below."""
+
+    sky: vec3
+    ground: vec3
+
+
+class Object(Struct):
+    """What changes when an object moves: all of its transform but the position, and its material.
+
+    `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale.
+    """
+
+    linear: mat3
+    normal: mat3
+    material: int
+
+
+class Material(Struct):
+    """`renderer.scene.MATERIAL`."""
+
+    base_color: vec4
+    specular_color: vec3
+    shininess: float
+    rim_strength: float
+    rim_power: float
+    texture: int
+    emission: float
+
+
+class DirectionalLight(Struct):
+    """`renderer.scene.DIRECTIONAL`; `direction` is the way the light travels, unit length."""
+
+    direction: vec3
+    intensity: float
+    color: vec3
+
+
+class PointLight(Struct):
+    """`renderer.scene.RELATIVE_POINT`."""
+
+    position: vec3
+    range: float
+    color: vec3
+    intensity: float
+
+
+class SpotLight(Struct):
+    """`renderer.scene.RELATIVE_SPOT`."""
+
+    position: vec3
+    range: float
+    color: vec3
+    intensity: float
+    direction: vec3
+    cos_inner: float
+    cos_outer: float
+
+
+class Vertex(Struct):
+    """A mesh's vertex (`renderer.scene.VERTEX`), in mesh space; v = 0 is an image's top row."""
+
+    position: vec3
+    normal: vec3
+    uv: vec2
+
+
+class Varying(Struct):
+    """From vertex to fragment."""
+
+    clip: vec4
+    position: vec3
+    normal: vec3
+    uv: vec2
+    material: int
+
+
+class Surface(Struct):
+    """A point to be lit; `normal` and `to_eye` are unit vectors."""
+
+    position: vec3
+    normal: vec3
+    to_eye: vec3
+    base_color: vec3
+    specular_color: vec3
+    shininess: float

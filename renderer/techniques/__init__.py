@@ -1,0 +1,12 @@
+"""Techniques: ways to draw a frame. Each is one object, interchangeable at run time."""
+
+from collections.abc import Callable
+from typing import Final
+
+from renderer.techniques.forward import Forward
+from renderer.techniques.technique import Technique
+
+TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {Forward.name: Forward}
+"""What makes each technique, by name."""
+
+__all__ = ["TECHNIQUES", "Forward", "Technique"]

@@ -1,0 +1,63 @@
+"""Forward shading: one pass, in which each fragment is lit by all lights.
+
+One `draw_many` draws all visible objects, front to back, so that early depth tests spare the shading of what
+is hidden; a second one draws those whose transform mirrors them, if there are any.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from renderer.frame import Frame, SceneResources
+from renderer.scene import Depth
+from renderer.shaders import forward_variant
+from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program
+
+_DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}
+"""What depth is cleared to, and the test that the nearer fragment passes."""
+
+
+class Forward:
+    """Lit in one pass; the shader has only the kinds of lights and textures that the scene has."""
+
+    name: Final = "forward"
+
+    def render(self, device: Device, frame: Frame) -> None:
+        resources, targets = frame.resources, frame.targets
+        far, nearer = _DEPTH[frame.camera.projection.depth]
+        rows = frame.sort_front_to_back()
+        mirrored = resources.mirrored[rows]
+        background = (*resources.scene.background, 1.0)
+        with (
+            device.event("forward"),
+            device.render_pass(targets.color, targets.depth, clear=background, clear_depth=far),
+            device.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer),
+        ):
+            program, bindings = bind_forward(device, resources)
+            for part, winding in (
+                (rows[~mirrored], FrontFace.COUNTER_CLOCKWISE),
+                (rows[mirrored], FrontFace.CLOCKWISE),
+            ):
+                if part.size:
+                    with device.states(winding):
+                        device.draw_many(program, resources.mesh, frame.make_draws(part), **bindings)
+
+
+def bind_forward(device: Device, resources: SceneResources) -> tuple[Program[Any], dict[str, Any]]:
+    """The forward program for what the scene has, and what it reads."""
+    optional = {
+        "images": resources.images,
+        "directional_lights": resources.directional.buffer,
+        "point_lights": resources.point.buffer,
+        "spot_lights": resources.spot.buffer,
+    }
+    textures, directional, point, spot = (resource is not None for resource in optional.values())
+    program: Program[Any] = device.program(forward_variant(textures, directional, point, spot))
+    required = {
+        "view": resources.view,
+        "ambient": resources.ambient,
+        "objects": resources.objects.buffer,
+        "positions": resources.positions.buffer,
+        "materials": resources.materials.buffer,
+    }
+    return program, required | {name: value for name, value in optional.items() if value is not None}

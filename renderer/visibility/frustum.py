@@ -1,0 +1,63 @@
+"""No culling, and hierarchical view-frustum culling (thesis 6.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from renderer.scene import Camera, Scene
+from renderer.visibility.algorithm import DrawObjects, Statistics
+from renderer.visibility.culling import Counts, Culler
+from renderer.visibility.hierarchy import Floats, Rows, build_by_area, build_by_median
+
+__rhi_internal__ = True
+
+
+class NoCulling:
+    """Draws everything: what the others are measured against."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._rows: Rows = np.arange(len(scene.objects))
+
+    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        draw(self._rows)
+        return Statistics(len(self._rows), len(self._rows))
+
+
+class FrustumCulling:
+    """Draws the objects whose bounds are not outside the frustum.
+
+    Static objects are in a hierarchy built once by surface area, dynamic ones in one built each frame at
+    medians. The set is the one that `culling.find_visible` gives for all objects.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        rows = scene.objects.static_rows
+        lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
+        self.hierarchy = build_by_area(lower, upper)
+        self._static = Culler(self.hierarchy, lower, upper)
+
+    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        objects = self._scene.objects
+        planes = camera.frustum.planes
+        static, counts = self._static.find_visible(planes)
+        visible = objects.static_rows.take(static)
+        if len(objects.dynamic_rows):
+            moving, more = self._find_moving(planes)
+            visible, counts = np.concatenate([visible, objects.dynamic_rows.take(moving)]), counts + more
+        visible.sort()
+        if len(visible):
+            draw(visible)
+        return Statistics(
+            objects=len(objects),
+            visible=len(visible),
+            batches=int(len(visible) > 0),
+            nodes_tested=counts.nodes,
+            objects_tested=counts.objects,
+            plane_tests=counts.planes,
+        )
+
+    def _find_moving(self, planes: Floats) -> tuple[Rows, Counts]:
+        rows = self._scene.objects.dynamic_rows
+        lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
+        return Culler(build_by_median(lower, upper), lower, upper).find_visible(planes)

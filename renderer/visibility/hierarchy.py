@@ -1,0 +1,282 @@
+"""A bounding volume hierarchy as arrays (thesis 5.2.1), built level by level over all nodes of a level.
+
+Nodes are in breadth-first order: a parent before its children, siblings side by side. Every node covers a
+run of `order`, its objects, so a whole subtree is one slice. Two builders:
+
+- `build_by_area`: binned surface area heuristic (Wald, 2007), for what is static;
+- `build_by_median`: halves at the median along the longest axis, for what moves and is built each frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer import rules
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_BINS: Final = 16
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Hierarchy:
+    """A binary tree over n boxes, m nodes; node 0 is the root. Without boxes there is no node.
+
+    Attributes:
+        lower, upper: (m, 3) float64, exactly the bounds of what a node covers.
+        parent: (m,) int64, -1 for the root.
+        child: (m,) int64, the first child, whose sibling is the next node; -1 for a leaf.
+        first, count: (m,) int64, the node's run of `order`.
+        order: (n,) int64, the boxes' rows, leaf after leaf.
+        level_starts: (levels + 1,) int64, level l being nodes level_starts[l] to level_starts[l + 1].
+    """
+
+    lower: Floats
+    upper: Floats
+    parent: Rows
+    child: Rows
+    first: Rows
+    count: Rows
+    order: Rows
+    level_starts: Rows
+
+    def __len__(self) -> int:
+        return len(self.parent)
+
+    def objects(self, node: int) -> Rows:
+        """The rows of all boxes under a node."""
+        return self.order[self.first[node] : self.first[node] + self.count[node]]
+
+    def cut(self, size: int) -> Rows:
+        """The nodes nearest to the root that cover at most `size` boxes or are leaves, in tree order.
+
+        Their runs follow each other and make up all of `order`.
+        """
+        small = (self.count <= size) | (self.child < 0)
+        small[1:] &= ~small[self.parent[1:]]  # what lies below a small node is small
+        nodes = np.flatnonzero(small)
+        return nodes[np.argsort(self.first[nodes])]
+
+    def distances(self, eye: NDArray[np.float64]) -> Floats:
+        """(m,) distances from `eye` (3,) to the nodes' boxes; 0 inside."""
+        outside = np.maximum(np.maximum(self.lower - eye, eye - self.upper), 0.0)
+        return np.asarray(np.sqrt((outside**2).sum(1)))
+
+    def leaves_front_to_back(self, eye: NDArray[np.float64]) -> Rows:
+        """All leaves in the order of a traversal that enters the nearer child first.
+
+        Nearer is the child whose box is nearer, and of two equally near the one with the nearer centre.
+        """
+        leaves = np.where(self.child < 0, 1, 0)
+        for start, end in self._levels()[:0:-1]:
+            np.add.at(leaves, self.parent[start:end], leaves[start:end])
+        near = self.distances(eye)
+        centre = (((0.5 * (self.lower + self.upper)) - eye) ** 2).sum(1)
+        place = np.zeros(len(self), np.int64)
+        for start, end in self._levels():
+            inner = np.flatnonzero(self.child[start:end] >= 0) + start
+            left = self.child[inner]
+            right = left + 1
+            swap = (near[right] < near[left]) | ((near[right] == near[left]) & (centre[right] < centre[left]))
+            place[left] = place[inner] + np.where(swap, leaves[right], 0)
+            place[right] = place[inner] + np.where(swap, 0, leaves[left])
+        nodes = np.flatnonzero(self.child < 0)
+        return nodes[np.argsort(place[nodes])]
+
+    def _levels(self) -> list[tuple[int, int]]:
+        starts = self.level_starts.tolist()
+        return list(pairwise(starts))
+
+
+def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
+    """Refuse bounds that are not finite (n, 3) boxes."""
+    if lower.ndim != 2 or lower.shape[1] != 3 or upper.shape != lower.shape:
+        refuse(rules.BAD_BOUNDS, call, f"shapes {lower.shape} and {upper.shape}", "(n, 3)")
+    if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
+        refuse(rules.BAD_BOUNDS, call, "a value that is not finite", "finite numbers")
+    if (lower > upper).any():
+        refuse(rules.BAD_BOUNDS, call, f"box {int(np.flatnonzero((lower > upper).any(1))[0])} inside out")
+
+
+def build_by_area(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
+    """A hierarchy over boxes (n, 3) with the smallest expected number of tests, in O(n log n).
+
+    A node is split where area times count, summed over both halves, is least, at one of 15 planes on
+    each axis. Beyond twice the depth of a balanced tree, and where all centres coincide, halves are
+    equal in count, which bounds the depth for any input.
+    """
+    check_bounds("build_by_area", lower, upper)
+    limit = 2 * int(np.ceil(np.log2(max(len(lower), 2)))) + 4
+    return _build(lower, upper, leaf_size, lambda work: work.split_by_area(work.depth < limit))
+
+
+def build_by_median(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
+    """A balanced hierarchy over boxes (n, 3), split at the median of the longest axis of the centres."""
+    check_bounds("build_by_median", lower, upper)
+    return _build(lower, upper, leaf_size, lambda work: work.split_by_median())
+
+
+class _Work:
+    """The nodes being split, side by side: `order` holds their boxes, run after run.
+
+    Attributes:
+        order: (k,) rows of the boxes; first, count: (g,) the nodes' runs of it; owner: (k,) each box's node.
+        lower, upper, centre: (k, 3) of the boxes, in that order, in units of the root box.
+    """
+
+    def __init__(self, lower: Floats, upper: Floats) -> None:
+        # A unit root: no area overflows, none vanishes.
+        base = 0.5 * lower.min(0)
+        span = max(float((0.5 * upper.max(0) - base).max()), float(np.finfo(np.float64).tiny))
+        self.all_lower, self.all_upper = (0.5 * lower - base) / span, (0.5 * upper - base) / span
+        self.order = np.arange(len(lower))
+        self.first, self.count = np.zeros(1, np.int64), np.array([len(lower)])
+        self.depth = 0
+        self._sort(self.order)
+
+    def _sort(self, order: Rows) -> None:
+        self.order = order
+        self.lower, self.upper = self.all_lower[order], self.all_upper[order]
+        self.centre = 0.5 * (self.lower + self.upper)
+        self.owner = np.repeat(np.arange(len(self.count)), self.count)
+
+    def descend(self, first: Rows, count: Rows, chosen: Rows) -> None:
+        """Keep the children that are split further: runs (first, count) of the present order."""
+        self.first, self.count = np.concatenate([[0], np.cumsum(count)[:-1]]), count
+        self.depth += 1
+        self._sort(self.order[chosen])
+
+    def split_by_median(self) -> Rows:
+        """Sort each node's boxes so that halves are its children; the left children's counts."""
+        extent = self._reduce(np.maximum, self.centre) - self._reduce(np.minimum, self.centre)
+        axis = extent.argmax(1)[self.owner]
+        key = self.centre[np.arange(len(axis)), axis]
+        self._sort(self.order[np.lexsort((key, self.owner))])
+        return self.count // 2
+
+    def split_by_area(self, allowed: bool) -> Rows:
+        """The same at the cheapest plane; equal halves for nodes without one."""
+        if not allowed:
+            return self.split_by_median()
+        low, high = self._reduce(np.minimum, self.centre), self._reduce(np.maximum, self.centre)
+        width = np.where(high > low, high - low, 1.0)
+        bins = (
+            ((self.centre - low[self.owner]) / width[self.owner] * _BINS).astype(np.int64).clip(0, _BINS - 1)
+        )
+        groups = len(self.count)
+        best_cost = np.full(groups, np.inf)
+        best_axis, best_plane = np.zeros(groups, np.int64), np.zeros(groups, np.int64)
+        for axis in range(3):
+            cost = self._plane_costs(bins[:, axis])
+            plane = cost.argmin(1)
+            value = cost[np.arange(groups), plane]
+            better = value < best_cost
+            best_cost[better], best_axis[better], best_plane[better] = value[better], axis, plane[better]
+        found = np.isfinite(best_cost)
+        right = bins[np.arange(len(bins)), best_axis[self.owner]] > best_plane[self.owner]
+        # Equal halves where no plane has boxes on both sides: as many to the right as the upper half holds.
+        place = np.arange(len(bins)) - self.first[self.owner]
+        right = np.where(found[self.owner], right, place >= (self.count // 2)[self.owner])
+        self._sort(self.order[np.argsort(2 * self.owner + right, kind="stable")])
+        return self.count - np.add.reduceat(right.astype(np.int64), self.first)
+
+    def _plane_costs(self, bin_of: Rows) -> Floats:
+        """(g, 15) area times count on both sides of each plane between bins; inf where a side is empty."""
+        groups = len(self.count)
+        cell = self.owner * _BINS + bin_of
+        order = np.argsort(cell, kind="stable")
+        used, starts = np.unique(cell[order], return_index=True)
+        count = np.zeros(groups * _BINS, np.int64)
+        count[used] = np.diff(np.append(starts, len(cell)))
+        lower = np.full((groups * _BINS, 3), np.inf)
+        upper = np.full((groups * _BINS, 3), -np.inf)
+        lower[used] = np.minimum.reduceat(self.lower[order], starts)
+        upper[used] = np.maximum.reduceat(self.upper[order], starts)
+        count = count.reshape(groups, _BINS)
+        lower, upper = lower.reshape(groups, _BINS, 3), upper.reshape(groups, _BINS, 3)
+        left = _areas(np.minimum.accumulate(lower, 1), np.maximum.accumulate(upper, 1))[:, :-1]
+        right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[
+            :, -2::-1
+        ]
+        before = np.cumsum(count, 1)[:, :-1]
+        after = self.count[:, None] - before
+        return np.where((before > 0) & (after > 0), left * before + right * after, np.inf)
+
+    def _reduce(self, function: np.ufunc, values: Floats) -> Floats:
+        return np.asarray(function.reduceat(values, self.first))
+
+
+def _areas(lower: Floats, upper: Floats) -> Floats:
+    """Half the surface of boxes; 0 for empty ones."""
+    with np.errstate(invalid="ignore"):
+        x, y, z = np.moveaxis(np.maximum(upper - lower, 0.0), -1, 0)
+    return np.asarray(x * y + y * z + z * x)
+
+
+def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work], Rows]) -> Hierarchy:
+    """Split all nodes of a level at once until none holds more than `leaf_size` boxes."""
+    total = len(lower)
+    order: Rows = np.arange(total)
+    parents = [np.full(min(total, 1), -1)]
+    firsts, counts = [np.zeros(min(total, 1), np.int64)], [np.full(min(total, 1), total)]
+    children: list[Rows] = []
+    level_first, level_count = firsts[0], counts[0]
+    base, end = 0, len(level_first)
+    work = _Work(lower, upper) if total > leaf_size else None
+    while len(level_first):
+        inner = np.flatnonzero(level_count > leaf_size)
+        child = np.full(len(level_first), -1)
+        child[inner] = end + 2 * np.arange(len(inner))
+        children.append(child)
+        if not len(inner) or work is None:
+            break
+        left = split(work)
+        first, count = level_first[inner], level_count[inner]
+        run = np.repeat(first - work.first, count) + np.arange(int(count.sum()))
+        order[run] = work.order
+        level_first = np.ravel(np.stack([first, first + left], axis=1))
+        level_count = np.ravel(np.stack([left, count - left], axis=1))
+        parents.append(np.repeat(base + inner, 2))
+        firsts.append(level_first)
+        counts.append(level_count)
+        base, end = end, end + len(level_first)
+        deeper = level_count > leaf_size
+        local = np.cumsum(level_count) - level_count
+        chosen = np.flatnonzero(np.repeat(deeper, level_count))
+        work.descend(local[deeper], level_count[deeper], chosen)
+    first, count = np.concatenate(firsts), np.concatenate(counts)
+    starts = np.cumsum([0, *(len(level) for level in firsts)])
+    node_lower, node_upper = _node_bounds(
+        lower[order], upper[order], first, count, np.concatenate(children), starts
+    )
+    return Hierarchy(
+        node_lower, node_upper, np.concatenate(parents), np.concatenate(children), first, count, order, starts
+    )
+
+
+def _node_bounds(
+    lower: Floats, upper: Floats, first: Rows, count: Rows, child: Rows, starts: Rows
+) -> tuple[Floats, Floats]:
+    """Bounds of all nodes: of the leaves from the sorted boxes, of the others from their children."""
+    node_lower, node_upper = np.empty((len(first), 3)), np.empty((len(first), 3))
+    leaves = np.flatnonzero(child < 0)
+    leaves = leaves[np.argsort(first[leaves])]
+    if len(leaves):
+        node_lower[leaves] = np.minimum.reduceat(lower, first[leaves])
+        node_upper[leaves] = np.maximum.reduceat(upper, first[leaves])
+    for level in range(len(starts) - 2, -1, -1):
+        inner = np.flatnonzero(child[starts[level] : starts[level + 1]] >= 0) + starts[level]
+        left = child[inner]
+        node_lower[inner] = np.minimum(node_lower[left], node_lower[left + 1])
+        node_upper[inner] = np.maximum(node_upper[left], node_upper[left + 1])
+    return node_lower, node_upper

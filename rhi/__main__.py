@@ -1,0 +1,86 @@
+"""`python -m rhi`: which backends work on this machine, what they can do, and what to install for the rest."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import platform
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+import rhi
+from rhi.registry import BackendReport
+
+__rhi_internal__ = True
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the report; 0 if a backend that renders works, else 1."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rhi",
+        description="Say which backends work on this machine.",
+        epilog="examples:\n  python -m rhi\n  python -m rhi --json\n  RHI_BACKEND=null python app.py",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--json", action="store_true", help="print the report as JSON")
+    options = parser.parse_args(arguments)
+    reports = rhi.report()
+    print(json.dumps(_as_json(reports), indent=2) if options.json else _as_text(reports))
+    return 0 if any(r.usable and r.capabilities and r.capabilities.shading for r in reports) else 1
+
+
+def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
+    return {
+        "rhi": rhi.__version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "backends": [
+            {
+                "name": r.name,
+                "usable": r.usable,
+                "reason": r.reason,
+                "tip": r.tip,
+                "capabilities": None
+                if r.capabilities is None
+                else _plain(dataclasses.asdict(r.capabilities)),
+            }
+            for r in reports
+        ],
+    }
+
+
+def _plain(values: dict[str, Any]) -> dict[str, Any]:
+    return {
+        name: sorted(form.name for form in value) if isinstance(value, frozenset) else value
+        for name, value in values.items()
+    }
+
+
+def _as_text(reports: list[BackendReport]) -> str:
+    lines = [f"rhi {rhi.__version__}, Python {platform.python_version()}, NumPy {np.__version__}", ""]
+    for r in reports:
+        if r.capabilities is None:
+            lines += [f"{r.name:<6} not usable: {r.reason}", f"       {r.tip}", ""]
+            continue
+        limits = r.capabilities
+        flags = {f.name: getattr(limits, f.name) for f in dataclasses.fields(limits)}
+        lacking = [name for name, value in flags.items() if value is False]
+        lines += [
+            f"{r.name:<6} {limits.device}",
+            f"       {limits.driver}",
+            f"       textures to {limits.max_texture_size}, {limits.max_color_targets} targets, "
+            f"{limits.max_samples} samples, work-groups to {limits.max_work_group_invocations}",
+            f"       lacks: {', '.join(lacking) or 'nothing'}",
+            "",
+        ]
+    chosen = next((r.name for r in reports if r.usable and r.capabilities and r.capabilities.shading), None)
+    lines.append(f"rhi.create_device() would choose: {chosen or 'nothing; see the reasons above'}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

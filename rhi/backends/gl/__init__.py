@@ -1,0 +1,45 @@
+"""The OpenGL backend: GL 4.5 core, headless through EGL.
+
+`create_backend` is its entry point in the group `rhi.backends`. Nothing of GL is imported before it is called.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rhi.errors import DeviceError
+
+if TYPE_CHECKING:
+    from rhi.backends.gl.backend import GlBackend
+
+__rhi_internal__ = True
+
+
+def create_backend(*, validation: bool = False) -> GlBackend:
+    """A backend on a context of its own.
+
+    Args:
+        validation: raise what the driver itself reports as `DeviceError` (`device-debug`); slower.
+
+    Raises:
+        DeviceError: `device-driver` without moderngl, EGL or a driver for GL 4.5; its tip says what to install.
+    """
+    from rhi.backends.gl.context import open_context
+
+    context = open_context()
+    if validation:
+        from rhi.backends.gl.debug import DebugGlBackend
+
+        return DebugGlBackend(context)
+    from rhi.backends.gl.backend import GlBackend
+
+    return GlBackend(context)
+
+
+def find_obstacle() -> str | None:
+    """Why GL can't be used here, in one line; None if it can."""
+    try:
+        create_backend().close()
+    except DeviceError as error:
+        return f"{error.given}; {error.tip}"
+    return None

@@ -1,0 +1,94 @@
+"""What a context can do, asked of the context itself."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Container
+from typing import Final
+
+from rhi.backend import Capabilities
+from rhi.backends.gl import enums
+from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.formats import PIXEL_FORMATS
+from rhi.formats import COLOR_FORMATS, Format
+from rhi.states import MAX_TARGETS
+
+__rhi_internal__ = True
+
+_PROBE_SIZE: Final = 4
+
+
+def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]) -> Capabilities:
+    """`version` as 450 for GL 4.5."""
+
+    def has(extension: str) -> bool:
+        return version >= 460 or extension in extensions
+
+    def smallest(*names: int) -> int:
+        return min(map(gl.get_integer, names))
+
+    unsupported, unrenderable = _probe_formats(gl)
+    timestamp_bits = ctypes.c_int()
+    gl.GetQueryiv(enums.TIMESTAMP, enums.QUERY_COUNTER_BITS, ctypes.byref(timestamp_bits))
+    groups = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_SIZE, axis) for axis in range(3)]
+    dispatches = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_COUNT, axis) for axis in range(3)]
+    return Capabilities(
+        backend="gl",
+        device=gl.GetString(enums.RENDERER).decode(),
+        driver="OpenGL " + gl.GetString(enums.VERSION).decode(),
+        max_texture_size=gl.get_integer(enums.MAX_TEXTURE_SIZE),
+        max_texture_layers=smallest(enums.MAX_ARRAY_TEXTURE_LAYERS, enums.MAX_3D_TEXTURE_SIZE),
+        max_color_targets=min(smallest(enums.MAX_DRAW_BUFFERS, enums.MAX_COLOR_ATTACHMENTS), MAX_TARGETS),
+        max_samples=smallest(enums.MAX_COLOR_TEXTURE_SAMPLES, enums.MAX_DEPTH_TEXTURE_SAMPLES),
+        max_vertex_attributes=gl.get_integer(enums.MAX_VERTEX_ATTRIBS),
+        max_uniform_bytes=gl.get_integer(enums.MAX_UNIFORM_BLOCK_SIZE),
+        max_storage_bytes=gl.get_integer(enums.MAX_SHADER_STORAGE_BLOCK_SIZE),
+        max_uniform_slots=smallest(
+            enums.MAX_VERTEX_UNIFORM_BLOCKS, enums.MAX_FRAGMENT_UNIFORM_BLOCKS, enums.MAX_COMPUTE_UNIFORM_BLOCKS
+        ),
+        max_storage_slots=smallest(
+            enums.MAX_FRAGMENT_SHADER_STORAGE_BLOCKS, enums.MAX_COMPUTE_SHADER_STORAGE_BLOCKS
+        ),
+        max_texture_slots=smallest(
+            enums.MAX_VERTEX_TEXTURE_IMAGE_UNITS, enums.MAX_TEXTURE_IMAGE_UNITS,
+            enums.MAX_COMPUTE_TEXTURE_IMAGE_UNITS,
+        ),
+        max_image_slots=smallest(
+            enums.MAX_FRAGMENT_IMAGE_UNIFORMS, enums.MAX_COMPUTE_IMAGE_UNIFORMS, enums.MAX_IMAGE_UNITS
+        ),
+        max_work_group=(groups[0], groups[1], groups[2]),
+        max_work_group_invocations=gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_INVOCATIONS),
+        max_dispatch=(dispatches[0], dispatches[1], dispatches[2]),
+        max_shared_bytes=gl.get_integer(enums.MAX_COMPUTE_SHARED_MEMORY_SIZE),
+        max_anisotropy=(
+            gl.get_float(enums.MAX_TEXTURE_MAX_ANISOTROPY) if has("GL_EXT_texture_filter_anisotropic") else 1.0
+        ),
+        uniform_alignment=gl.get_integer(enums.UNIFORM_BUFFER_OFFSET_ALIGNMENT),
+        storage_alignment=gl.get_integer(enums.SHADER_STORAGE_BUFFER_OFFSET_ALIGNMENT),
+        indirect_count="GL_ARB_indirect_parameters" in extensions,
+        sample_counter=True,
+        timestamps=timestamp_bits.value > 0,
+        alpha_test=True,
+        depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),
+        unsupported_formats=unsupported,
+        unrenderable_formats=unrenderable,
+    )  # fmt: skip
+
+
+def _probe_formats(gl: EntryPoints) -> tuple[frozenset[Format], frozenset[Format]]:
+    """The formats that no texture can have, and the color formats that can't be drawn to: by trying."""
+    unsupported, unrenderable = set(), set()
+    framebuffer = gl.create(gl.CreateFramebuffers)
+    for texel in Format:
+        texture = gl.create(gl.CreateTextures, enums.TEXTURE_2D)
+        gl.TextureStorage2D(texture, 1, PIXEL_FORMATS[texel].internal, _PROBE_SIZE, _PROBE_SIZE)
+        if gl.GetError() != enums.NO_ERROR:
+            unsupported.add(texel)
+        elif texel in COLOR_FORMATS:
+            gl.NamedFramebufferTexture(framebuffer, enums.COLOR_ATTACHMENT0, texture, 0)
+            status = gl.CheckNamedFramebufferStatus(framebuffer, enums.FRAMEBUFFER)
+            if status != enums.FRAMEBUFFER_COMPLETE:
+                unrenderable.add(texel)
+        gl.delete(gl.DeleteTextures, texture)
+    gl.delete(gl.DeleteFramebuffers, framebuffer)
+    return frozenset(unsupported), frozenset(unsupported | unrenderable)

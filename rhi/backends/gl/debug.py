@@ -1,0 +1,100 @@
+"""Validation mode: the driver's own messages as exceptions.
+
+- GL reports through a callback, which an exception can't leave. So the callback collects, and a method of the
+  backend raises at its end what came in during it: the error names the call that caused it, since debug
+  output is synchronous.
+- A driver may stay silent without a debug context, which moderngl can't ask for (Mesa doesn't need it). Whether
+  it does is tried once; if so, `glGetError` is asked after each call instead.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from collections.abc import Callable
+from typing import Any, Final
+
+import moderngl
+
+from rhi.backend import Backend
+from rhi.backends.gl import enums
+from rhi.backends.gl.backend import GlBackend
+from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
+from rhi.backends.gl.errors import NAMES, drain_errors
+from rhi.errors import DeviceError
+from rhi.rules import DEVICE_DEBUG
+
+__rhi_internal__ = True
+
+_FATAL: Final = (enums.DEBUG_TYPE_ERROR, enums.DEBUG_TYPE_UNDEFINED_BEHAVIOR)
+
+
+class DebugOutput:
+    """Collects the errors that a context reports."""
+
+    def __init__(self, gl: EntryPoints) -> None:
+        self._gl = gl
+        self._messages: list[str] = []
+        self._callback = DEBUG_CALLBACK(self._receive)
+        gl.Enable(enums.DEBUG_OUTPUT)
+        gl.Enable(enums.DEBUG_OUTPUT_SYNCHRONOUS)
+        gl.DebugMessageCallback(ctypes.cast(self._callback, ctypes.c_void_p), None)
+        gl.Enable(enums.NO_ERROR)  # no capability has this name, so this is an error
+        self.is_silent = not self._messages
+        self.clear()
+
+    def clear(self) -> None:
+        drain_errors(self._gl)
+        self._messages.clear()
+
+    def take(self) -> str:
+        """What was reported since the last look, one message a line; empty if nothing."""
+        code = self._gl.GetError() if self.is_silent else enums.NO_ERROR
+        if not self._messages and code == enums.NO_ERROR:
+            return ""
+        text = "\n".join(self._messages) or NAMES.get(code, hex(code))
+        self.clear()
+        return text
+
+    def _receive(
+        self, source: int, kind: int, number: int, severity: int, length: int, message: int, user: int | None
+    ) -> None:
+        if kind in _FATAL:
+            self._messages.append(ctypes.string_at(message, length).decode(errors="replace").strip())
+
+
+class DebugGlBackend(GlBackend):
+    """A `GlBackend` whose methods raise `DeviceError` (`device-debug`) for what the driver reports."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        super().__init__(context)
+        self._debug = DebugOutput(self.gl)
+
+
+def _checked(name: str) -> Callable[..., Any]:
+    method = getattr(GlBackend, name)
+
+    @functools.wraps(method)
+    def checked(self: DebugGlBackend, *arguments: object) -> object:
+        try:
+            result = method(self, *arguments)
+        except Exception:
+            self._debug.clear()
+            raise
+        message = self._debug.take()
+        if message:
+            shown = ", ".join(map(_show, arguments))
+            raise DeviceError(DEVICE_DEBUG, f"{name}({shown})", message)
+        return result
+
+    return checked
+
+
+def _show(argument: object) -> str:
+    text = repr(argument)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+for _name, _member in vars(Backend).items():
+    if callable(_member) and not _name.startswith("_") and _name != "close":
+        setattr(DebugGlBackend, _name, _checked(_name))

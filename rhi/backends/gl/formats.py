@@ -1,0 +1,96 @@
+"""GL's names for the texel and vertex formats."""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from rhi.backends.gl import enums
+from rhi.descriptors import VertexFormat
+from rhi.formats import Format, IndexFormat
+
+__rhi_internal__ = True
+
+
+class PixelFormat(NamedTuple):
+    """How a texel is stored, and how it is handed over by the CPU."""
+
+    internal: int
+    format: int
+    type: int
+
+
+_INTERNAL: Final = {
+    Format.R8: enums.R8,
+    Format.RG8: enums.RG8,
+    Format.RGBA8: enums.RGBA8,
+    Format.RGBA8_SRGB: enums.SRGB8_ALPHA8,
+    Format.R8_SNORM: enums.R8_SNORM,
+    Format.RG8_SNORM: enums.RG8_SNORM,
+    Format.RGBA8_SNORM: enums.RGBA8_SNORM,
+    Format.R16: enums.R16,
+    Format.RG16: enums.RG16,
+    Format.RGBA16: enums.RGBA16,
+    Format.R16F: enums.R16F,
+    Format.RG16F: enums.RG16F,
+    Format.RGBA16F: enums.RGBA16F,
+    Format.R32F: enums.R32F,
+    Format.RG32F: enums.RG32F,
+    Format.RGBA32F: enums.RGBA32F,
+    Format.R8UI: enums.R8UI,
+    Format.RG8UI: enums.RG8UI,
+    Format.RGBA8UI: enums.RGBA8UI,
+    Format.R16UI: enums.R16UI,
+    Format.RG16UI: enums.RG16UI,
+    Format.RGBA16UI: enums.RGBA16UI,
+    Format.R32UI: enums.R32UI,
+    Format.RG32UI: enums.RG32UI,
+    Format.RGBA32UI: enums.RGBA32UI,
+    Format.R32I: enums.R32I,
+    Format.RG32I: enums.RG32I,
+    Format.RGBA32I: enums.RGBA32I,
+    Format.D16: enums.DEPTH_COMPONENT16,
+    Format.D24: enums.DEPTH_COMPONENT24,
+    Format.D32F: enums.DEPTH_COMPONENT32F,
+    Format.D24S8: enums.DEPTH24_STENCIL8,
+    Format.D32FS8: enums.DEPTH32F_STENCIL8,
+}
+
+_TYPES: Final = {
+    "u1": enums.UNSIGNED_BYTE,
+    "i1": enums.BYTE,
+    "u2": enums.UNSIGNED_SHORT,
+    "i2": enums.SHORT,
+    "u4": enums.UNSIGNED_INT,
+    "i4": enums.INT,
+    "f2": enums.HALF_FLOAT,
+    "f4": enums.FLOAT,
+}
+
+_CHANNELS: Final = {1: enums.RED, 2: enums.RG, 4: enums.RGBA}
+_INTEGER_CHANNELS: Final = {1: enums.RED_INTEGER, 2: enums.RG_INTEGER, 4: enums.RGBA_INTEGER}
+
+
+def _describe(texel: Format) -> PixelFormat:
+    if texel.is_depth:
+        return PixelFormat(_INTERNAL[texel], enums.DEPTH_COMPONENT, enums.FLOAT)
+    channels = _INTEGER_CHANNELS if texel.is_integer else _CHANNELS
+    return PixelFormat(_INTERNAL[texel], channels[texel.channels], _TYPES[texel.dtype.str[1:]])
+
+
+PIXEL_FORMATS: Final = {texel: _describe(texel) for texel in Format}
+"""Depth formats are handed over as float depths; their stencil part is asked for as STENCIL_INDEX."""
+
+CLEAR_FORMATS: Final = PIXEL_FORMATS | {
+    Format.D24S8: PixelFormat(enums.DEPTH24_STENCIL8, enums.DEPTH_STENCIL, enums.UNSIGNED_INT_24_8),
+    Format.D32FS8: PixelFormat(
+        enums.DEPTH32F_STENCIL8, enums.DEPTH_STENCIL, enums.FLOAT_32_UNSIGNED_INT_24_8_REV
+    ),
+}
+"""What a clear of all of a texel is described with."""
+
+VERTEX_TYPES: Final = {vertex: _TYPES[vertex.code] for vertex in VertexFormat}
+
+INDEX_TYPES: Final = {
+    IndexFormat.UINT16: enums.UNSIGNED_SHORT,
+    IndexFormat.UINT32: enums.UNSIGNED_INT,
+}

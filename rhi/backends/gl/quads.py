@@ -1,0 +1,40 @@
+"""Quads, which GL's core profile lacks: drawn as indexed triangles, 0 1 2 and 0 2 3 of each group of four."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.formats import IndexFormat
+
+__rhi_internal__ = True
+
+CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
+
+
+class QuadIndices:
+    """One index buffer for all quads drawn from consecutive vertices; the first vertex is the base vertex."""
+
+    def __init__(self, context: moderngl.Context) -> None:
+        self._context = context
+        self._buffer: moderngl.Buffer | None = None
+        self._capacity = 0
+
+    def reserve(self, quads: int) -> int:
+        """GL's name of a buffer of 32-bit indices for at least so many quads; it may change."""
+        if self._buffer is None or quads > self._capacity:
+            if self._buffer is not None:
+                self._buffer.release()
+            self._capacity = max(1024, 1 << (quads - 1).bit_length())
+            firsts = 4 * np.arange(self._capacity, dtype=np.uint32)[:, None]
+            self._buffer = self._context.buffer(firsts + CORNERS)
+        return self._buffer.glo
+
+
+def expand_indices(indices: bytes, index_format: IndexFormat) -> NDArray[np.generic]:
+    """The triangles' indices of quads with indices of their own; a rest of less than 4 is left out."""
+    given = np.frombuffer(indices, index_format.dtype)
+    return np.ascontiguousarray(given[: len(given) // 4 * 4].reshape(-1, 4)[:, CORNERS])

@@ -1,0 +1,266 @@
+"""Queries and fences, none of which makes the CPU wait unless asked.
+
+- Occlusion queries are GL's own, until the first COUNTER query exists. GL has no running samples-passed
+  counter, and allows one active samples-passed query at a time. So from then on a chain of such queries runs
+  all the time, cut wherever someone takes the count (`SampleCounter`); an occlusion query is then the
+  difference of two counts, which is the thesis's emulation (4.4.2).
+- Fences are sync objects in a queue; only the oldest ones are looked at.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+from rhi.backends.gl import enums
+from rhi.backends.gl.entry_points import EntryPoints
+from rhi.descriptors import Id, QueryKind
+
+__rhi_internal__ = True
+
+_NANOSECONDS: Final = 1_000_000_000
+_SIGNALED: Final = (enums.ALREADY_SIGNALED, enums.CONDITION_SATISFIED)
+
+
+class Fence:
+    """The device's fence: a value that rises as the GPU gets done."""
+
+    def __init__(self, gl: EntryPoints) -> None:
+        self._gl = gl
+        self._pending: deque[tuple[int, int | None]] = deque()
+        self._value = 0
+
+    def signal(self, value: int) -> None:
+        self._pending.append((value, self._gl.FenceSync(enums.SYNC_GPU_COMMANDS_COMPLETE, 0)))
+        self._gl.Flush()
+
+    def poll(self) -> int:
+        """The value reached; doesn't wait."""
+        while self._pending and self._retire(0):
+            pass
+        return self._value
+
+    def wait(self, value: int, seconds: float) -> bool:
+        """Until `value` is reached, for at most `seconds`."""
+        if self.poll() >= value:
+            return True
+        timeout = max(0, min(int(seconds * _NANOSECONDS), (1 << 63) - 1))
+        last = next((pair for pair in self._pending if pair[0] >= value), None)
+        if last is None or not self._is_signaled(last[1], timeout):
+            return False
+        return self.poll() >= value
+
+    def _retire(self, timeout: int) -> bool:
+        value, sync = self._pending[0]
+        if not self._is_signaled(sync, timeout):
+            return False
+        self._gl.DeleteSync(sync)
+        self._pending.popleft()
+        self._value = value
+        return True
+
+    def _is_signaled(self, sync: int | None, timeout: int) -> bool:
+        return self._gl.ClientWaitSync(sync, enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0, timeout) in _SIGNALED
+
+
+@dataclass(slots=True, eq=False)
+class Count:
+    """The running counter at one point of the stream; `value` is None until it is known."""
+
+    value: int | None = None
+
+
+class SampleCounter:
+    """A running count of samples passed, made of consecutive GL queries.
+
+    `take` ends the segment that runs and begins the next; a count is the sum of all segments up to it. They
+    are added up in order as their results come in, so a sum never skips one. Outside `start` and `stop` no
+    query is active.
+    """
+
+    def __init__(self, begin: Callable[[], int], end: Callable[[], None], read: Callable[[int], int | None],
+                 free: Callable[[int], None]) -> None:  # fmt: skip
+        """`begin` starts a query of GL and returns its name, `end` ends it, `read` gives the result of one
+        or None, `free` takes its name back."""
+        self._begin, self._end, self._read, self._free = begin, end, read, free
+        self._active = 0
+        self._closed: deque[tuple[int, list[Count]]] = deque()  # names, and the counts taken at their ends
+        self._total = 0
+
+    @property
+    def is_running(self) -> bool:
+        return self._active != 0
+
+    def start(self, active: int = 0) -> Count:
+        """`active` is a query that runs already and becomes the first segment."""
+        count = self._mark()
+        self._active = active or self._begin()
+        return count
+
+    def stop(self) -> None:
+        if self._active:
+            self._end()
+            self._closed.append((self._active, []))
+            self._active = 0
+
+    def take(self) -> Count:
+        """The counter at this point of the stream."""
+        self.stop()
+        count = self._mark()
+        self._active = self._begin()
+        self.collect(self._read)
+        return count
+
+    def collect(self, read: Callable[[int], int | None] | None = None) -> None:
+        """Add up what has come in; waits only if `read` does."""
+        closed, read = self._closed, read or self._read
+        while closed:
+            name, counts = closed[0]
+            samples = read(name)
+            if samples is None:
+                return
+            closed.popleft()
+            self._free(name)
+            self._total += samples
+            for count in counts:
+                count.value = self._total
+
+    def _mark(self) -> Count:
+        if not self._closed:
+            return Count(self._total)
+        count = Count()
+        self._closed[-1][1].append(count)
+        return count
+
+
+@dataclass(slots=True)
+class _Query:
+    kind: QueryKind
+    name: int = 0
+    """GL's query, for occlusion and timestamps."""
+    begin: Count | None = None
+    """Set when the sample counter does the counting for an occlusion query."""
+    end: Count | None = None
+
+
+class Queries:
+    """All queries of one context."""
+
+    def __init__(self, gl: EntryPoints) -> None:
+        self._gl = gl
+        self._queries: dict[Id, _Query] = {}
+        self._result = ctypes.c_uint64()
+        self._result_reference = ctypes.byref(self._result)
+        self._spare: list[int] = []
+        self._counters = 0  # COUNTER queries that exist
+        self._counter = SampleCounter(self._begin_segment, self._end_segment, self._poll, self._spare.append)
+        self._active: _Query | None = None
+        self._no_samples = self._begin_segment()  # a query that counted none
+        self._end_segment()
+
+    def create(self, query: Id, kind: QueryKind) -> None:
+        if kind is QueryKind.COUNTER:
+            self._queries[query] = _Query(kind)
+            self._counters += 1
+            if not self._counter.is_running:
+                self._start_counter()
+            return
+        target = enums.SAMPLES_PASSED if kind is QueryKind.OCCLUSION else enums.TIMESTAMP
+        self._queries[query] = _Query(kind, self._gl.create(self._gl.CreateQueries, target))
+
+    def destroy(self, query: Id) -> None:
+        made = self._queries.pop(query)
+        if made.name:
+            self._gl.delete(self._gl.DeleteQueries, made.name)
+        if made.kind is QueryKind.COUNTER:
+            self._counters -= 1
+            self._stop_unused_counter()
+
+    def begin(self, query: Id) -> None:
+        made = self._active = self._queries[query]
+        made.begin = made.end = None
+        if self._counter.is_running:
+            made.begin = self._counter.take()
+        else:
+            self._gl.BeginQuery(enums.SAMPLES_PASSED, made.name)
+
+    def end(self, query: Id) -> None:
+        made = self._queries[query]
+        self._active = None
+        if made.begin is None:
+            self._gl.EndQuery(enums.SAMPLES_PASSED)
+        else:
+            made.end = self._counter.take()
+            self._stop_unused_counter()
+
+    def write(self, query: Id) -> None:
+        made = self._queries[query]
+        if made.kind is QueryKind.TIMESTAMP:
+            self._gl.QueryCounter(made.name, enums.TIMESTAMP)
+        else:
+            made.end = self._counter.take()
+
+    def read(self, query: Id) -> int | None:
+        made = self._queries[query]
+        if made.end is None:
+            return self._poll(made.name)
+        self._counter.collect()
+        return _difference(made)
+
+    def begin_conditional(self, query: Id, inverted: bool) -> None:
+        """The GPU waits for a query of GL; for one that the counter counted, the CPU has to."""
+        gl, made = self._gl, self._queries[query]
+        name = made.name
+        if made.end is not None:
+            self._counter.collect(self._wait)
+            drops = (_difference(made) == 0) != inverted
+            name, inverted = self._no_samples, not drops
+        gl.BeginConditionalRender(name, enums.QUERY_WAIT_INVERTED if inverted else enums.QUERY_WAIT)
+
+    def end_conditional(self) -> None:
+        self._gl.EndConditionalRender()
+
+    def _start_counter(self) -> None:
+        gl, active = self._gl, self._active
+        if active is not None:  # this native query runs, so it becomes the first segment
+            active.begin = self._counter.start(active.name)
+            active.name = gl.create(gl.CreateQueries, enums.SAMPLES_PASSED)
+        else:
+            self._counter.start()
+
+    def _stop_unused_counter(self) -> None:
+        if not self._counters and self._active is None:
+            self._counter.stop()
+
+    def _begin_segment(self) -> int:
+        gl = self._gl
+        name = self._spare.pop() if self._spare else gl.create(gl.CreateQueries, enums.SAMPLES_PASSED)
+        gl.BeginQuery(enums.SAMPLES_PASSED, name)
+        return name
+
+    def _end_segment(self) -> None:
+        self._gl.EndQuery(enums.SAMPLES_PASSED)
+
+    def _poll(self, name: int) -> int | None:
+        gl, result, reference = self._gl, self._result, self._result_reference
+        gl.GetQueryObjectui64v(name, enums.QUERY_RESULT_AVAILABLE, reference)
+        if not result.value:
+            return None
+        gl.GetQueryObjectui64v(name, enums.QUERY_RESULT, reference)
+        return result.value
+
+    def _wait(self, name: int) -> int:
+        self._gl.GetQueryObjectui64v(name, enums.QUERY_RESULT, self._result_reference)
+        return self._result.value
+
+
+def _difference(query: _Query) -> int | None:
+    """Of the counts at a query's end and begin; the one at the begin is known first."""
+    assert query.end is not None
+    if query.end.value is None or query.begin is None:
+        return query.end.value
+    assert query.begin.value is not None
+    return query.end.value - query.begin.value

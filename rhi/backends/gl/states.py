@@ -1,0 +1,313 @@
+"""Render states: a table from each state's type to what applies it.
+
+- States that GL takes together (stencil function, reference and mask; bias and slope) find each other in
+  `values`, which holds what was told last. It serves passes too: clears have to ignore the write masks and the
+  scissor, which GL's clears obey, and a pass of another size moves `Viewport.TARGET`.
+- A depth test that is off lets all pass but must not stop depth writes; GL's disabled test does. So GL's test
+  is off only when writes are off too, and else compares with ALWAYS.
+- Numbers reach GL as they are: clip control makes window y count from the top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from rhi.backends.gl import enums
+from rhi.backends.gl.entry_points import EntryPoints
+from rhi.state_cache import StateChange
+from rhi.states import (
+    DEFAULTS,
+    MAX_TARGETS,
+    PER_TARGET,
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    AlphaToCoverage,
+    BlendColor,
+    BlendFactor,
+    BlendFunction,
+    BlendOperation,
+    ColorWrite,
+    Comparison,
+    CullMode,
+    DepthBias,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    FrontFace,
+    PolygonOffset,
+    Scissor,
+    StencilBack,
+    StencilFront,
+    StencilOperation,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+    Viewport,
+)
+
+__rhi_internal__ = True
+
+COMPARISONS: Final = {
+    Comparison.NEVER: enums.NEVER,
+    Comparison.LESS: enums.LESS,
+    Comparison.EQUAL: enums.EQUAL,
+    Comparison.LESS_EQUAL: enums.LEQUAL,
+    Comparison.GREATER: enums.GREATER,
+    Comparison.NOT_EQUAL: enums.NOTEQUAL,
+    Comparison.GREATER_EQUAL: enums.GEQUAL,
+    Comparison.ALWAYS: enums.ALWAYS,
+}
+_DEPTH_FUNCTIONS: Final = {f: COMPARISONS[Comparison(f.value)] for f in DepthFunction}
+_FACES: Final = {CullMode.FRONT: enums.FRONT, CullMode.BACK: enums.BACK}
+_WINDINGS: Final = {FrontFace.COUNTER_CLOCKWISE: enums.CCW, FrontFace.CLOCKWISE: enums.CW}
+_FACTORS: Final = {
+    BlendFactor.ZERO: enums.ZERO,
+    BlendFactor.ONE: enums.ONE,
+    BlendFactor.SOURCE_COLOR: enums.SRC_COLOR,
+    BlendFactor.ONE_MINUS_SOURCE_COLOR: enums.ONE_MINUS_SRC_COLOR,
+    BlendFactor.SOURCE_ALPHA: enums.SRC_ALPHA,
+    BlendFactor.ONE_MINUS_SOURCE_ALPHA: enums.ONE_MINUS_SRC_ALPHA,
+    BlendFactor.DESTINATION_COLOR: enums.DST_COLOR,
+    BlendFactor.ONE_MINUS_DESTINATION_COLOR: enums.ONE_MINUS_DST_COLOR,
+    BlendFactor.DESTINATION_ALPHA: enums.DST_ALPHA,
+    BlendFactor.ONE_MINUS_DESTINATION_ALPHA: enums.ONE_MINUS_DST_ALPHA,
+    BlendFactor.CONSTANT: enums.CONSTANT_COLOR,
+    BlendFactor.ONE_MINUS_CONSTANT: enums.ONE_MINUS_CONSTANT_COLOR,
+    BlendFactor.SOURCE_ALPHA_SATURATE: enums.SRC_ALPHA_SATURATE,
+}
+_EQUATIONS: Final = {
+    BlendOperation.ADD: enums.FUNC_ADD,
+    BlendOperation.SUBTRACT: enums.FUNC_SUBTRACT,
+    BlendOperation.REVERSE_SUBTRACT: enums.FUNC_REVERSE_SUBTRACT,
+    BlendOperation.MINIMUM: enums.MIN,
+    BlendOperation.MAXIMUM: enums.MAX,
+}
+_STENCIL_OPERATIONS: Final = {
+    StencilOperation.KEEP: enums.KEEP,
+    StencilOperation.ZERO: enums.ZERO,
+    StencilOperation.REPLACE: enums.REPLACE,
+    StencilOperation.INCREMENT: enums.INCR,
+    StencilOperation.INCREMENT_WRAP: enums.INCR_WRAP,
+    StencilOperation.DECREMENT: enums.DECR,
+    StencilOperation.DECREMENT_WRAP: enums.DECR_WRAP,
+    StencilOperation.INVERT: enums.INVERT,
+}
+_SCISSOR_LIMIT: Final = 1 << 16  # beyond any target, and x + width stays far from overflow
+
+_ALL_COLORS: Final = (ColorWrite.ON,) * MAX_TARGETS
+_ALL_STENCIL: Final = StencilWriteMask()
+_TARGET: Final = Viewport.TARGET
+_UNCUT: Final = Scissor.OFF
+_TESTS_DEPTH: Final = DepthTest.ON  # an enum's member costs 80 ns to reach through its class in Python 3.11
+_WRITES_DEPTH: Final = DepthWrite.ON
+
+
+class States:
+    """The states of one context; the defaults hold from its making."""
+
+    def __init__(self, gl: EntryPoints, has_offset_clamp: bool, alpha_changed: Callable[[], None]) -> None:
+        """`alpha_changed` is called when a state of the alpha test has: GL has none, programs do it."""
+        self._gl = gl
+        self._has_offset_clamp = has_offset_clamp
+        self._size = (0, 0)
+        self._depth_range = (0.0, 1.0)
+        self.values: dict[type, Any] = {
+            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
+        }
+        self._alpha_changed = alpha_changed
+        self._apply: dict[type, Callable[[Any], None]] = {
+            CullMode: self._cull,
+            FrontFace: lambda value: gl.FrontFace(_WINDINGS[value]),
+            DepthTest: self._depth_test,
+            DepthWrite: self._depth_write,
+            DepthFunction: self._depth_test,
+            AlphaTest: self._alpha,
+            AlphaFunction: self._alpha,
+            AlphaReference: self._alpha,
+            ColorWrite: self._color_write,
+            BlendFunction: self._blend,
+            BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
+            StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is StencilTest.ON),
+            StencilFront: self._stencil_front,
+            StencilBack: self._stencil_back,
+            StencilReference: self._stencil_functions,
+            StencilReadMask: self._stencil_functions,
+            StencilWriteMask: self._stencil_write_mask,
+            Viewport: self._viewport,
+            Scissor: self._scissor,
+            DepthBias: self._offset,
+            PolygonOffset: self._offset,
+            AlphaToCoverage: lambda value: self._switch(
+                enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON
+            ),
+        }
+        for state, value in self.values.items():
+            if state not in (AlphaTest, AlphaFunction, AlphaReference):
+                self._apply[state](value)
+
+    def set(self, changes: Sequence[StateChange]) -> None:
+        values, apply = self.values, self._apply
+        for state, value in changes:
+            values[state] = value
+            apply[state](value)
+
+    def set_target_size(self, size: tuple[int, int]) -> None:
+        """The size of the pass that begins, for `Viewport.TARGET`."""
+        if size != self._size:
+            self._size = size
+            if self.values[Viewport] == _TARGET:
+                self._viewport(_TARGET)
+
+    def open_masks(self, color: bool, depth: bool, stencil: bool) -> None:
+        """Let the clears of these buffers through, whatever the states say; `close_masks` follows."""
+        gl, values = self._gl, self.values
+        if values[Scissor] != _UNCUT:
+            gl.Disable(enums.SCISSOR_TEST)
+        if color and values[ColorWrite] != _ALL_COLORS:
+            gl.ColorMask(1, 1, 1, 1)
+        if depth and values[DepthWrite] is not _WRITES_DEPTH:
+            gl.DepthMask(1)
+        if stencil and values[StencilWriteMask] != _ALL_STENCIL:
+            self._stencil_write_mask(_ALL_STENCIL)
+
+    def close_masks(self, color: bool, depth: bool, stencil: bool) -> None:
+        gl, values = self._gl, self.values
+        if values[Scissor] != _UNCUT:
+            gl.Enable(enums.SCISSOR_TEST)
+        if color and values[ColorWrite] != _ALL_COLORS:
+            self._color_write(values[ColorWrite])
+        if depth and values[DepthWrite] is not _WRITES_DEPTH:
+            gl.DepthMask(0)
+        if stencil and values[StencilWriteMask] != _ALL_STENCIL:
+            self._stencil_write_mask(values[StencilWriteMask])
+
+    def _switch(self, capability: int, on: bool) -> None:
+        if on:
+            self._gl.Enable(capability)
+        else:
+            self._gl.Disable(capability)
+
+    def _cull(self, value: CullMode) -> None:
+        face = _FACES.get(value)
+        if face is None:
+            self._gl.Disable(enums.CULL_FACE)
+        else:
+            self._gl.Enable(enums.CULL_FACE)
+            self._gl.CullFace(face)
+
+    def _depth_test(self, _: object) -> None:
+        gl, values = self._gl, self.values
+        if values[DepthTest] is _TESTS_DEPTH:
+            gl.Enable(enums.DEPTH_TEST)
+            gl.DepthFunc(_DEPTH_FUNCTIONS[values[DepthFunction]])
+        elif values[DepthWrite] is _WRITES_DEPTH:
+            gl.Enable(enums.DEPTH_TEST)
+            gl.DepthFunc(enums.ALWAYS)
+        else:
+            gl.Disable(enums.DEPTH_TEST)
+
+    def _depth_write(self, value: DepthWrite) -> None:
+        self._gl.DepthMask(value is _WRITES_DEPTH)
+        if self.values[DepthTest] is not _TESTS_DEPTH:
+            self._depth_test(None)
+
+    def _alpha(self, _: object) -> None:
+        self._alpha_changed()
+
+    def _color_write(self, targets: tuple[ColorWrite, ...]) -> None:
+        first = targets[0]
+        if targets.count(first) == MAX_TARGETS:
+            self._gl.ColorMask(first.red, first.green, first.blue, first.alpha)
+            return
+        for index, write in enumerate(targets):
+            self._gl.ColorMaski(index, write.red, write.green, write.blue, write.alpha)
+
+    def _blend(self, targets: tuple[BlendFunction, ...]) -> None:
+        gl, first = self._gl, targets[0]
+        if targets.count(first) == MAX_TARGETS:
+            if first.is_off:
+                gl.Disable(enums.BLEND)
+                return
+            gl.Enable(enums.BLEND)
+            gl.BlendEquationSeparate(*_blend_equations(first))
+            gl.BlendFuncSeparate(*_blend_factors(first))
+            return
+        for index, function in enumerate(targets):
+            if function.is_off:
+                gl.Disablei(enums.BLEND, index)
+                continue
+            gl.Enablei(enums.BLEND, index)
+            gl.BlendEquationSeparatei(index, *_blend_equations(function))
+            gl.BlendFuncSeparatei(index, *_blend_factors(function))
+
+    def _stencil_front(self, front: StencilFront) -> None:
+        self._gl.StencilOpSeparate(enums.FRONT, *_stencil_operations(front))
+        self._stencil_functions(None)
+
+    def _stencil_back(self, back: StencilBack) -> None:
+        self._gl.StencilOpSeparate(enums.BACK, *_stencil_operations(back))
+        self._stencil_functions(None)
+
+    def _stencil_functions(self, _: object) -> None:
+        gl, values = self._gl, self.values
+        reference, mask = values[StencilReference], values[StencilReadMask]
+        front, back = COMPARISONS[values[StencilFront].function], COMPARISONS[values[StencilBack].function]
+        gl.StencilFuncSeparate(enums.FRONT, front, reference.front, mask.front)
+        gl.StencilFuncSeparate(enums.BACK, back, reference.back, mask.back)
+
+    def _stencil_write_mask(self, mask: StencilWriteMask) -> None:
+        self._gl.StencilMaskSeparate(enums.FRONT, mask.front)
+        self._gl.StencilMaskSeparate(enums.BACK, mask.back)
+
+    def _viewport(self, value: Viewport) -> None:
+        gl = self._gl
+        if value == _TARGET:
+            gl.Viewport(0, 0, *self._size)
+        else:
+            gl.ViewportIndexedf(0, value.x, value.y, value.width, value.height)
+        depth_range = value.near, value.far
+        if depth_range != self._depth_range:
+            self._depth_range = depth_range
+            gl.DepthRangef(*depth_range)
+
+    def _scissor(self, value: Scissor) -> None:
+        if value == _UNCUT:
+            self._gl.Disable(enums.SCISSOR_TEST)
+            return
+        left, top = max(value.x, 0), max(value.y, 0)
+        right, bottom = min(value.x + value.width, _SCISSOR_LIMIT), min(value.y + value.height, _SCISSOR_LIMIT)
+        self._gl.Scissor(left, top, max(right - left, 0), max(bottom - top, 0))
+        self._gl.Enable(enums.SCISSOR_TEST)
+
+    def _offset(self, _: object) -> None:
+        units = self.values[DepthBias].units
+        offset: PolygonOffset = self.values[PolygonOffset]
+        self._switch(enums.POLYGON_OFFSET_FILL, bool(units or offset.slope))
+        if self._has_offset_clamp:
+            self._gl.PolygonOffsetClamp(offset.slope, units, offset.clamp)
+        else:
+            self._gl.PolygonOffset(offset.slope, units)
+
+
+def _blend_equations(function: BlendFunction) -> tuple[int, int]:
+    return _EQUATIONS[function.operation], _EQUATIONS[function.operation_alpha or function.operation]
+
+
+def _blend_factors(function: BlendFunction) -> tuple[int, int, int, int]:
+    return (
+        _FACTORS[function.source],
+        _FACTORS[function.destination],
+        _FACTORS[function.source_alpha or function.source],
+        _FACTORS[function.destination_alpha or function.destination],
+    )
+
+
+def _stencil_operations(face: StencilFront | StencilBack) -> tuple[int, int, int]:
+    return (
+        _STENCIL_OPERATIONS[face.stencil_fail],
+        _STENCIL_OPERATIONS[face.depth_fail],
+        _STENCIL_OPERATIONS[face.both_pass],
+    )

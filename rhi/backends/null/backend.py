@@ -1,0 +1,316 @@
+"""A queue of commands in front of memory that is real and a GPU that isn't.
+
+- Calls are put into a queue, flat (`op, arguments…`, as in `rhi.commands`); creation happens at once.
+- The queue is executed in order when something demands it: a signal, a wait, a read. Whatever is read when
+  executed (indirect arguments, copies, counters) is so by construction. A simulated GPU with a clock of its
+  own takes the queue's place of execution and nothing else.
+- STREAM buffers are written at once, past the queue, as on hardware that maps them: memory overwritten too
+  early is seen to be overwritten.
+- Time is simulated: every executed command takes `COMMAND_NANOSECONDS`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backend import Capabilities
+from rhi.backends.null.programs import Programs
+from rhi.backends.null.queries import Answers, Draw, Queries
+from rhi.backends.null.resources import IndirectDraws, Resources
+from rhi.backends.null.states import ExecutionState, Fate
+from rhi.descriptors import (
+    BufferDescriptor,
+    BufferUsage,
+    Id,
+    PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
+    QueryKind,
+    Region,
+    SamplerDescriptor,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+)
+from rhi.ops import WIDTHS, Op
+from rhi.recorder import CommandMethods
+
+__rhi_internal__ = True
+
+COMMAND_NANOSECONDS: Final = 1000
+QUEUED_BYTES: Final = 1 << 24
+"""Written memory that may lie in the queue."""
+KEPT_INDIRECT: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What was executed since the start: commands, draws (those of indirect commands one by one), draws
+    dropped by conditional rendering, draws whose condition nobody knows, dispatches, simulated time."""
+
+    commands: int
+    draws: int
+    dropped_draws: int
+    undecided_draws: int
+    dispatches: int
+    nanoseconds: int
+
+
+class NullBackend(CommandMethods):
+    """Keeps memory, counts draws; see the module."""
+
+    METHOD = "    self._enqueue(({op}, {arguments}))"
+
+    def __init__(self) -> None:
+        self.capabilities = Capabilities(
+            backend="null", device="null", driver=f"NumPy {np.__version__}", shading=False,
+            sample_counter=True, alpha_test=True, max_anisotropy=16.0,
+        )  # fmt: skip
+        self._queue: list[Any] = []
+        self._enqueue: Callable[[tuple[Any, ...]], None] = self._queue.extend
+        self._queued_bytes = 0
+        self._fence = 0
+        self._executed = 0
+        self._draws = dict.fromkeys(Fate, 0)
+        self._dispatches = 0
+        self._resources = Resources()
+        self._programs = Programs()
+        self._queries = Queries()
+        self._state = ExecutionState()
+        self._streams: set[Id] = set()
+        self._indirect_draws: deque[IndirectDraws] = deque(maxlen=KEPT_INDIRECT)
+        self._indirect_dispatches: deque[tuple[int, int, int]] = deque(maxlen=KEPT_INDIRECT)
+        self._execute = self._find_executors()
+
+    def close(self) -> None:
+        self._queue.clear()
+        self._resources.clear()
+
+    # -- for tests ---------------------------------------------------------------------------------------
+
+    def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
+        """From the next command on, `samples(draw)` says how many samples a draw passes, None if it is not
+        known. It is called in the order of execution."""
+        self._run()
+        self._queries.count_samples(samples)
+
+    def answer_queries(self, answers: Answers) -> None:
+        """What occlusion and counter queries answer: a number for all of them, a mapping by query id, or a
+        function of the id. It goes before what `count_samples` counts; None or a missing key leaves it to
+        that."""
+        self._queries.answer(answers)
+
+    @property
+    def statistics(self) -> Statistics:
+        self._run()
+        executed, dropped, undecided = (self._draws[fate] for fate in Fate)
+        time = self._executed * COMMAND_NANOSECONDS
+        return Statistics(self._executed, executed, dropped, undecided, self._dispatches, time)
+
+    @property
+    def indirect_draws(self) -> tuple[IndirectDraws, ...]:
+        """What each `draw_indirect` came to, in order: the last 1,024."""
+        self._run()
+        return tuple(self._indirect_draws)
+
+    @property
+    def indirect_dispatches(self) -> tuple[tuple[int, int, int], ...]:
+        """The work-groups of each `dispatch_indirect`, in order: the last 1,024."""
+        self._run()
+        return tuple(self._indirect_dispatches)
+
+    # -- calls that happen at once -------------------------------------------------------------------------
+
+    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+        self._resources.create_buffer(buffer, descriptor)
+        if descriptor.usage is BufferUsage.STREAM:
+            self._streams.add(buffer)
+
+    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+        self._resources.create_texture(texture, descriptor)
+
+    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+        pass
+
+    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+        self._programs.create_program(program, descriptor)
+
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        self._programs.create_vertex_array(vertex_array, descriptor)
+
+    def create_query(self, query: Id, kind: QueryKind) -> None:
+        self._queries.create_query(query, kind)
+
+    def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        if buffer in self._streams:
+            self._resources.write_buffer(buffer, offset, bytes(data))
+        else:
+            self._enqueue_bytes(Op.WRITE_BUFFER, (buffer, offset), bytes(data))
+
+    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+        self._enqueue_bytes(Op.WRITE_TEXTURE, (texture, level, region), bytes(data))
+
+    def _enqueue_bytes(self, op: Op, arguments: tuple[Any, ...], data: bytes) -> None:
+        self._enqueue((op, *arguments, data))
+        self._queued_bytes += len(data)
+        if self._queued_bytes > QUEUED_BYTES:
+            self._run()
+
+    # -- calls that demand execution -----------------------------------------------------------------------
+
+    def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
+        self._run()
+        return self._resources.read_buffer(buffer, offset, size)
+
+    def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+        self._run()
+        return self._resources.read_texture(texture, level, region, stencil)
+
+    def signal(self, value: int) -> None:
+        self._enqueue((Op.SIGNAL, value))
+        self._run()
+
+    def completed(self) -> int:
+        self._run()
+        return self._fence
+
+    def wait(self, value: int, seconds: float) -> bool:
+        self._run()
+        return self._fence >= value
+
+    def read_query(self, query: Id) -> int | None:
+        self._run()
+        return self._queries.read(query)
+
+    # -- execution ---------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        """Execute the queue. A command that raises is taken out; those after it stay."""
+        queue = self._queue
+        if not queue:
+            return
+        entries = queue.copy()
+        queue.clear()
+        self._queued_bytes = 0
+        execute = self._execute
+        place, end = 0, len(entries)
+        try:
+            while place < end:
+                op = entries[place]
+                start, place = place + 1, place + WIDTHS[op] - 2  # no call site here
+                self._executed += 1
+                executor = execute[op]
+                if executor is not None:
+                    executor(*entries[start:place])
+        finally:
+            queue[:0] = entries[place:]
+
+    def _find_executors(self) -> tuple[Callable[..., None] | None, ...]:
+        """By op, what executes a command; None where there is nothing to do."""
+        executors: dict[Op, Callable[..., None]] = {
+            Op.DESTROY: self._destroy,
+            Op.BEGIN_PASS: self._begin_pass,
+            Op.END_PASS: self._end_pass,
+            Op.DRAW: self._draw,
+            Op.DRAW_INDIRECT: self._draw_indirect,
+            Op.DISPATCH: self._dispatch,
+            Op.DISPATCH_INDIRECT: self._dispatch_indirect,
+            Op.SIGNAL: self._signal,
+            Op.WRITE_QUERY: self._write_query,
+            Op.BEGIN_CONDITIONAL: self._begin_conditional,
+        }
+        parts: dict[object, tuple[Op, ...]] = {
+            self._resources: (
+                Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER, Op.WRITE_TEXTURE, Op.COPY_TEXTURE,
+                Op.RESOLVE_TEXTURE, Op.GENERATE_MIPMAPS,
+            ),
+            self._state: (Op.SET_STATES, Op.BIND_PROGRAM, Op.PUSH_LABEL, Op.POP_LABEL, Op.END_CONDITIONAL),
+            self._queries: (Op.BEGIN_QUERY, Op.END_QUERY),
+        }  # fmt: skip
+        for part, ops in parts.items():
+            executors.update({op: getattr(part, op.method) for op in ops})
+        return tuple(executors.get(op) for op in Op)
+
+    def _destroy(self, resource: Id) -> None:
+        self._resources.destroy(resource)
+        self._programs.destroy(resource)
+        self._queries.destroy(resource)
+        self._streams.discard(resource)
+
+    def _begin_pass(self, descriptor: PassDescriptor) -> None:
+        self._state.begin_pass(descriptor)
+        self._resources.begin_pass(descriptor)
+
+    def _end_pass(self) -> None:
+        descriptor = self._state.render_pass
+        if descriptor is not None:
+            self._resources.end_pass(descriptor)
+        self._state.end_pass()
+
+    def _signal(self, value: int) -> None:
+        self._fence = value
+
+    def _write_query(self, query: Id) -> None:
+        self._queries.write_query(query, self._executed * COMMAND_NANOSECONDS)
+
+    def _begin_conditional(self, query: Id, inverted: bool) -> None:
+        self._state.begin_conditional(self._queries.samples(query), inverted)
+
+    def _draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        base_vertex: int, base_instance: int,
+    ) -> None:  # fmt: skip
+        if self._queries.counts and self._state.fate is Fate.EXECUTED:
+            self._count_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        else:
+            self._count_unseen(1, count > 0 and instances > 0)
+
+    def _draw_indirect(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        count_buffer: Id, count_offset: int,
+    ) -> None:  # fmt: skip
+        indexed = self._programs.is_indexed(vertex_array)
+        resolved = self._resources.indirect_draws(
+            buffer, offset, draws, stride, count_buffer, count_offset, indexed
+        )
+        fate = self._state.fate
+        if self._queries.counts and fate is Fate.EXECUTED:
+            for count, instances, first, base_vertex, base_instance in resolved.tolist():
+                self._count_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        else:
+            something = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
+            self._count_unseen(len(resolved), bool(something))
+        kept = resolved[:0] if fate is Fate.DROPPED else resolved
+        self._indirect_draws.append(IndirectDraws(vertex_array, primitive, kept))
+
+    def _count_draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        base_vertex: int, base_instance: int,
+    ) -> None:  # fmt: skip
+        """An executed draw whose samples are counted."""
+        self._draws[Fate.EXECUTED] += 1
+        if count and instances:
+            state = self._state
+            draw = Draw(state.program, vertex_array, primitive, first, count, instances, base_vertex,
+                        base_instance, state.labels)  # fmt: skip
+            self._queries.add_draw(draw)
+
+    def _count_unseen(self, draws: int, something: bool) -> None:
+        """Draws whose samples nobody counts; `something`: any of them has vertices."""
+        fate = self._state.fate
+        self._draws[fate] += draws
+        if something and fate is not Fate.DROPPED:
+            self._queries.add_unknown()
+
+    def _dispatch(self, x: int, y: int, z: int) -> None:
+        self._dispatches += 1
+
+    def _dispatch_indirect(self, buffer: Id, offset: int) -> None:
+        self._dispatches += 1
+        self._indirect_dispatches.append(self._resources.indirect_groups(buffer, offset))

@@ -1,0 +1,156 @@
+"""Queries and the fence, on a device that rasterises nothing: who knows what is seen has to say so.
+
+- `count_samples(f)`: `f(draw)` gives the samples that a draw passes. It feeds the running counter (COUNTER
+  queries) and the counts of OCCLUSION queries, so emulated queries work as on hardware.
+- `answer_queries(a)`: the answers themselves, by query id, in place of a count.
+- What neither knows is refused when it is read (`null-samples`); it is never zero. Zero is known without
+  help where no draw was executed.
+- A counter that has passed an unknown draw stays unknown: the difference of two values would be wrong.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+from rhi.descriptors import Id, Primitive, QueryKind
+from rhi.errors import refuse
+from rhi.rules import NULL_ANSWER, NULL_SAMPLES
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """An executed draw, indirect ones one by one. `labels` are those it lies in, outermost first."""
+
+    program: Id
+    vertex_array: Id
+    primitive: Primitive
+    first: int
+    count: int
+    instances: int
+    base_vertex: int
+    base_instance: int
+    labels: tuple[str, ...]
+
+
+Answers: TypeAlias = int | Mapping[Id, int] | Callable[[Id], int | None]
+"""Samples for every query, by query, or from a function of the query's id; None or a missing key: unknown."""
+
+
+class _Query:
+    __slots__ = ("finished", "kind", "value")
+
+    def __init__(self, kind: QueryKind) -> None:
+        self.kind = kind
+        self.finished = False
+        self.value: int | None = None  # None: not known
+
+
+class Queries:
+    """All queries of a device, by id."""
+
+    def __init__(self) -> None:
+        self._queries: dict[Id, _Query] = {}
+        self._open: _Query | None = None
+        self._counter: int | None = 0
+        self._samples: Callable[[Draw], int | None] | None = None
+        self._answer: Callable[[Id], int | None] = lambda query: None
+
+    def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
+        self._samples = samples
+
+    def answer(self, answers: Answers) -> None:
+        if callable(answers):
+            self._answer = answers
+        elif isinstance(answers, Mapping):
+            self._answer = answers.get
+        else:
+            samples = _check_samples("answer_queries", answers)
+            self._answer = lambda query: samples
+
+    @property
+    def counts(self) -> bool:
+        """Whether draws must be passed to `add_draw` one by one."""
+        return self._samples is not None
+
+    # -- commands ----------------------------------------------------------------------------------------
+
+    def create_query(self, query: Id, kind: QueryKind) -> None:
+        self._queries[query] = _Query(kind)
+
+    def destroy(self, resource: Id) -> None:
+        self._queries.pop(resource, None)
+
+    def begin_query(self, query: Id) -> None:
+        self._open = opened = self._queries[query]
+        opened.finished, opened.value = False, 0
+
+    def end_query(self, query: Id) -> None:
+        self._queries[query].finished = True
+        self._open = None
+
+    def write_query(self, query: Id, nanoseconds: int) -> None:
+        """Take the counter, or the time, which is `nanoseconds`."""
+        written = self._queries[query]
+        written.finished = True
+        written.value = nanoseconds if written.kind is QueryKind.TIMESTAMP else self._counter
+
+    def add_draw(self, draw: Draw) -> None:
+        """Count the samples of an executed draw."""
+        samples = None
+        try:
+            if self._samples is not None:
+                samples = _check_samples("count_samples", self._samples(draw))
+        finally:  # also when that raised: the count would miss a draw from here on
+            if samples is None:
+                self.add_unknown()
+        if samples is None:
+            return
+        if self._counter is not None:
+            self._counter += samples
+        if self._open is not None and self._open.value is not None:
+            self._open.value += samples
+
+    def add_unknown(self) -> None:
+        """A draw of which nobody can say what it passed."""
+        self._counter = None
+        if self._open is not None:
+            self._open.value = None
+
+    # -- answers -----------------------------------------------------------------------------------------
+
+    def samples(self, query: Id) -> int | None:
+        """The samples a query counted, None if nobody knows (or it is unfinished)."""
+        asked = self._queries[query]
+        if not asked.finished:
+            return None
+        given = _check_samples("answer_queries", self._answer(query))
+        return asked.value if given is None else given
+
+    def read(self, query: Id) -> int | None:
+        """The answer, None while it isn't there; `null-samples` if it is there but not known."""
+        asked = self._queries[query]
+        if not asked.finished:
+            return None
+        if asked.kind is QueryKind.TIMESTAMP:
+            return asked.value
+        samples = self.samples(query)
+        if samples is None:
+            refuse(NULL_SAMPLES, f"the answer of {asked.kind.value} query {query}")
+        return samples
+
+
+def _check_samples(call: str, samples: object) -> int | None:
+    if samples is None:
+        return None
+    try:
+        count = operator.index(samples)  # type: ignore[arg-type]  # NumPy's integers too
+    except TypeError:
+        count = -1
+    if count < 0:
+        refuse(NULL_ANSWER, call, samples, "an integer of 0 or more, or None for what is not known")
+    return count

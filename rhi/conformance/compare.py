@@ -1,0 +1,54 @@
+"""How results are compared: all texels at once in float64, with the tolerance's reason stated.
+
+A failure says how many values differ, by how much at worst, and shows the first few of them.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+SHOWN = 4
+
+
+def assert_same(actual: ArrayLike, expected: ArrayLike) -> None:
+    """Every value equals the expected one exactly; `expected` is broadcast to the shape of `actual`."""
+    assert_near(actual, expected, 0.0, "exact")
+
+
+def assert_near(actual: ArrayLike, expected: ArrayLike, tolerance: ArrayLike, reason: str) -> None:
+    """Every value lies within `tolerance` (absolute) of the expected one; `reason` says why not closer."""
+    __tracebackhide__ = True
+    got = np.asarray(actual)
+    wanted, allowed = _widen(expected, got.shape), _widen(tolerance, got.shape)
+    values = _widen(got, got.shape)
+    with np.errstate(invalid="ignore"):
+        error = np.where(values == wanted, 0.0, np.abs(values - wanted))
+    wrong = ~(error <= allowed)  # true for NaN too
+    if not wrong.any():
+        return
+    places = np.argwhere(wrong)
+    lines = [f"{len(places)} of {got.size} values differ by more than allowed ({reason}); worst {np.nan_to_num(error, nan=np.inf).max():g}"]
+    lines += [
+        f"  at {tuple(int(i) for i in place)}: got {got[tuple(place)]!r}, expected {wanted[tuple(place)]!r}"
+        for place in places[:SHOWN]
+    ]
+    raise AssertionError("\n".join(lines))
+
+
+def _widen(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
+    return np.broadcast_to(np.asarray(values).astype(np.float64), shape)
+
+
+def assert_mask(actual: NDArray[Any], expected: NDArray[np.bool_]) -> None:
+    """Exactly the texels of `expected` are not zero in `actual` (height, width[, channels])."""
+    __tracebackhide__ = True
+    drawn = actual.any(axis=-1) if actual.ndim == 3 else actual != 0
+    if np.array_equal(drawn, expected):
+        return
+    lines = [f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"]
+    for got, wanted in zip(drawn[:40], expected[:40], strict=True):
+        lines.append("".join("#" if g and w else "+" if g else "-" if w else "." for g, w in zip(got, wanted, strict=True)))
+    raise AssertionError("\n".join(lines))

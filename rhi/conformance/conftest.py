@@ -1,0 +1,64 @@
+"""Fixtures of the kit. `device` is one per backend and session: tests leave it as they found it, and it is
+checked that they do. What changes a device for good takes `fresh_device`; what reads the stream, `recording`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+import rhi
+from rhi.conformance.plugin import get_backend_names
+
+pytest.register_assert_rewrite("rhi.conformance.compare")
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Every test runs once per backend that was asked for."""
+    if "backend" in metafunc.fixturenames:
+        metafunc.parametrize("backend", get_backend_names(metafunc.config), scope="session")
+
+
+@pytest.fixture(scope="session")
+def shared_device(backend: str) -> Iterator[rhi.Device]:
+    """The session's device, with validation (a driver's complaint fails the test that caused it) and timers."""
+    with rhi.create_device(backend, validation=True, timing=True) as device:
+        yield device
+
+
+@pytest.fixture(scope="session")
+def recording_device(backend: str) -> Iterator[rhi.Device]:
+    """A second device whose commands are written down."""
+    with rhi.create_device(backend, validation=True, record=True) as device:
+        yield device
+
+
+@pytest.fixture
+def device(shared_device: rhi.Device, request: pytest.FixtureRequest) -> rhi.Device:
+    """The shared device; skips the test if it lacks what the test `needs`."""
+    skip_unless_capable(shared_device, request)
+    return shared_device
+
+
+@pytest.fixture
+def recording(recording_device: rhi.Device, request: pytest.FixtureRequest) -> rhi.Device:
+    """The shared recording device; `.stream` goes on from test to test."""
+    skip_unless_capable(recording_device, request)
+    return recording_device
+
+
+@pytest.fixture
+def fresh_device(backend: str, request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
+    """A device of this test's own."""
+    with rhi.create_device(backend, validation=True) as device:
+        skip_unless_capable(device, request)
+        yield device
+
+
+def skip_unless_capable(device: rhi.Device, request: pytest.FixtureRequest) -> None:
+    """Skip a test marked `needs` for a capability that the device declares missing."""
+    for marker in request.node.iter_markers("needs"):
+        for capability in marker.args:
+            if not getattr(device.capabilities, capability):
+                pytest.skip(f"{device.backend_name} declares no {capability}")

@@ -1,0 +1,173 @@
+"""Blending: every factor, operation, target and constant against NumPy."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, ColorWrite, Device, Format
+from rhi.conformance.compare import assert_near, assert_same
+from rhi.conformance.reference import blend
+from rhi.conformance.shaders import Colored, UintColored
+from rhi.conformance.shapes import centers, corners, rectangle
+
+pytestmark = pytest.mark.needs("shading")
+
+CONSTANT = (0.2, 0.4, 0.6, 0.8)
+LEVELS = np.array([0.0, 0.25, 0.5, 1.0])
+# 16 source colors against 16 destination colors, in one 16×16 image.
+_GRID = np.stack(np.meshgrid(LEVELS, LEVELS, indexing="ij"), axis=-1).reshape(16, 2)
+COLORS = np.stack([_GRID[:, 0], 1 - _GRID[:, 0], _GRID[:, 1] * 0.7 + 0.1, _GRID[:, 1]], axis=-1).astype("f4")
+
+
+def blended(device: Device, function: BlendFunction, format: Format = Format.RGBA32F) -> tuple[Any, Any]:
+    """(result, expected) where column x holds source color x and row y destination color y."""
+    destination = np.broadcast_to(COLORS[:, None], (16, 16, 4))
+    source = np.broadcast_to(COLORS[None, :], (16, 16, 4))
+    columns = [rectangle(-1 + x / 8, -1, -1 + (x + 1) / 8, 1, color=COLORS[x]) for x in range(16)]
+    stored = destination.astype("f4") if format is Format.RGBA32F else np.rint(destination * 255).astype("u1")
+    with device.texture(stored, format) as image, device.mesh(np.concatenate(columns)) as mesh:
+        with device.render_pass(image), device.states(function, BlendColor(*CONSTANT)):
+            device.draw(device.program(Colored), mesh)
+        result = image.read()
+    if format is Format.RGBA8:
+        return result / 255, np.clip(blend(function, source, stored / 255, CONSTANT), 0, 1)
+    return result, blend(function, source, destination, CONSTANT)
+
+
+@pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda f: f.name)
+def test_a_source_factor_scales_the_source(device: Device, factor: BlendFactor) -> None:
+    assert_near(*blended(device, BlendFunction(factor, BlendFactor.ZERO)), 1e-6, "blending in float32")
+
+
+@pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda f: f.name)
+def test_a_destination_factor_scales_the_destination(device: Device, factor: BlendFactor) -> None:
+    assert_near(*blended(device, BlendFunction(BlendFactor.ZERO, factor)), 1e-6, "blending in float32")
+
+
+@pytest.mark.parametrize("operation", list(BlendOperation), ids=lambda f: f.name)
+def test_an_operation_combines_source_and_destination(device: Device, operation: BlendOperation) -> None:
+    function = BlendFunction(BlendFactor.SOURCE_ALPHA, BlendFactor.CONSTANT, operation)
+    assert_near(*blended(device, function), 1e-6, "blending in float32")
+
+
+@pytest.mark.parametrize("name", ["OFF", "ALPHA", "ADDITIVE", "PREMULTIPLIED", "MULTIPLY"])
+def test_a_named_function_does_what_its_name_says(device: Device, name: str) -> None:
+    assert_near(*blended(device, getattr(BlendFunction, name)), 1e-6, "blending in float32")
+
+
+def test_alpha_can_be_blended_differently_from_color(device: Device) -> None:
+    function = BlendFunction(
+        BlendFactor.ONE, BlendFactor.ONE, BlendOperation.ADD,
+        BlendFactor.ZERO, BlendFactor.CONSTANT, BlendOperation.REVERSE_SUBTRACT,
+    )  # fmt: skip
+    assert_near(*blended(device, function), 1e-6, "blending in float32")
+
+
+@pytest.mark.parametrize("operation", list(BlendOperation), ids=lambda f: f.name)
+def test_blending_of_normalised_targets_is_clamped(device: Device, operation: BlendOperation) -> None:
+    function = BlendFunction(BlendFactor.ONE, BlendFactor.ONE, operation)
+    assert_near(*blended(device, function, Format.RGBA8), 1.01 / 255, "8 bits, before and after")
+
+
+FUNCTIONS = st.builds(
+    BlendFunction,
+    st.sampled_from(BlendFactor),
+    st.sampled_from(BlendFactor),
+    st.sampled_from(BlendOperation),
+    st.none() | st.sampled_from(BlendFactor),
+    st.none() | st.sampled_from(BlendFactor),
+    st.none() | st.sampled_from(BlendOperation),
+)
+
+
+@settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(function=FUNCTIONS)
+def test_any_function_blends_as_numpy_does(device: Device, function: BlendFunction) -> None:
+    assert_near(*blended(device, function), 2e-6, "blending in float32")
+
+
+def test_without_a_scope_nothing_blends(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA8) as image, device.mesh(rectangle(color=(0.2, 0.2, 0.2, 0.2))) as mesh:
+        with device.render_pass(image, clear=(1, 1, 1, 1)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 51)
+
+
+def test_draws_blend_in_order(device: Device) -> None:
+    """Half of white over half of black is not half of black over half of white."""
+    rows = np.concatenate([rectangle(color=(1, 1, 1, 0.5)), rectangle(color=(0, 0, 0, 0.5))])
+    with device.texture((2, 2), Format.RGBA32F) as image, device.mesh(rows) as mesh:
+        for order, expected in (((0, 6), 0.25), ((6, 0), 0.5)):
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ALPHA):
+                for first in order:
+                    device.draw(device.program(Colored), mesh.view(first, 6))
+            assert_near(image.read()[..., 0], expected, 1e-6, "blending in float32")
+
+
+def test_many_primitives_of_one_draw_blend_in_order(device: Device) -> None:
+    """x → x/2 + i mod 2, for 40 rectangles on one texel: the last ones weigh most."""
+    count = 40
+    rows = np.concatenate([rectangle(color=(i % 2, 0, 0, 0.5)) for i in range(count)])
+    value = 0.0
+    for i in range(count):
+        value = 0.5 * value + 0.5 * (i % 2)
+    with device.texture((1, 1), Format.R32F) as image, device.mesh(rows) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ALPHA):
+            device.draw(device.program(Colored), mesh)
+        assert_near(image.read(), value, 1e-5, "40 roundings in float32")
+
+
+def test_overlapping_points_all_add_up(device: Device) -> None:
+    count = 100
+    rows = corners(np.repeat(centers([(1, 1)], (3, 3)), count, axis=0), (1, 0, 0, 1))
+    from rhi import Primitive
+
+    with device.texture((3, 3), Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), [[0, 0, 0], [0, count, 0], [0, 0, 0]])
+
+
+def test_integer_targets_do_not_blend(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA8UI) as image, device.mesh(rectangle(color=(3, 4, 5, 6))) as mesh:
+        with device.render_pass(image, clear=(100, 100, 100, 100)), device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(UintColored), mesh)
+        assert_same(image.read(), (3, 4, 5, 6))
+
+
+def test_half_float_targets_blend(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA16F) as image, device.mesh(rectangle(color=(3, -4, 0.5, 1))) as mesh:
+        with device.render_pass(image, clear=(1, 1, 1, 1)), device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), (4, -3, 1.5, 2))
+
+
+def test_srgb_targets_blend_in_linear_light(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA8_SRGB) as image, device.mesh(rectangle(color=(1, 1, 1, 0.5))) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ALPHA):
+            device.draw(device.program(Colored), mesh)
+        assert_near(image.read(), (187.5, 187.5, 187.5, 127.5), 1.0, "half of the light is 188 in sRGB")
+
+
+# -- color write -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mask", range(16))
+def test_color_write_chooses_channels(device: Device, mask: int) -> None:
+    channels = [bool(mask >> i & 1) for i in range(4)]
+    with device.texture((2, 2), Format.RGBA8) as image, device.mesh(rectangle(color=(1, 1, 1, 1))) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(ColorWrite(*channels)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), np.array(channels) * 255)
+
+
+def test_color_write_does_not_touch_clears(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA8) as image:
+        with device.states(ColorWrite.OFF), device.render_pass(image, clear=(1, 1, 1, 1)):
+            pass
+        assert_same(image.read(), 255)

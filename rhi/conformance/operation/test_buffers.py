@@ -1,0 +1,245 @@
+"""Buffers: contents, ranges, locks, copies and clears. No shader runs, so this holds on any device."""
+
+from __future__ import annotations
+
+import gc
+
+import numpy as np
+import pytest
+
+from rhi import Access, BufferUsage, Device
+from rhi.conformance.compare import assert_same
+
+POINT = np.dtype([("position", "<f4", (3,)), ("color", "u1", (4,)), ("id", "<u2"), ("pad", "<u2")])
+
+
+def numbers(count: int, dtype: str = "u4") -> np.ndarray:
+    """Numbers of which no two neighbours, and no byte runs, are alike."""
+    return (np.arange(count, dtype=np.uint64) * 2654435761 % (1 << 32)).astype(dtype)
+
+
+@pytest.mark.parametrize("size", [1, 3, 4, 255, 4096, 1 << 20])
+def test_a_new_buffer_holds_zeros(device: Device, size: int) -> None:
+    with device.buffer(size) as buffer:
+        assert_same(buffer.read(), np.zeros(size))
+
+
+@pytest.mark.parametrize("usage", list(BufferUsage))
+def test_a_buffer_made_from_an_array_holds_it(device: Device, usage: BufferUsage) -> None:
+    with device.buffer(numbers(100), usage=usage) as buffer:
+        assert buffer.dtype == np.uint32
+        assert len(buffer) == 100
+        assert buffer.size == 400
+        assert_same(buffer.read(), numbers(100))
+
+
+@pytest.mark.parametrize("dtype", ["u1", "i1", "u2", "i2", "f2", "u4", "i4", "f4", "f8", "u8"])
+def test_every_dtype_reads_back_as_written(device: Device, dtype: str) -> None:
+    values = np.arange(-7, 9).astype(dtype)
+    with device.buffer(values) as buffer:
+        assert buffer.read().dtype == np.dtype(dtype)
+        assert_same(buffer.read(), values)
+
+
+def test_structured_elements_read_back_with_their_fields(device: Device) -> None:
+    rows = np.zeros(5, POINT)
+    rows["position"] = np.arange(15).reshape(5, 3) / 8
+    rows["color"] = 7
+    rows["id"] = [1, 2, 3, 4, 65535]
+    with device.buffer(rows) as buffer:
+        back = buffer.read()
+    assert back.dtype == POINT
+    for name in ("position", "color", "id"):
+        assert_same(back[name], rows[name])
+
+
+def test_bits_of_a_float_are_kept(device: Device) -> None:
+    odd = np.array([0x7FC00001, 0x80000000, 0x00000001, 0xFF800000], "u4").view("f4")
+    with device.buffer(odd) as buffer:
+        assert_same(buffer.read().view("u4"), odd.view("u4"))
+
+
+def test_an_element_count_and_a_dtype_give_the_size(device: Device) -> None:
+    with device.buffer(7, np.dtype("f8")) as buffer:
+        assert buffer.size == 56
+        assert buffer.read().shape == (7,)
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 16), (0, 1), (15, 1), (5, 3), (0, 0), (16, 0)])
+def test_a_read_of_a_range_gives_that_range(device: Device, first: int, count: int) -> None:
+    with device.buffer(numbers(16)) as buffer:
+        assert_same(buffer.read(first, count), numbers(16)[first : first + count])
+
+
+def test_a_read_from_an_element_on_goes_to_the_end(device: Device) -> None:
+    with device.buffer(numbers(16)) as buffer:
+        assert_same(buffer.read(10), numbers(16)[10:])
+
+
+def test_a_read_is_a_copy(device: Device) -> None:
+    with device.buffer(numbers(4)) as buffer:
+        buffer.read()[:] = 0
+        assert_same(buffer.read(), numbers(4))
+
+
+def test_a_read_outlives_later_writes(device: Device) -> None:
+    with device.buffer(numbers(4)) as buffer:
+        before = buffer.read()
+        buffer.write(np.zeros(4, "u4"))
+        assert_same(before, numbers(4))
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 16), (0, 1), (15, 1), (5, 3), (16, 0)])
+def test_a_write_changes_its_range_only(device: Device, first: int, count: int) -> None:
+    expected = numbers(16)
+    expected[first : first + count] = 99
+    with device.buffer(numbers(16)) as buffer:
+        buffer.write(np.full(count, 99, "u4"), first)
+        assert_same(buffer.read(), expected)
+
+
+def test_an_array_that_is_not_contiguous_is_written_in_its_order(device: Device) -> None:
+    with device.buffer(8, np.dtype("u4")) as buffer:
+        buffer.write(numbers(16)[::-2])
+        assert_same(buffer.read(), numbers(16)[::-2])
+
+
+def test_the_array_may_change_right_after_a_write(device: Device) -> None:
+    values = numbers(64)
+    with device.buffer(64, np.dtype("u4")) as buffer:
+        buffer.write(values)
+        values[:] = 0
+        assert_same(buffer.read(), numbers(64))
+
+
+def test_the_last_of_two_writes_wins(device: Device) -> None:
+    with device.buffer(4, np.dtype("u4")) as buffer:
+        buffer.write(np.full(4, 1, "u4"))
+        buffer.write(np.full(2, 2, "u4"), 1)
+        assert_same(buffer.read(), [1, 2, 2, 1])
+
+
+# -- locks -------------------------------------------------------------------------------------------------
+
+
+def test_a_read_lock_shows_the_contents(device: Device) -> None:
+    with device.buffer(numbers(8)) as buffer, buffer.lock(Access.READ) as array:
+        assert_same(array, numbers(8))
+
+
+def test_a_read_lock_cannot_be_written_to(device: Device) -> None:
+    with device.buffer(numbers(8)) as buffer:
+        with buffer.lock(Access.READ) as array, pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+        assert_same(buffer.read(), numbers(8))
+
+
+def test_a_write_lock_replaces_its_range_at_its_end(device: Device) -> None:
+    with device.buffer(numbers(8)) as buffer:
+        with buffer.lock(Access.WRITE, 2, 3) as array:
+            array[:] = [1, 2, 3]
+        assert_same(buffer.read(), [*numbers(8)[:2], 1, 2, 3, *numbers(8)[5:]])
+
+
+def test_a_read_write_lock_changes_what_it_shows(device: Device) -> None:
+    with device.buffer(np.arange(8, dtype="u4")) as buffer:
+        with buffer.lock(Access.READ_WRITE, 4) as array:
+            assert_same(array, [4, 5, 6, 7])
+            array *= 10
+        assert_same(buffer.read(), [0, 1, 2, 3, 40, 50, 60, 70])
+
+
+def test_an_exception_inside_a_lock_writes_nothing(device: Device) -> None:
+    with device.buffer(numbers(8)) as buffer:
+        with pytest.raises(ZeroDivisionError), buffer.lock(Access.WRITE) as array:
+            array[:] = 0
+            raise ZeroDivisionError
+        assert_same(buffer.read(), numbers(8))
+
+
+def test_a_lock_of_structs_gives_fields(device: Device) -> None:
+    with device.buffer(np.zeros(3, POINT)) as buffer:
+        with buffer.lock(Access.READ_WRITE) as rows:
+            rows["id"] = [4, 5, 6]
+        assert_same(buffer.read()["id"], [4, 5, 6])
+
+
+def test_two_buffers_may_be_locked_at_once(device: Device) -> None:
+    with device.buffer(4, np.dtype("u4")) as one, device.buffer(4, np.dtype("u4")) as two:
+        with one.lock(Access.WRITE) as a, two.lock(Access.WRITE) as b:
+            a[:], b[:] = 1, 2
+        assert_same(one.read(), 1)
+        assert_same(two.read(), 2)
+
+
+# -- copies and clears -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("offset", "target_offset", "size"), [(0, 0, 64), (0, 60, 4), (60, 0, 4), (4, 8, 32), (1, 3, 5)]
+)
+def test_a_copy_moves_its_bytes_only(device: Device, offset: int, target_offset: int, size: int) -> None:
+    source, old = numbers(64, "u1"), np.arange(64, dtype="u1")
+    expected = old.copy()
+    expected[target_offset : target_offset + size] = source[offset : offset + size]
+    with device.buffer(source) as a, device.buffer(old) as b:
+        a.copy_to(b, size=size, offset=offset, target_offset=target_offset)
+        assert_same(b.read(), expected)
+        assert_same(a.read(), source)
+
+
+def test_a_copy_within_a_buffer_moves_to_where_nothing_overlaps(device: Device) -> None:
+    with device.buffer(np.arange(16, dtype="u1")) as buffer:
+        buffer.copy_to(buffer, size=8, offset=0, target_offset=8)
+        assert_same(buffer.read(), [*range(8), *range(8)])
+
+
+def test_a_copy_takes_what_was_written_before_it_and_not_after(device: Device) -> None:
+    with device.buffer(4, np.dtype("u4")) as a, device.buffer(4, np.dtype("u4")) as b:
+        a.write(np.full(4, 1, "u4"))
+        a.copy_to(b)
+        a.write(np.full(4, 2, "u4"))
+        assert_same(b.read(), 1)
+
+
+@pytest.mark.parametrize("value", [0, 1, 0xDEADBEEF, 0xFFFFFFFF])
+def test_a_clear_fills_with_its_pattern(device: Device, value: int) -> None:
+    with device.buffer(numbers(17)) as buffer:
+        buffer.clear(value)
+        assert_same(buffer.read(), value)
+
+
+def test_a_clear_holds_its_place_among_writes(device: Device) -> None:
+    with device.buffer(numbers(4)) as buffer:
+        buffer.clear(5)
+        buffer.write(np.array([6], "u4"), 2)
+        assert_same(buffer.read(), [5, 5, 6, 5])
+
+
+# -- life ------------------------------------------------------------------------------------------------
+
+
+def test_a_buffer_ends_with_its_with_block(device: Device) -> None:
+    with device.buffer(4) as buffer:
+        assert not buffer.destroyed
+    assert buffer.destroyed
+    buffer.destroy()
+
+
+def test_many_buffers_keep_their_own_contents(device: Device) -> None:
+    buffers = [device.buffer(np.full(9, i, "u4")) for i in range(100)]
+    for index, buffer in enumerate(buffers):
+        assert_same(buffer.read(), index)
+        buffer.destroy()
+    gc.collect()
+    with device.buffer(9, np.dtype("u4")) as fresh:
+        assert_same(fresh.read(), 0)
+
+
+def test_uploads_and_creations_are_counted(device: Device) -> None:
+    before = device.statistics
+    with device.buffer(numbers(25)) as buffer:
+        buffer.write(numbers(5))
+    after = device.statistics
+    assert after.creations - before.creations == 1
+    assert after.upload_bytes - before.upload_bytes == 120

@@ -1,0 +1,576 @@
+"""Compute: storage, images, uniform layouts, shared memory, barriers, atomics, dispatches."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhi import Device, Format, TextureKind
+from rhi.conformance.compare import assert_near, assert_same
+from rhi.conformance.formats import require_format
+from rhi.conformance.reference import encode, rounding
+from rhi.shading import (
+    Array,
+    Image2D,
+    Image2DArray,
+    Image3D,
+    IntImage2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    UintImage2D,
+    Uniform,
+    array,
+    atomic_add,
+    atomic_and,
+    atomic_compare_exchange,
+    atomic_exchange,
+    atomic_max,
+    atomic_min,
+    atomic_or,
+    atomic_xor,
+    barrier,
+    global_id,
+    group_count,
+    group_id,
+    image,
+    ivec3,
+    local_id,
+    local_index,
+    mat3,
+    mat4,
+    shared,
+    uint,
+    uvec4,
+    vec2,
+    vec3,
+    vec4,
+)
+
+pytestmark = pytest.mark.needs("shading", "compute")
+
+
+# -- dispatches --------------------------------------------------------------------------------------------
+
+
+class Places(Shader):
+    """Where each invocation is."""
+
+    work_group = (4, 2, 1)
+    places: StorageRW[uvec4]
+    locals: StorageRW[uvec4]
+
+    def compute(self) -> None:
+        g = global_id()
+        width = group_count().x * 4
+        height = group_count().y * 2
+        i = g.x + width * (g.y + height * g.z)
+        self.places[i] = uvec4(uint(group_id().x), uint(group_id().y), uint(group_id().z), uint(i))
+        self.locals[i] = uvec4(uint(local_id().x), uint(local_id().y), uint(local_id().z), uint(local_index()))
+
+
+@pytest.mark.parametrize("groups", [(1, 1, 1), (3, 1, 1), (1, 5, 1), (1, 1, 4), (3, 2, 2)], ids=str)
+def test_every_invocation_runs_once_and_knows_its_place(device: Device, groups: tuple[int, int, int]) -> None:
+    shape = (groups[2], groups[1] * 2, groups[0] * 4)
+    count = int(np.prod(shape))
+    with device.storage(uvec4, count) as where, device.storage(uvec4, count) as local:
+        device.dispatch(device.program(Places), groups, places=where, locals=local)
+        g, l = where.read().reshape(*shape, 4), local.read().reshape(*shape, 4)
+    z, y, x = np.indices(shape)
+    assert_same(g, np.stack([x // 4, y // 2, z, np.arange(count).reshape(shape)], axis=-1))
+    assert_same(l, np.stack([x % 4, y % 2, z * 0, x % 4 + 4 * (y % 2)], axis=-1))
+
+
+class Count(Shader):
+    """Counts its invocations."""
+
+    work_group = (8,)
+    total: StorageRW[uint]
+
+    def compute(self) -> None:
+        atomic_add(self.total[0], uint(1))
+
+
+@pytest.mark.parametrize(("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)])
+def test_a_number_of_groups_has_one_to_three_dimensions(device: Device, groups: Any, expected: int) -> None:
+    with device.storage(uint, 1) as total:
+        device.dispatch(device.program(Count), groups, total=total)
+        assert_same(total.read(), expected)
+
+
+@pytest.mark.parametrize("words", [(3, 1, 1), (2, 2, 2), (0, 1, 1)], ids=str)
+def test_an_indirect_dispatch_reads_its_groups(device: Device, words: tuple[int, int, int]) -> None:
+    with device.storage(uint, 1) as total, device.buffer(np.array([9, *words, 9], "u4")) as arguments:
+        device.dispatch_indirect(device.program(Count), arguments, 4, total=total)
+        assert_same(total.read(), 8 * np.prod(words))
+
+
+class Arguments(Shader):
+    """Writes the arguments of a later dispatch."""
+
+    words: StorageRW[uint]
+
+    def compute(self) -> None:
+        self.words[0] = uint(3)
+        self.words[1] = uint(2)
+        self.words[2] = uint(1)
+
+
+def test_an_indirect_dispatch_sees_what_a_dispatch_before_it_wrote(device: Device) -> None:
+    with device.storage(uint, 1) as total, device.storage(uint, 3) as arguments:
+        device.dispatch(device.program(Arguments), 1, words=arguments)
+        device.dispatch_indirect(device.program(Count), arguments, 0, total=total)
+        assert_same(total.read(), 48)
+
+
+def test_dispatches_are_counted(device: Device) -> None:
+    device.reset_statistics()
+    with device.storage(uint, 1) as total:
+        device.dispatch(device.program(Count), 1, total=total)
+        device.dispatch(device.program(Count), 1, total=total)
+    assert device.statistics.dispatches == 2
+
+
+# -- layouts -----------------------------------------------------------------------------------------------
+
+
+class Inner(Struct):
+    """A struct inside a struct."""
+
+    weight: float
+    axis: vec3
+
+
+class Mixed(Struct):
+    """Everything that std140 and std430 place differently."""
+
+    a: float
+    b: vec3
+    c: float
+    d: vec2
+    e: mat3
+    f: Array[float] = array(float, 3)
+    g: int
+    h: Inner
+    i: Array[vec3] = array(vec3, 2)
+    j: uint
+    k: mat4
+
+
+class ReadMixed(Shader):
+    """One number of each field, from a uniform and from storage."""
+
+    constants: Uniform[Mixed]
+    rows: Storage[Mixed]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        c = self.constants
+        r = self.rows[1]
+        self.results[0] = vec4(c.a, c.b.z, c.c, c.d.y)
+        self.results[1] = vec4(c.e[1][2], c.f[2], float(c.g), c.h.weight)
+        self.results[2] = vec4(c.h.axis.y, c.i[1].z, float(c.j), c.k[3][1])
+        self.results[3] = vec4(r.a, r.b.z, r.c, r.d.y)
+        self.results[4] = vec4(r.e[1][2], r.f[2], float(r.g), r.h.weight)
+        self.results[5] = vec4(r.h.axis.y, r.i[1].z, float(r.j), r.k[3][1])
+
+
+MIXED = {
+    "a": 1.0,
+    "b": (2.0, 3.0, 4.0),
+    "c": 5.0,
+    "d": (6.0, 7.0),
+    "e": np.arange(9.0).reshape(3, 3) + 10,
+    "f": (20.0, 21.0, 22.0),
+    "g": -23,
+    "i": ((30.0, 31.0, 32.0), (33.0, 34.0, 35.0)),
+    "j": 40,
+    "k": np.arange(16.0).reshape(4, 4) + 50,
+}
+
+
+def test_structs_lie_where_their_dtype_says(device: Device) -> None:
+    value = Mixed(**MIXED, h=Inner(weight=24.0, axis=(25.0, 26.0, 27.0)))
+    rows = np.zeros(3, Mixed.dtype)
+    for name, part in MIXED.items():
+        shape = np.shape(part)
+        target = rows[name][1]
+        if shape:
+            target[tuple(slice(n) for n in shape)] = part
+        else:
+            rows[name][1] = part
+    rows["h"]["weight"][1] = 24.0
+    rows["h"]["axis"][1] = (25.0, 26.0, 27.0)
+    expected = [(1, 4, 5, 7), (15, 22, -23, 24), (26, 35, 40, 63)] * 2
+    with (
+        device.uniform(value) as constants,
+        device.storage(Mixed, rows) as storage,
+        device.storage(vec4, 6) as results,
+    ):
+        device.dispatch(device.program(ReadMixed), 1, constants=constants, rows=storage, results=results)
+        assert_same(results.read(), expected)
+
+
+class WriteMixed(Shader):
+    """Fills a struct in storage."""
+
+    rows: StorageRW[Mixed]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.rows[i].a = float(i)
+        self.rows[i].b = vec3(1.0, 2.0, 3.0)
+        self.rows[i].d = vec2(4.0, 5.0)
+        self.rows[i].f[1] = 6.0
+        self.rows[i].h.axis = vec3(7.0, 8.0, 9.0)
+        for column in range(4):
+            self.rows[i].k[2][column] = float(10 + column)
+
+
+def test_structs_are_written_where_their_dtype_says(device: Device) -> None:
+    with device.storage(Mixed, 3) as storage:
+        device.dispatch(device.program(WriteMixed), 3, rows=storage)
+        rows = storage.read()
+    assert_same(rows["a"], [0, 1, 2])
+    assert_same(rows["b"], (1, 2, 3))
+    assert_same(rows["c"], 0)
+    assert_same(rows["d"], (4, 5))
+    assert_same(rows["f"][:, :3], (0, 6, 0))
+    assert_same(rows["h"]["axis"], (7, 8, 9))
+    assert_same(rows["k"][:, 2], (10, 11, 12, 13))
+    assert_same(rows["k"][:, [0, 1, 3]], 0)
+
+
+class Lengths(Shader):
+    """How many elements are bound."""
+
+    first: Storage[vec4]
+    second: Storage[uint]
+    third: Storage[Inner]
+    results: StorageRW[uint]
+
+    def compute(self) -> None:
+        self.results[0] = uint(len(self.first))
+        self.results[1] = uint(len(self.second))
+        self.results[2] = uint(len(self.third))
+
+
+def test_a_storage_buffer_knows_its_length(device: Device) -> None:
+    with (
+        device.storage(vec4, 5) as first,
+        device.storage(uint, 7) as second,
+        device.storage(Inner, 3) as third,
+        device.storage(uint, 3) as results,
+    ):
+        device.dispatch(device.program(Lengths), 1, first=first, second=second, third=third, results=results)
+        assert_same(results.read(), [5, 7, 3])
+
+
+class Pick(Struct):
+    """One number."""
+
+    value: float
+
+
+class ReadPick(Shader):
+    """Copies a uniform's number."""
+
+    pick: Uniform[Pick]
+    results: StorageRW[float]
+
+    def compute(self) -> None:
+        self.results[0] = self.pick.value
+
+
+def test_each_element_of_a_uniform_array_is_bound_by_itself(device: Device) -> None:
+    with device.uniform_array(Pick, 20) as picks, device.storage(float, 1) as results:
+        rows = np.zeros(20, picks.dtype)
+        rows["value"] = np.arange(20) * 1.5
+        picks.write(rows)
+        for index in (0, 1, 19):
+            device.dispatch(device.program(ReadPick), 1, pick=picks[index], results=results)
+            assert_same(results.read(), index * 1.5)
+
+
+def test_a_uniform_written_between_dispatches_holds_for_the_later_one(device: Device) -> None:
+    with device.uniform(Pick(value=1.0)) as pick, device.storage(float, 1) as first, device.storage(float, 1) as second:
+        device.dispatch(device.program(ReadPick), 1, pick=pick, results=first)
+        pick.write(Pick(value=2.0))
+        device.dispatch(device.program(ReadPick), 1, pick=pick, results=second)
+        assert_same(first.read(), 1)
+        assert_same(second.read(), 2)
+
+
+def test_a_storage_view_of_a_buffer_shares_its_memory(device: Device) -> None:
+    with device.buffer(np.arange(4, dtype="u4")) as buffer:
+        total = device.storage(uint, buffer)
+        device.dispatch(device.program(Count), 2, total=total)
+        assert_same(buffer.read(), [16, 1, 2, 3])
+
+
+# -- shared memory and barriers ----------------------------------------------------------------------------
+
+
+class PrefixSum(Shader):
+    """A scan over a work-group: wrong unless every barrier holds."""
+
+    work_group = (64,)
+    values: Storage[uint]
+    results: StorageRW[uint]
+    partial = shared(uint, 64)
+
+    def compute(self) -> None:
+        i = local_index()
+        self.partial[i] = self.values[global_id().x]
+        barrier()
+        step = 1
+        while step < 64:
+            before = uint(0)
+            if i >= step:
+                before = self.partial[i - step]
+            barrier()
+            self.partial[i] += before
+            barrier()
+            step *= 2
+        self.results[global_id().x] = self.partial[i]
+
+
+def test_a_work_group_sees_its_shared_memory_after_a_barrier(device: Device) -> None:
+    values = np.random.default_rng(0).integers(0, 1000, 256).astype("u4")
+    with device.storage(uint, values) as source, device.storage(uint, 256) as results:
+        device.dispatch(device.program(PrefixSum), 4, values=source, results=results)
+        assert_same(results.read(), values.reshape(4, 64).cumsum(axis=1).reshape(-1))
+
+
+class SharedCount(Shader):
+    """An atomic counter in shared memory."""
+
+    work_group = (32,)
+    results: StorageRW[uint]
+    total = shared(uint)
+
+    def compute(self) -> None:
+        if local_index() == 0:
+            self.total = uint(0)
+        barrier()
+        atomic_add(self.total, uint(local_index()))
+        barrier()
+        if local_index() == 0:
+            self.results[group_id().x] = self.total
+
+
+def test_atomics_work_in_shared_memory(device: Device) -> None:
+    with device.storage(uint, 3) as results:
+        device.dispatch(device.program(SharedCount), 3, results=results)
+        assert_same(results.read(), 32 * 31 // 2)
+
+
+# -- atomics -----------------------------------------------------------------------------------------------
+
+
+class Atomics(Shader):
+    """Each atomic from 256 invocations."""
+
+    work_group = (64,)
+    signed: StorageRW[int]
+    unsigned: StorageRW[uint]
+    order: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        u = uint(i)
+        atomic_add(self.signed[0], 2 - i)
+        atomic_min(self.signed[1], 100 - i)
+        atomic_max(self.signed[2], i - 100)
+        atomic_add(self.unsigned[0], u)
+        atomic_min(self.unsigned[1], u + uint(7))
+        atomic_max(self.unsigned[2], u)
+        atomic_or(self.unsigned[3], u)
+        atomic_and(self.unsigned[4], ~u)
+        atomic_xor(self.unsigned[5], u)
+        atomic_compare_exchange(self.unsigned[6], uint(5), u + uint(1000))
+        mine = atomic_add(self.unsigned[7], uint(1))
+        self.order[mine] = u
+        atomic_exchange(self.unsigned[8], uint(42))
+
+
+def test_atomics_lose_nothing(device: Device) -> None:
+    i = np.arange(256)
+    signed = np.array([0, 1000, -1000], "i4")
+    unsigned = np.array([0, 1 << 31, 0, 0, 0xFFFFFFFF, 0, 5, 0, 0], "u4")
+    with (
+        device.storage(int, signed) as a,
+        device.storage(uint, unsigned) as b,
+        device.storage(uint, 256) as order,
+    ):
+        device.dispatch(device.program(Atomics), 4, signed=a, unsigned=b, order=order)
+        assert_same(a.read(), [(2 - i).sum(), 100 - 255, 155])
+        result = b.read()
+        assert_same(result[:6], [i.sum(), 7, 255, 255, 0xFFFFFF00, np.bitwise_xor.reduce(i)])
+        assert 1000 <= result[6] < 1256, "one of them found the 5"
+        assert_same(result[7:], [256, 42])
+        assert_same(np.sort(order.read()), i)
+
+
+# -- images ------------------------------------------------------------------------------------------------
+
+
+def image_copy(pixel_format: Format, annotation: Any) -> Any:
+    class Copy(Shader):
+        source: annotation = image(pixel_format)
+        target: annotation = image(pixel_format)
+
+        def compute(self) -> None:
+            at = global_id().xy
+            self.target.store(at, self.source.load(at))
+
+    return Copy
+
+
+IMAGE_FORMATS = [
+    (Format.R8, Image2D),
+    (Format.RG8, Image2D),
+    (Format.RGBA8, Image2D),
+    (Format.RGBA8_SNORM, Image2D),
+    (Format.R16F, Image2D),
+    (Format.RGBA16F, Image2D),
+    (Format.R32F, Image2D),
+    (Format.RGBA32F, Image2D),
+    (Format.R8UI, UintImage2D),
+    (Format.RGBA16UI, UintImage2D),
+    (Format.R32UI, UintImage2D),
+    (Format.RGBA32UI, UintImage2D),
+    (Format.R32I, IntImage2D),
+    (Format.RGBA32I, IntImage2D),
+]
+
+
+@pytest.mark.parametrize(("format", "annotation"), IMAGE_FORMATS, ids=lambda v: getattr(v, "name", ""))
+def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format, annotation: Any) -> None:
+    require_format(device, format)
+    rng = np.random.default_rng(4)
+    if format.dtype.kind == "f":
+        data = rng.normal(size=(3, 5, format.channels)).astype(format.dtype)
+    else:
+        limits = np.iinfo(format.dtype)
+        low = -limits.max if limits.min else 0
+        data = rng.integers(low, limits.max, (3, 5, format.channels), dtype=format.dtype, endpoint=True)
+    plain = data[..., 0] if format.channels == 1 else data
+    with device.texture(plain, format) as source, device.texture((5, 3), format) as target:
+        program = device.program(image_copy(format, annotation))
+        device.dispatch(program, (5, 3), source=source.image(), target=target.image())
+        assert_same(target.read(), plain)
+        program.destroy()
+
+
+class StoreColor(Shader):
+    """A color to an image of 8 bits."""
+
+    target: Image2D = image(Format.RGBA8)
+
+    def compute(self) -> None:
+        self.target.store(global_id().xy, vec4(0.2, 0.5, -3.0, 7.0))
+
+
+def test_a_stored_color_is_converted(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA8) as target:
+        device.dispatch(device.program(StoreColor), (2, 2), target=target.image())
+        expected = encode(Format.RGBA8, (0.2, 0.5, -3.0, 7.0))
+        assert_near(target.read(), expected, *rounding(Format.RGBA8, expected))
+
+
+def test_stores_beyond_the_edge_do_nothing(device: Device) -> None:
+    with device.texture((3, 3), Format.RGBA8) as target, device.texture((3, 3), Format.RGBA8) as other:
+        device.dispatch(device.program(StoreColor), (8, 8), target=target.image())
+        assert_same(target.read()[..., 3], 255)
+        assert_same(other.read(), 0)
+
+
+def test_one_level_is_an_image(device: Device) -> None:
+    with device.texture((8, 8), Format.RGBA8, levels=3) as target:
+        device.dispatch(device.program(StoreColor), (8, 8), target=target.image(1))
+        assert_same(target.read(0), 0)
+        assert_same(target.read(1)[..., 3], 255)
+        assert_same(target.read(2), 0)
+
+
+def test_one_layer_is_an_image(device: Device) -> None:
+    with device.texture((2, 2), Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=3) as target:
+        device.dispatch(device.program(StoreColor), (2, 2), target=target.image(0, 1))
+        assert_same(target.read_layers()[[0, 2]], 0)
+        assert_same(target.read_layers()[1, ..., 3], 255)
+
+
+class StoreLayers(Shader):
+    """Each texel of an array its layer."""
+
+    target: Image2DArray = image(Format.R32F)
+
+    def compute(self) -> None:
+        at = global_id()
+        size = self.target.size()
+        self.target.store(at, vec4(float(at.x + size.x * (at.y + size.y * at.z))))
+
+
+class StoreVolume(Shader):
+    """Each texel of a volume its number."""
+
+    target: Image3D = image(Format.R32F)
+
+    def compute(self) -> None:
+        at = global_id()
+        size = self.target.size()
+        self.target.store(ivec3(at.x, at.y, at.z), vec4(float(at.x + size.x * (at.y + size.y * at.z))))
+
+
+@pytest.mark.parametrize(
+    ("kind", "shader"), [(TextureKind.D2_ARRAY, StoreLayers), (TextureKind.D3, StoreVolume)], ids=["array", "3d"]
+)
+def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any) -> None:
+    with device.texture((3, 2), Format.R32F, kind=kind, layers=4) as target:
+        device.dispatch(device.program(shader), (3, 2, 4), target=target.image())
+        assert_same(target.read_layers(), np.arange(24).reshape(4, 2, 3, 1))
+
+
+# -- order -------------------------------------------------------------------------------------------------
+
+
+class Double(Shader):
+    """Doubles its neighbour's number: reads what another invocation of the dispatch before wrote."""
+
+    work_group = (32,)
+    source: Storage[uint]
+    target: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.target[i] = self.source[(i + 37) % 256] * uint(2) + uint(1)
+
+
+def test_a_dispatch_sees_what_the_one_before_wrote(device: Device) -> None:
+    values = np.arange(256, dtype="u4")
+    with device.storage(uint, values) as a, device.storage(uint, 256) as b:
+        expected = values
+        for _ in range(10):
+            device.dispatch(device.program(Double), 8, source=a, target=b)
+            device.dispatch(device.program(Double), 8, source=b, target=a)
+            for _ in range(2):
+                expected = np.roll(expected, -37) * np.uint32(2) + np.uint32(1)
+        assert_same(a.read(), expected)
+
+
+def test_copies_clears_and_writes_keep_their_place_among_dispatches(device: Device) -> None:
+    with device.storage(uint, 1) as total, device.buffer(4, np.dtype("u4")) as log:
+        program = device.program(Count)
+        device.dispatch(program, 1, total=total)
+        total.owner.copy_to(log, target_offset=0)
+        total.clear(100)
+        device.dispatch(program, 1, total=total)
+        total.owner.copy_to(log, target_offset=4)
+        total.write(np.array([1000], "u4"))
+        device.dispatch(program, 2, total=total)
+        total.owner.copy_to(log, target_offset=8)
+        assert_same(log.read(), [8, 108, 1016, 0])

@@ -1,0 +1,280 @@
+"""Depth: the conventions, the test, the writes, biases, ranges and clipping."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import (
+    CullMode,
+    DepthBias,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    PolygonOffset,
+    Viewport,
+)
+from rhi.conformance.compare import assert_near, assert_same
+from rhi.conformance.formats import require_format
+from rhi.conformance.reference import compare
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import Rows, corners, rectangle
+from rhi.formats import DEPTH_FORMATS
+
+pytestmark = pytest.mark.needs("shading")
+
+SIZE = (4, 4)
+BITS = {Format.D16: 16, Format.D24: 24, Format.D24S8: 24, Format.D32F: 24, Format.D32FS8: 24}
+
+
+def depth_after(
+    device: Device, *draws: Rows, clear: float = 0.0, states: tuple[rhi.State, ...] = (DepthTest.ON,),
+    format: Format = Format.D32F, size: tuple[int, int] = SIZE,
+) -> NDArray[Any]:  # fmt: skip
+    """The depth buffer after drawing rows in order."""
+    with device.texture(size, format) as depth:
+        with device.render_pass(depth=depth, clear_depth=clear), device.states(*states):
+            for rows in draws:
+                with device.mesh(rows) as mesh:
+                    device.draw(device.program(Colored), mesh)
+        return depth.read()
+
+
+def test_by_default_the_larger_depth_wins(device: Device) -> None:
+    """Reversed depth: near is 1, far is 0, cleared to 0."""
+    near, far = rectangle(depth=0.75), rectangle(depth=0.25)
+    assert_same(depth_after(device, near, far), 0.75)
+    assert_same(depth_after(device, far, near), 0.75)
+
+
+def test_standard_depth_is_a_function_and_a_clear_away(device: Device) -> None:
+    near, far = rectangle(depth=0.25), rectangle(depth=0.75)
+    states = (DepthFunction.LESS,)
+    assert_same(depth_after(device, near, far, clear=1.0, states=states), 0.25)
+    assert_same(depth_after(device, far, near, clear=1.0, states=states), 0.25)
+
+
+@pytest.mark.parametrize("format", DEPTH_FORMATS, ids=lambda f: f.name)
+@pytest.mark.parametrize("depth", [0.0, 0.3, 0.5, 1.0])
+def test_clip_depth_is_stored_as_it_is(device: Device, format: Format, depth: float) -> None:
+    """Clip depth runs from 0 to 1, not from −1 to 1."""
+    require_format(device, format)
+    after = depth_after(
+        device, rectangle(depth=depth), clear=0.6, states=(DepthFunction.ALWAYS,), format=format
+    )
+    assert_near(after, depth, 2.0 ** -BITS[format], "the format's bits")
+
+
+def test_float_depth_is_precise_near_zero(device: Device) -> None:
+    """What reversed depth is for: far away (near 0), 5e-7 and 1e-6 are different depths."""
+    far, nearer = rectangle(depth=5e-7), rectangle(depth=1e-6)
+    assert_near(depth_after(device, far), 5e-7, 1e-12, "float32 keeps 24 significant bits")
+    assert_near(depth_after(device, far, nearer), 1e-6, 1e-12, "float32 keeps 24 significant bits")
+    assert_near(depth_after(device, nearer, far), 1e-6, 1e-12, "float32 keeps 24 significant bits")
+
+
+def test_float_depth_is_not_squeezed_on_its_way(device: Device) -> None:
+    """A mapping through −1…1 would lose the low bits of depths near 0."""
+    depths = np.float32(2.0) ** -np.arange(8, 24, dtype=np.float32)
+    for depth in depths[::5]:
+        assert_near(depth_after(device, rectangle(depth=depth)), depth, depth * 2.0**-20, "interpolation in float32")
+
+
+@pytest.mark.parametrize("function", list(DepthFunction), ids=lambda f: f.name)
+def test_a_depth_function_compares_fragment_with_stored(device: Device, function: DepthFunction) -> None:
+    stored = 0.5
+    for new in (0.25, 0.5, 0.75):
+        passes = bool(compare(function, new, stored))
+        after = depth_after(device, rectangle(depth=new), clear=stored, states=(function,))
+        assert_same(after, new if passes else stored)
+
+
+@pytest.mark.parametrize("function", list(DepthFunction), ids=lambda f: f.name)
+def test_a_fragment_that_fails_the_depth_test_writes_no_color(device: Device, function: DepthFunction) -> None:
+    with device.texture((3, 1), Format.R8) as image, device.texture((3, 1), Format.D32F) as depth:
+        columns = [
+            rectangle(-1 + 2 * i / 3, -1, -1 + 2 * (i + 1) / 3, 1, depth=d) for i, d in enumerate((0.25, 0.5, 0.75))
+        ]
+        with (
+            device.mesh(np.concatenate(columns)) as mesh,
+            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+            device.states(function),
+        ):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), compare(function, [[0.25, 0.5, 0.75]], 0.5) * 255)
+
+
+def test_without_depth_write_the_stored_depth_stays(device: Device) -> None:
+    assert_same(depth_after(device, rectangle(depth=0.75), clear=0.5, states=(DepthWrite.OFF,)), 0.5)
+
+
+def test_without_depth_write_the_test_still_drops_fragments(device: Device) -> None:
+    with device.texture(SIZE, Format.R8) as image, device.texture(SIZE, Format.D32F) as depth:
+        for value, seen in ((0.25, 0), (0.75, 255)):
+            with (
+                device.mesh(rectangle(depth=value)) as mesh,
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+                device.states(DepthWrite.OFF),
+            ):
+                device.draw(device.program(Colored), mesh)
+            assert_same(image.read(), seen)
+
+
+def test_without_depth_test_every_fragment_passes_and_is_written(device: Device) -> None:
+    assert_same(depth_after(device, rectangle(depth=0.25), clear=0.5, states=(DepthTest.OFF,)), 0.25)
+
+
+def test_without_depth_test_and_write_depth_stays(device: Device) -> None:
+    states = (DepthTest.OFF, DepthWrite.OFF)
+    assert_same(depth_after(device, rectangle(depth=0.25), clear=0.5, states=states), 0.5)
+
+
+def test_without_a_depth_target_nothing_is_tested(device: Device) -> None:
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle(depth=0.0)) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 255)
+
+
+def test_depth_is_kept_between_passes(device: Device) -> None:
+    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rectangle(depth=0.5)) as mesh:
+        with device.render_pass(depth=depth, clear_depth=0.75):
+            pass
+        with device.render_pass(depth=depth):
+            device.draw(device.program(Colored), mesh)
+        assert_same(depth.read(), 0.75)
+
+
+def test_depth_clears_ignore_the_write_state(device: Device) -> None:
+    with device.texture(SIZE, Format.D32F) as depth:
+        with device.states(DepthWrite.OFF), device.render_pass(depth=depth, clear_depth=0.75):
+            pass
+        assert_same(depth.read(), 0.75)
+
+
+def test_depth_is_interpolated_linearly_in_the_window(device: Device) -> None:
+    ramp = rectangle(depth=0.5)
+    ramp["position"][:, 2] = np.where(ramp["position"][:, 0] < 0, 0.0, 1.0)
+    expected = np.broadcast_to((np.arange(8) + 0.5) / 8, (2, 8))
+    assert_near(depth_after(device, ramp, size=(8, 2)), expected, 2.0**-22, "interpolation in float32")
+
+
+def test_depth_is_divided_by_w(device: Device) -> None:
+    rows = rectangle(depth=0.5)
+    rows["position"] *= 4.0
+    assert_same(depth_after(device, rows), 0.5)
+
+
+# -- clipping and ranges -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("depth", "drawn"), [(-0.01, False), (0.0, True), (1.0, True), (1.01, False)])
+def test_what_lies_before_0_or_behind_1_is_clipped(device: Device, depth: float, drawn: bool) -> None:
+    after = depth_after(device, rectangle(depth=depth), clear=0.5, states=(DepthFunction.ALWAYS,))
+    assert_same(after, depth if drawn else 0.5)
+
+
+def test_a_ramp_is_clipped_where_it_leaves_the_range(device: Device) -> None:
+    ramp = rectangle()
+    ramp["position"][:, 2] = np.where(ramp["position"][:, 0] < 0, -0.5, 1.5)
+    with device.texture((8, 1), Format.R8) as image, device.mesh(ramp) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), [[0, 0, 255, 255, 255, 255, 0, 0]])
+
+
+def test_an_infinite_far_plane_can_be_drawn_to(device: Device) -> None:
+    """A vertex at infinity has w 0 before the camera moves it; reversed depth puts it at exactly 0."""
+    rows = rectangle(depth=0.0)
+    assert_same(depth_after(device, rows, clear=0.0, states=(DepthFunction.GREATER_EQUAL,)), 0.0)
+
+
+def test_what_lies_behind_the_camera_is_clipped(device: Device) -> None:
+    """A corner has w < 0: what is seen is the part in front of the camera, not a mirrored triangle."""
+    rows = corners([(-1, -1, 0.5, 1), (1, -1, 0.5, 1), (0, 2, -0.5, -1)])
+    with device.texture((8, 8), Format.R8) as image, device.mesh(rows) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        seen = image.read()
+    # Homogeneous edge functions: a texel is inside where all three weights and the sum of them, which is
+    # 1/w there, are positive.
+    x, y = np.meshgrid((np.arange(8) + 0.5) / 4 - 1, 1 - (np.arange(8) + 0.5) / 4)
+    matrix = rows["position"].astype(np.float64)[:, [0, 1, 3]].T
+    weights = np.stack([x, y, np.ones((8, 8))], axis=-1) @ np.linalg.inv(matrix).T
+    inside = (weights > 0).all(axis=-1)
+    assert inside.any()
+    assert_same(seen, np.where(inside, 255, 0))
+
+
+@pytest.mark.parametrize(("near", "far"), [(0.0, 1.0), (0.25, 0.5), (1.0, 0.0), (0.5, 0.5)])
+def test_a_viewport_maps_depth_into_its_range(device: Device, near: float, far: float) -> None:
+    viewport = Viewport(0, 0, *SIZE, near, far)
+    after = depth_after(device, rectangle(depth=0.25), states=(DepthFunction.ALWAYS, viewport))
+    assert_near(after, near + 0.25 * (far - near), 2.0**-23, "a multiplication in float32")
+
+
+# -- biases ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", [Format.D16, Format.D24S8, Format.D32F], ids=lambda f: f.name)
+def test_a_depth_bias_is_counted_in_steps_of_the_format(device: Device, format: Format) -> None:
+    """The step is the smallest difference that is sure to be told apart: one or two of the stored numbers."""
+    require_format(device, format)
+    step = 2.0 ** -BITS[format]
+    plain = depth_after(device, rectangle(depth=0.6), format=format)
+    for units in (16.0, 160.0, -16.0, -160.0):
+        biased = depth_after(device, rectangle(depth=0.6), states=(DepthBias(units),), format=format)
+        assert_near(biased - plain, 1.5 * units * step, (0.5 * abs(units) + 1.1) * step, "one or two steps")
+
+
+def test_a_positive_bias_is_nearer_under_reversed_depth(device: Device) -> None:
+    """Coplanar geometry: with a bias it wins, without it does not."""
+    with device.texture(SIZE, Format.R8) as image, device.texture(SIZE, Format.D24S8) as depth:
+        for units, seen in ((0.0, 0), (32.0, 255), (-32.0, 0)):
+            with (
+                device.mesh(rectangle(depth=0.5, color=(0, 0, 0, 0))) as below,
+                device.mesh(rectangle(depth=0.5)) as above,
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0),
+            ):
+                device.draw(device.program(Colored), below)
+                with device.states(DepthBias(units)):
+                    device.draw(device.program(Colored), above)
+            assert_same(image.read(), seen)
+
+
+@pytest.mark.parametrize("slope", [1.0, 2.0, -1.0])
+def test_a_polygon_offset_is_counted_in_the_polygon_s_slope(device: Device, slope: float) -> None:
+    ramp = rectangle()
+    ramp["position"][:, 2] = np.where(ramp["position"][:, 0] < 0, 0.25, 0.75)
+    plain = depth_after(device, ramp, size=(8, 4))
+    offset = depth_after(device, ramp, size=(8, 4), states=(PolygonOffset(slope),))
+    assert_near(offset - plain, slope * 0.5 / 8, 2.0**-20, "slopes are computed in float32")
+
+
+def test_a_polygon_offset_does_not_move_what_faces_the_camera(device: Device) -> None:
+    assert_near(depth_after(device, rectangle(depth=0.5), states=(PolygonOffset(4.0),)), 0.5, 2.0**-22, "float32")
+
+
+@pytest.mark.needs("depth_bias_clamp")
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_polygon_offset_is_kept_within_its_clamp(device: Device, sign: float) -> None:
+    ramp = rectangle()
+    ramp["position"][:, 2] = np.where(ramp["position"][:, 0] < 0, 0.25, 0.75)
+    plain = depth_after(device, ramp, size=(8, 4))
+    offset = depth_after(device, ramp, size=(8, 4), states=(PolygonOffset(4.0 * sign, 0.01 * sign),))
+    assert_near(offset - plain, 0.01 * sign, 2.0**-20, "slopes are computed in float32")
+
+
+def test_lines_and_points_are_not_offset(device: Device) -> None:
+    rows = rectangle(depth=0.5)
+    with device.texture(SIZE, Format.D24S8) as depth, device.mesh(rows, primitive=rhi.Primitive.POINTS) as mesh:
+        with device.render_pass(depth=depth, clear_depth=0.0), device.states(DepthBias(1000.0)):
+            device.draw(device.program(Colored), mesh)
+        stored = depth.read()
+    assert_near(stored[stored > 0], 0.5, 2.0**-23, "24 bits of depth")

@@ -1,0 +1,353 @@
+"""Fragments with side effects: discard, early depth, depth of their own, atomics; and the order of effects."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhi import DRAW_UNINDEXED, BlendFunction, ColorWrite, DepthFunction, Device, Format, IndirectDraws, Primitive
+from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
+from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Texture2D,
+    atomic_add,
+    discard,
+    fragment_coordinate,
+    global_id,
+    ivec2,
+    uint,
+    vec4,
+    vertex_index,
+)
+
+pytestmark = pytest.mark.needs("shading")
+
+SIZE = (8, 8)
+
+
+class Checkered(Shader):
+    """Every other fragment is thrown away."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        at = ivec2(fragment_coordinate().xy)
+        if (at.x + at.y) % 2 == 1:
+            discard()
+        return v.color
+
+
+BOARD = np.indices((8, 8)).sum(axis=0) % 2 == 0
+
+
+def test_a_discarded_fragment_writes_neither_color_nor_depth(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
+            device.draw(device.program(Checkered), mesh)
+        assert_mask(image.read(), BOARD)
+        assert_mask(depth.read(), BOARD)
+
+
+class CountFragments(Shader):
+    """Counts the fragments that run."""
+
+    total: StorageRW[uint]
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        atomic_add(self.total[0], uint(1))
+        return v.color
+
+
+class CountEarly(CountFragments):
+    """The same, after the depth test."""
+
+    early_depth = True
+
+
+class CountDiscarding(Shader):
+    """Counts before and after it throws half of the fragments away."""
+
+    early_depth = True
+    total: StorageRW[uint]
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        atomic_add(self.total[0], uint(1))
+        at = ivec2(fragment_coordinate().xy)
+        if (at.x + at.y) % 2 == 1:
+            discard()
+        atomic_add(self.total[1], uint(1))
+        return v.color
+
+
+def test_every_covered_texel_runs_one_fragment(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rectangle(-1, 0, 0, 1)) as mesh,
+        device.storage(uint, 1) as total,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(CountFragments), mesh, total=total)
+        assert_same(total.read(), 16)
+
+
+def counted(device: Device, shader: Any) -> int:
+    """Fragments that run for a rectangle of which three quarters are hidden."""
+    hidden = [rectangle(-1, -1, 1, 0, depth=0.9), rectangle(-1, 0, 0, 1, depth=0.9)]
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(np.concatenate(hidden)) as front,
+        device.mesh(rectangle(depth=0.5)) as behind,
+        device.storage(uint, 2) as total,
+    ):
+        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
+            device.draw(device.program(Colored), front)
+            device.draw(device.program(shader), behind, total=total)
+        return int(total.read()[0])
+
+
+def test_without_early_depth_hidden_fragments_have_their_effects(device: Device) -> None:
+    """The test comes after the shader, as written: effects of hidden fragments are seen."""
+    assert counted(device, CountFragments) == 64
+
+
+def test_with_early_depth_hidden_fragments_have_none(device: Device) -> None:
+    assert counted(device, CountEarly) == 16
+
+
+def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(rectangle()) as mesh,
+        device.storage(uint, 2) as total,
+    ):
+        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0):
+            device.draw(device.program(CountDiscarding), mesh, total=total)
+        assert_same(total.read(), [64, 32])
+        assert_mask(image.read(), BOARD)
+        assert_same(depth.read(), 0.5)
+
+
+def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device) -> None:
+    rows = rectangle(depth=0.1)
+    rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
+    with device.texture(SIZE, Format.D32F) as depth, device.texture(SIZE, Format.R8) as image, device.mesh(rows) as mesh:
+        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5):
+            device.draw(device.program(DepthFromColor), mesh)
+        ramp = np.broadcast_to((np.arange(8) + 0.5) / 8, (8, 8))
+        assert_near(depth.read(), np.maximum(ramp, 0.5), 1e-6, "interpolation in float32")
+        assert_mask(image.read(), ramp > 0.5)
+
+
+def test_a_fragment_s_own_depth_is_clamped(device: Device) -> None:
+    with device.texture(SIZE, Format.D32F) as depth, device.texture(SIZE, Format.R8) as image:
+        for value, expected in ((-1.0, 0.0), (2.0, 1.0)):
+            with device.mesh(rectangle(color=(value, 0, 0, 0))) as mesh:
+                with device.render_pass(image, depth, clear_depth=0.5), device.states(DepthFunction.ALWAYS):
+                    device.draw(device.program(DepthFromColor), mesh)
+            assert_same(depth.read(), expected)
+
+
+# -- order of memory effects, without barriers of the user's -----------------------------------------------
+
+
+class Scale(Shader):
+    """Writes the vertices of a rectangle."""
+
+    vertices: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        x = -1.0 if i == 0 or i == 3 else 0.0
+        y = 0.0 if i < 2 else 1.0
+        self.vertices[2 * i] = vec4(x, y, 0.5, 1.0)
+        self.vertices[2 * i + 1] = vec4(1.0)
+
+
+@pytest.mark.needs("compute")
+def test_a_draw_reads_vertices_that_a_dispatch_wrote(device: Device) -> None:
+    with device.buffer(4, Corner.dtype) as vertices, device.texture(SIZE, Format.R8) as image:
+        mesh = device.mesh(vertices, primitive=Primitive.QUADS)
+        device.dispatch(device.program(Scale), 4, vertices=device.storage(vec4, vertices))
+        with device.render_pass(image):
+            device.draw(device.program(Colored), mesh)
+        mask = np.zeros((8, 8), bool)
+        mask[:4, :4] = True
+        assert_mask(image.read(), mask)
+        mesh.destroy()
+
+
+class Enumerate(Shader):
+    """Writes indices."""
+
+    indices: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.indices[i] = uint(i)
+
+
+@pytest.mark.needs("compute")
+def test_a_draw_reads_indices_that_a_dispatch_wrote(device: Device) -> None:
+    with device.buffer(6, np.dtype("u4")) as indices, device.texture(SIZE, Format.R8) as image:
+        with device.mesh(rectangle(), indices) as mesh:
+            device.dispatch(device.program(Enumerate), 6, indices=device.storage(uint, indices))
+            with device.render_pass(image):
+                device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 255)
+
+
+class Choose(Shader):
+    """Writes two draws, and how many of them are to be drawn."""
+
+    words: StorageRW[uint]
+
+    def compute(self) -> None:
+        for i in range(2):
+            self.words[5 * i] = uint(1)
+            self.words[5 * i + 1] = uint(1)
+            self.words[5 * i + 2] = uint(3 + 2 * i)
+            self.words[5 * i + 3] = uint(0)
+        self.words[10] = uint(1)
+
+
+@pytest.mark.needs("compute", "indirect_count")
+def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device: Device) -> None:
+    rows = corners(centers([(i, 0) for i in range(8)], (8, 1)))
+    with (
+        device.storage(uint, 11) as draws,
+        device.texture((8, 1), Format.R8) as image,
+        device.mesh(rows, primitive=Primitive.POINTS) as mesh,
+    ):
+        device.dispatch(device.program(Choose), 1, words=draws)
+        arguments = IndirectDraws(draws, 2, count=draws, count_offset=40)
+        with device.render_pass(image):
+            device.draw_indirect(device.program(Colored), mesh, arguments)
+        assert_mask(image.read(), np.arange(8)[None] == 3)
+    assert DRAW_UNINDEXED.itemsize == 20
+
+
+class Sampled(Shader):
+    """A texel below each fragment."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return self.source.load(ivec2(fragment_coordinate().xy)) + v.color
+
+
+def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
+    step = corners([(-1, -1), (3, -1), (-1, 3)], (1 / 32, 0, 0, 0))
+    with (
+        device.texture(SIZE, Format.RGBA32F) as one,
+        device.texture(SIZE, Format.RGBA32F) as two,
+        device.mesh(step) as mesh,
+    ):
+        for _ in range(10):
+            for source, target in ((one, two), (two, one)):
+                with device.render_pass(target):
+                    device.draw(device.program(Sampled), mesh, source=source)
+        assert_same(one.read()[..., 0], 20 / 32)
+
+
+class Fill(Shader):
+    """A fragment's number into memory."""
+
+    out: StorageRW[uint]
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        at = ivec2(fragment_coordinate().xy)
+        self.out[at.x + 8 * at.y] = uint(at.x + 8 * at.y + 1)
+        return v.color
+
+
+class Sum(Shader):
+    """Adds everything up."""
+
+    values: Storage[uint]
+    total: StorageRW[uint]
+
+    def compute(self) -> None:
+        total = uint(0)
+        for i in range(len(self.values)):
+            total += self.values[i]
+        self.total[0] = total
+
+
+@pytest.mark.needs("compute")
+def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rectangle()) as mesh,
+        device.storage(uint, 64) as values,
+        device.storage(uint, 1) as total,
+    ):
+        with device.render_pass(image), device.states(ColorWrite.OFF):
+            device.draw(device.program(Fill), mesh, out=values)
+        device.dispatch(device.program(Sum), 1, values=values, total=total)
+        assert_same(total.read(), 64 * 65 // 2)
+
+
+class FromMemory(Shader):
+    """Vertices and colors from storage, by number."""
+
+    points: Storage[vec4]
+
+    def vertex(self) -> Shade:
+        return Shade(clip=self.points[vertex_index()], color=vec4(1.0))
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+def test_a_vertex_stage_reads_storage(device: Device) -> None:
+    rows = np.zeros((8, 4), "f4")
+    rows[:, :2], rows[:, 2], rows[:, 3] = centers([(i, 0) for i in range(8)], (8, 1)), 0.5, 1.0
+    rows[3] = (9, 9, 9, 1)
+    with (
+        device.texture((8, 1), Format.R8) as image,
+        device.storage(vec4, rows) as points,
+        device.mesh(8, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(FromMemory), mesh, points=points)
+        assert_mask(image.read(), np.arange(8)[None] != 3)
+
+
+def test_draws_of_one_pass_see_their_effects_in_order(device: Device) -> None:
+    """Blending over and over: a later draw's fragment never overtakes an earlier one's."""
+    with device.texture(SIZE, Format.R32F) as image:
+        meshes = [device.mesh(rectangle(color=(i % 2, 0, 0, 0.5))) for i in range(12)]
+        with device.render_pass(image), device.states(BlendFunction.ALPHA):
+            for mesh in meshes:
+                device.draw(device.program(Colored), mesh)
+        value = 0.0
+        for i in range(12):
+            value = 0.5 * value + 0.5 * (i % 2)
+        assert_near(image.read(), value, 1e-6, "12 roundings in float32")
+        for mesh in meshes:
+            mesh.destroy()

@@ -1,0 +1,531 @@
+"""What a draw reads: vertex formats, views, bases, instances, shared buffers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rhi import DRAW, BlendFunction, CullMode, Device, Format, IndirectDraws, Primitive
+from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.shading import Flat, Shader, Struct, draw_index, instance_index, ivec4, uint, uvec4, vec2, vec3, vec4, vertex_index
+
+pytestmark = pytest.mark.needs("shading")
+
+ROW = (8, 1)
+CENTERS = centers([(i, 0) for i in range(8)], ROW)
+
+
+def drawn_points(device: Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
+    """How often each of 8 texels in a row was drawn."""
+    with device.texture(ROW, Format.R32F) as image:
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(Colored), mesh, instances)
+        return image.read()[0]
+
+
+# -- views -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 8), (0, 3), (5, 3), (3, 0), (7, 1), (8, 0)])
+def test_a_view_draws_its_vertices_only(device: Device, first: int, count: int) -> None:
+    expected = np.zeros(8)
+    expected[first : first + count] = 1
+    with device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+        assert_same(drawn_points(device, mesh.view(first, count)), expected)
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+@pytest.mark.parametrize(("first", "count"), [(0, 6), (0, 2), (3, 3), (2, 0), (5, 1)])
+def test_a_view_of_indices_draws_its_indices_only(device: Device, first: int, count: int, dtype: str) -> None:
+    indices = np.array([7, 0, 3, 3, 5, 1], dtype)
+    with device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh:
+        expected = np.bincount(indices[first : first + count], minlength=8)
+        assert_same(drawn_points(device, mesh.view(first, count)), expected)
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+@pytest.mark.parametrize("base", [0, 1, 4, -2])
+def test_a_base_vertex_is_added_to_each_index(device: Device, base: int, dtype: str) -> None:
+    indices = np.array([2, 3], dtype)
+    with device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh:
+        expected = np.bincount(indices.astype(int) + base, minlength=8)
+        assert_same(drawn_points(device, mesh.view(base_vertex=base)), expected)
+
+
+def test_a_base_vertex_reaches_what_16_bits_cannot(device: Device) -> None:
+    rows = corners(np.full((70_000, 2), -3.0))
+    rows["position"][69_999, :2] = CENTERS[4]
+    with device.mesh(rows, np.array([65_000], "u2"), primitive=Primitive.POINTS) as mesh:
+        assert_same(drawn_points(device, mesh.view(base_vertex=4_999)), np.arange(8) == 4)
+
+
+def test_a_view_can_have_another_primitive(device: Device) -> None:
+    rows = corners(centers([(0, 0), (7, 0)], ROW))
+    with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        assert drawn_points(device, mesh).sum() == 2
+        assert drawn_points(device, mesh.view(primitive=Primitive.LINES)).sum() >= 7
+
+
+def test_no_instance_draws_nothing(device: Device) -> None:
+    with device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+        assert_same(drawn_points(device, mesh, 0), 0)
+
+
+def test_meshes_can_share_buffers(device: Device) -> None:
+    with (
+        device.buffer(corners(CENTERS)) as vertices,
+        device.buffer(np.array([1, 2], "u4")) as one,
+        device.buffer(np.array([6], "u2")) as two,
+    ):
+        first = device.mesh(vertices, one, primitive=Primitive.POINTS)
+        second = device.mesh(vertices, two, primitive=Primitive.POINTS)
+        assert_same(drawn_points(device, first), np.isin(np.arange(8), (1, 2)))
+        assert_same(drawn_points(device, second), np.arange(8) == 6)
+        first.destroy()
+        assert_same(drawn_points(device, second), np.arange(8) == 6)
+        second.destroy()
+
+
+def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: Device) -> None:
+    with device.mesh(corners(CENTERS[:1]), primitive=Primitive.POINTS) as mesh:
+        assert_same(drawn_points(device, mesh), np.arange(8) == 0)
+        mesh.vertices.write(corners(CENTERS[5:6]))
+        assert_same(drawn_points(device, mesh), np.arange(8) == 5)
+
+
+def test_a_draw_sees_the_vertices_of_its_time(device: Device) -> None:
+    """A write after a draw doesn't reach back, though the GPU may not have got there yet."""
+    with (
+        device.texture(ROW, Format.R32F) as image,
+        device.mesh(corners(CENTERS[:1]), primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+            for i in range(8):
+                mesh.vertices.write(corners(CENTERS[i : i + 1]))
+                device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 1)
+
+
+def test_fields_that_the_program_does_not_read_are_skipped(device: Device) -> None:
+    dtype = np.dtype([("normal", "f4", 3), ("color", "f4", 4), ("id", "u1"), ("position", "f4", 4), ("uv", "f2", 2)])
+    rows = np.zeros(8, dtype)
+    plain = corners(CENTERS)
+    rows["position"], rows["color"] = plain["position"], plain["color"]
+    with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        assert_same(drawn_points(device, mesh), 1)
+
+
+def test_arrays_by_name_make_a_mesh(device: Device) -> None:
+    plain = corners(CENTERS)
+    arrays = {"position": plain["position"].astype(np.float64), "color": plain["color"]}
+    with device.mesh(arrays, primitive=Primitive.POINTS) as mesh:
+        assert_same(drawn_points(device, mesh), 1)
+
+
+# -- vertex formats ----------------------------------------------------------------------------------------
+
+
+class Probe(Struct):
+    """A vertex with one attribute of interest."""
+
+    position: vec2
+    value: vec4
+
+
+class ShowFloat(Shader):
+    """The attribute as a color."""
+
+    def vertex(self, v: Probe) -> FlatShade:
+        return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=v.value)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+@pytest.mark.parametrize("code", ["f4", "f2", "u1", "i1"])
+def test_a_float_attribute_takes_floats_and_normalised_integers(device: Device, code: str) -> None:
+    rng = np.random.default_rng(7)
+    values = rng.normal(size=(8, 4)).astype(code) if code[0] == "f" else np.zeros((8, 4), code)
+    if code[0] != "f":
+        limits = np.iinfo(code)
+        values[:] = rng.integers(limits.min, limits.max, (8, 4), endpoint=True)
+        values[0], values[1], values[2] = limits.max, limits.min, 0
+    expected = values.astype(np.float64)
+    if code[0] != "f":
+        expected = np.maximum(expected / np.iinfo(code).max, -1.0)
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh({"position": CENTERS, "value": values}, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(ShowFloat), mesh)
+        assert_near(image.read()[0], expected, 1e-6, "conversion in float32")
+
+
+class Pair(Struct):
+    """A vertex with two components of interest."""
+
+    position: vec2
+    pair: vec2
+
+
+class ShowPair(Shader):
+    """Two components as a color."""
+
+    def vertex(self, v: Pair) -> FlatShade:
+        return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=vec4(v.pair, 0.0, 1.0))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+@pytest.mark.parametrize("code", ["f4", "f2", "u2", "i2"])
+def test_two_components_take_two(device: Device, code: str) -> None:
+    values = (np.linspace(-1, 1, 16) * (1 if code[0] == "f" else 32767)).reshape(8, 2).astype(code)
+    expected = values.astype(np.float64)
+    if code[0] != "f":
+        expected = np.maximum(expected / np.iinfo(code).max, -1.0)
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh({"position": CENTERS, "pair": values}, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(ShowPair), mesh)
+        assert_near(image.read()[0, :, :2], expected, 1e-6, "conversion in float32")
+
+
+def test_a_vector_may_be_fed_more_components_than_it_reads(device: Device) -> None:
+    values = np.arange(32, dtype="f4").reshape(8, 4)
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh({"position": CENTERS, "pair": values}, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(ShowPair), mesh)
+        assert_same(image.read()[0, :, :2], values[:, :2])
+
+
+class IntegerProbe(Struct):
+    """A vertex with integers."""
+
+    position: vec2
+    unsigned: uvec4
+    signed: ivec4
+    single: uint
+
+
+class Integers(Struct):
+    """Integers on their way."""
+
+    clip: vec4
+    unsigned: Flat[uvec4]
+    signed: Flat[ivec4]
+    single: Flat[uint]
+
+
+class IntegerOutputs(Struct):
+    """Where they go."""
+
+    unsigned: uvec4
+    signed: ivec4
+    single: uint
+
+
+class ShowIntegers(Shader):
+    """Integer attributes to integer targets."""
+
+    def vertex(self, v: IntegerProbe) -> Integers:
+        return Integers(clip=vec4(v.position, 0.5, 1.0), unsigned=v.unsigned, signed=v.signed, single=v.single)
+
+    def fragment(self, v: Integers) -> IntegerOutputs:
+        return IntegerOutputs(unsigned=v.unsigned, signed=v.signed, single=v.single)
+
+
+@pytest.mark.parametrize("code", ["u4", "u1"])
+def test_integer_attributes_keep_all_their_bits(device: Device, code: str) -> None:
+    rng = np.random.default_rng(3)
+    unsigned = rng.integers(0, np.iinfo(code).max, (8, 4), endpoint=True).astype(code)
+    signed = rng.integers(-(2**31), 2**31, (8, 4)).astype("i4")
+    single = rng.integers(0, 2**32, 8).astype("u4")
+    targets = [device.texture(ROW, f) for f in (Format.RGBA32UI, Format.RGBA32I, Format.R32UI)]
+    arrays = {"position": CENTERS, "unsigned": unsigned, "signed": signed, "single": single}
+    with device.mesh(arrays, primitive=Primitive.POINTS) as mesh, device.render_pass(targets):
+        device.draw(device.program(ShowIntegers), mesh)
+    assert_same(targets[0].read()[0], unsigned)
+    assert_same(targets[1].read()[0], signed)
+    assert_same(targets[2].read()[0], single)
+    for target in targets:
+        target.destroy()
+
+
+class Narrow(Struct):
+    """A vertex of odd sizes."""
+
+    position: vec3
+    weight: float
+
+
+class ShowNarrow(Shader):
+    """Three components and one."""
+
+    def vertex(self, v: Narrow) -> FlatShade:
+        return FlatShade(clip=vec4(v.position, 1.0), color=vec4(v.weight))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+def test_three_components_and_one_lie_where_the_dtype_says(device: Device) -> None:
+    packed = np.zeros(8, np.dtype([("weight", "f4"), ("position", "f4", 3)]))
+    padded = np.zeros(8, Narrow.dtype)
+    for rows in (packed, padded):
+        rows["position"][:, :2], rows["position"][:, 2] = CENTERS, 0.5
+        rows["weight"] = np.arange(8)
+        with device.texture(ROW, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+            with device.render_pass(image):
+                device.draw(device.program(ShowNarrow), mesh)
+            assert_same(image.read()[0], np.arange(8))
+
+
+# -- instances ---------------------------------------------------------------------------------------------
+
+
+class Instanced(Struct):
+    """A vertex, and what an instance adds."""
+
+    position: vec2
+    offset: vec2
+    shade: float
+
+
+class ShowInstances(Shader):
+    """A point moved by its instance."""
+
+    def vertex(self, v: Instanced) -> FlatShade:
+        return FlatShade(clip=vec4(v.position + v.offset, 0.5, 1.0), color=vec4(v.shade))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+def instanced(device: Device) -> Any:
+    """One point, eight instances: each lands on a texel of its own with its number plus 1 as the color."""
+    vertices = {"position": CENTERS[:1]}
+    instances = {"offset": CENTERS - CENTERS[0], "shade": np.arange(1.0, 9.0)}
+    return device.mesh(vertices, instances=instances, primitive=Primitive.POINTS)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5, 8])
+def test_each_instance_reads_its_element(device: Device, count: int) -> None:
+    with device.texture(ROW, Format.R32F) as image, instanced(device) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(ShowInstances), mesh, count)
+        assert_same(image.read()[0], np.where(np.arange(8) < count, np.arange(1, 9), 0))
+
+
+@pytest.mark.parametrize("base", [0, 1, 6])
+def test_a_base_instance_says_where_to_begin(device: Device, base: int) -> None:
+    with device.texture(ROW, Format.R32F) as image, instanced(device) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(ShowInstances), mesh.view(base_instance=base), 2)
+        numbers = np.arange(8)
+        assert_same(image.read()[0], np.where((numbers >= base) & (numbers < base + 2), numbers + 1, 0))
+
+
+def test_instances_of_indexed_meshes_read_their_elements(device: Device) -> None:
+    vertices = {"position": CENTERS[[3, 0]]}
+    instances = {"offset": CENTERS[:4] - CENTERS[0], "shade": np.arange(1.0, 5.0)}
+    indices = np.array([0, 1], "u2")
+    with (
+        device.texture(ROW, Format.R32F) as image,
+        device.mesh(vertices, indices, instances=instances, primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(ShowInstances), mesh.view(base_instance=1, count=1), 3)
+        assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 4, 0])
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(ShowInstances), mesh.view(1, 1, base_vertex=-1, base_instance=1), 2)
+        assert_same(image.read()[0], [0, 0, 0, 0, 2, 3, 0, 0])
+
+
+class Numbered(Shader):
+    """Which vertex, instance and draw this is."""
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(
+            clip=v.position,
+            color=vec4(float(vertex_index()), float(instance_index()), float(draw_index()), 1.0),
+        )
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), np.array([1, 2, 3], "u2"), primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(Numbered), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
+        # Vertices 2 and 3, plus 2; the last of three instances is seen; instances count from their base.
+        assert_same(image.read()[0, 4], (4, 12, 0, 1))
+        assert_same(image.read()[0, 5], (5, 12, 0, 1))
+
+
+class FullTriangle(Shader):
+    """A triangle over the whole target, from vertex numbers alone."""
+
+    def vertex(self) -> FlatShade:
+        x = float(vertex_index() % 2) * 4.0 - 1.0
+        y = float(vertex_index() // 2) * 4.0 - 1.0
+        return FlatShade(clip=vec4(x, y, 0.5, 1.0), color=vec4(1.0))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+def test_a_shader_without_attributes_counts_its_vertices(device: Device) -> None:
+    with device.texture((4, 4), Format.R8) as image, device.mesh(3) as mesh:
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(FullTriangle), mesh)
+        assert_same(image.read(), 255)
+
+
+# -- many draws --------------------------------------------------------------------------------------------
+
+
+def test_many_draws_draw_what_each_says(device: Device) -> None:
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), np.arange(4, dtype="u2"), primitive=Primitive.POINTS) as mesh,
+    ):
+        draws = mesh.draws([0, 1, 0], [1, 2, 4], base_vertex=[0, 0, 4], base_instance=[5, 6, 7])
+        draws["instances"][1] = 0
+        with device.render_pass(image):
+            device.draw_many(device.program(Numbered), mesh, draws)
+        row = image.read()[0]
+    assert_same(row[0], (0, 5, 0, 1))
+    assert_same(row[1:4], 0)
+    assert_same(row[4:], [(4 + i, 7, 2, 1) for i in range(4)])
+
+
+def test_many_draws_without_indices(device: Device) -> None:
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw_many(device.program(Numbered), mesh, mesh.draws([6, 0], [2, 1], base_instance=[3, 9]))
+        row = image.read()[0]
+    assert_same(row[6:], [(6, 3, 0, 1), (7, 3, 0, 1)])
+    assert_same(row[0], (0, 9, 1, 1))
+    assert_same(row[1:6], 0)
+
+
+def test_no_draws_draw_nothing(device: Device) -> None:
+    with device.texture(ROW, Format.R32F) as image, device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image):
+            device.draw_many(device.program(Colored), mesh, mesh.draws(0, 8)[:0])
+        assert_same(image.read(), 0)
+
+
+def test_thousands_of_draws_in_one_call_are_all_drawn(device: Device) -> None:
+    count = 5000
+    with device.texture(ROW, Format.R32F) as image, device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+            device.draw_many(device.program(Colored), mesh, mesh.draws(np.arange(count) % 8, 1))
+        assert_same(image.read(), count / 8)
+
+
+def test_the_array_of_draws_may_change_right_after_the_call(device: Device) -> None:
+    with device.texture(ROW, Format.R32F) as image, device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+        draws = mesh.draws(0, 4)
+        with device.render_pass(image):
+            device.draw_many(device.program(Colored), mesh, draws)
+            draws["count"] = 8
+        assert_same(image.read()[0], np.arange(8) < 4)
+
+
+def test_many_quads_are_drawn_or_refused_but_never_wrong(device: Device) -> None:
+    from rhi import ValidationError
+
+    quad = corners([(-1, -1), (1, -1), (1, 1), (-1, 1)])
+    with device.texture(ROW, Format.R8) as image, device.mesh(quad, primitive=Primitive.QUADS) as mesh:
+        with device.render_pass(image):
+            try:
+                device.draw_many(device.program(Colored), mesh, mesh.draws())
+            except ValidationError:
+                return
+        assert_same(image.read(), 255)
+
+
+# -- indirect draws ----------------------------------------------------------------------------------------
+
+
+def indirect(device: Device, mesh: Any, arguments: IndirectDraws) -> NDArray[Any]:
+    with device.texture(ROW, Format.R32F) as image:
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+            device.draw_indirect(device.program(Colored), mesh, arguments)
+        return image.read()[0]
+
+
+def test_an_indirect_draw_reads_its_arguments(device: Device) -> None:
+    with device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=Primitive.POINTS) as mesh:
+        draws = np.array([(2, 3, 1, 0, 0), (1, 1, 0, 7, 0), (3, 0, 0, 0, 0)], DRAW)
+        with device.buffer(draws) as buffer:
+            expected = np.array([0, 3, 3, 0, 0, 0, 0, 1])
+            assert_same(indirect(device, mesh, IndirectDraws(buffer, 3)), expected)
+            assert_same(indirect(device, mesh, IndirectDraws(buffer, 1)), [0, 3, 3, 0, 0, 0, 0, 0])
+            assert_same(indirect(device, mesh, IndirectDraws(buffer, 1, offset=20)), np.arange(8) == 7)
+
+
+def test_an_indirect_draw_without_indices_reads_its_arguments(device: Device) -> None:
+    with device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh:
+        with device.buffer(mesh.draws([2, 7], [3, 1], instances=[2, 1])) as buffer:
+            assert_same(indirect(device, mesh, IndirectDraws(buffer, 2)), [0, 0, 2, 2, 2, 0, 0, 1])
+
+
+def test_indirect_draws_may_lie_a_stride_apart(device: Device) -> None:
+    words = np.zeros((3, 8), "u4")
+    with device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=Primitive.POINTS) as mesh:
+        words[:, :5] = [(1, 1, 0, 0, 0), (1, 1, 3, 0, 0), (1, 1, 6, 0, 0)]
+        words[:, 5:] = 999
+        with device.buffer(np.concatenate([[999, 999], words.reshape(-1)]).astype("u4")) as buffer:
+            arguments = IndirectDraws(buffer, 3, offset=8, stride=32)
+            assert_same(indirect(device, mesh, arguments), np.isin(np.arange(8), (0, 3, 6)))
+
+
+@pytest.mark.needs("indirect_count")
+@pytest.mark.parametrize(("stored", "drawn"), [(0, 0), (1, 1), (3, 3), (4, 4), (9, 4)])
+def test_a_count_from_a_buffer_limits_indirect_draws(device: Device, stored: int, drawn: int) -> None:
+    with (
+        device.mesh(corners(CENTERS), np.arange(8, dtype="u4"), primitive=Primitive.POINTS) as mesh,
+        device.buffer(mesh.draws(np.arange(4), 1)) as buffer,
+        device.buffer(np.array([77, stored], "u4")) as count,
+    ):
+        arguments = IndirectDraws(buffer, 4, count=count, count_offset=4)
+        assert_same(indirect(device, mesh, arguments), np.arange(8) < drawn)
+
+
+def test_arguments_are_read_when_the_draw_is_executed(device: Device) -> None:
+    """Not when it is issued: what is copied there before it in the stream counts."""
+    with (
+        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.buffer(mesh.draws(3, 2)) as source,
+        device.buffer(mesh.draws(0, 8)) as buffer,
+    ):
+        source.copy_to(buffer)
+        assert_same(indirect(device, mesh, IndirectDraws(buffer, 1)), np.isin(np.arange(8), (3, 4)))
+
+
+def test_a_draw_with_no_vertices_draws_nothing(device: Device) -> None:
+    with device.mesh(rectangle()) as mesh, device.texture((2, 2), Format.R8) as image:
+        with device.render_pass(image):
+            device.draw(device.program(Colored), mesh.view(0, 0))
+        assert_mask(image.read(), np.zeros((2, 2), bool))

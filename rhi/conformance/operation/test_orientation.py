@@ -1,0 +1,339 @@
+"""Row 0 is the top row, everywhere: clears, draws, reads, copies, samples, loads, stores, coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from rhi import Device, Filter, Format, Region, SamplerDescriptor, Wrap
+from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.shaders import Colored, Place, PlaceVarying, Shade, Corner
+from rhi.conformance.shapes import WHITE, corners, rectangle
+from rhi.shading import (
+    Image2D,
+    Shader,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    ddx,
+    ddy,
+    fragment_coordinate,
+    global_id,
+    image,
+    ivec2,
+    mat2,
+    mat3,
+    mat4,
+    vec2,
+    vec3,
+    vec4,
+)
+
+pytestmark = pytest.mark.needs("shading")
+
+NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wrap.CLAMP)
+
+
+def texels(width: int, height: int) -> np.ndarray:
+    """Every texel its own color."""
+    y, x = np.mgrid[0:height, 0:width]
+    return np.stack([x, y, 255 - x, 255 - y], axis=-1).astype(np.uint8)
+
+
+def test_plus_y_is_up_and_row_0_is_the_top(device: Device) -> None:
+    with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh:
+        with device.render_pass(target):
+            device.draw(device.program(Colored), mesh)
+        mask = np.zeros((4, 4), bool)
+        mask[0] = True
+        assert_mask(target.read(), mask)
+
+
+def test_plus_x_is_right(device: Device) -> None:
+    with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(0.5, -1, 1, 1)) as mesh:
+        with device.render_pass(target):
+            device.draw(device.program(Colored), mesh)
+        mask = np.zeros((4, 4), bool)
+        mask[:, 3] = True
+        assert_mask(target.read(), mask)
+
+
+def test_depth_has_its_top_row_first_too(device: Device) -> None:
+    with device.texture((4, 4), Format.D32F) as target, device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh:
+        with device.render_pass(depth=target, clear_depth=0.0):
+            device.draw(device.program(Colored), mesh)
+        expected = np.zeros((4, 4))
+        expected[0] = 0.5
+        assert_same(target.read(), expected)
+        assert_same(target.read(region=Region(0, 0, 4, 1)), 0.5)
+
+
+class Textured(Shader):
+    """A texture where uv says."""
+
+    source: Texture2D
+
+    def vertex(self, v: Place) -> PlaceVarying:
+        return PlaceVarying(clip=v.position, uv=v.uv)
+
+    def fragment(self, v: PlaceVarying) -> vec4:
+        return self.source.sample(v.uv)
+
+
+def placed(uvs: object) -> np.ndarray:
+    """A full rectangle whose corners (lower left, lower right, upper right, upper left) have these uv."""
+    rows = np.zeros(6, Place.dtype)
+    rows["position"] = rectangle()["position"]
+    rows["uv"] = np.asarray(uvs)[[0, 1, 2, 0, 2, 3]]
+    return rows
+
+
+UPRIGHT = [(0, 1), (1, 1), (1, 0), (0, 0)]
+
+
+def test_v_0_is_the_top_row(device: Device) -> None:
+    """A texture drawn with v = 0 at the top of the target comes out as it was written."""
+    data = texels(5, 3)
+    with (
+        device.texture(data, Format.RGBA8) as source,
+        device.texture((5, 3), Format.RGBA8) as target,
+        device.mesh(placed(UPRIGHT)) as mesh,
+    ):
+        with device.render_pass(target):
+            device.draw(device.program(Textured), mesh, source=source.sampled(NEAREST))
+        assert_same(target.read(), data)
+
+
+def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
+    with (
+        device.texture((4, 4), Format.RGBA8) as drawn,
+        device.texture((4, 4), Format.RGBA8) as target,
+        device.mesh(rectangle(-1, 0, 0, 1)) as corner,
+        device.mesh(placed(UPRIGHT)) as whole,
+    ):
+        with device.render_pass(drawn, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Colored), corner)
+        with device.render_pass(target):
+            device.draw(device.program(Textured), whole, source=drawn.sampled(NEAREST))
+        expected = np.zeros((4, 4, 4))
+        expected[:2, :2] = 255
+        assert_same(target.read(), expected)
+
+
+def test_a_drawn_texture_is_copied_as_it_is(device: Device) -> None:
+    with (
+        device.texture((4, 4), Format.RGBA8) as drawn,
+        device.texture((4, 4), Format.RGBA8) as target,
+        device.mesh(rectangle(-1, 0.5, -0.5, 1)) as corner,
+    ):
+        with device.render_pass(drawn, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Colored), corner)
+        drawn.copy_to(target, region=Region(0, 0, 2, 2), x=2, y=1)
+        mask = np.zeros((4, 4), bool)
+        mask[1, 2] = True
+        assert_mask(target.read(), mask)
+
+
+class FragmentPlace(Shader):
+    """Where the fragment is."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return fragment_coordinate()
+
+
+def test_fragment_coordinates_count_from_the_top_left(device: Device) -> None:
+    rows = rectangle(depth=0.25)
+    rows["position"] *= 2.0
+    with device.texture((5, 3), Format.RGBA32F) as target, device.mesh(rows) as mesh:
+        with device.render_pass(target):
+            device.draw(device.program(FragmentPlace), mesh)
+        y, x = np.mgrid[0:3, 0:5] + 0.5
+        assert_same(target.read(), np.stack([x, y, 0 * x + 0.25, 0 * x + 0.5], axis=-1))
+
+
+def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> None:
+    from rhi import Viewport
+
+    with device.texture((8, 8), Format.RGBA32F) as target, device.mesh(rectangle()) as mesh:
+        with device.render_pass(target), device.states(Viewport(4, 2, 4, 4)):
+            device.draw(device.program(FragmentPlace), mesh)
+        pixels = target.read()
+        assert_same(pixels[2, 4, :2], (4.5, 2.5))
+        assert_same(pixels[5, 7, :2], (7.5, 5.5))
+
+
+class Derivatives(Shader):
+    """How the color changes to the right and downwards."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return vec4(ddx(v.color.xy), ddy(v.color.xy))
+
+
+def test_derivatives_point_right_and_down(device: Device) -> None:
+    rows = rectangle()
+    rows["color"][:, 0] = (rows["position"][:, 0] + 1) / 2 * 8  # grows to the right, by 1 a texel
+    rows["color"][:, 1] = (1 - rows["position"][:, 1]) / 2 * 16  # grows downwards, by 2 a texel
+    with device.texture((8, 8), Format.RGBA32F) as target, device.mesh(rows) as mesh:
+        with device.render_pass(target):
+            device.draw(device.program(Derivatives), mesh)
+        assert_near(target.read(), (1, 0, 0, 2), 1e-4, "differences of interpolated float32 values")
+
+
+class Loads(Shader):
+    """Texels by their integer coordinates."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return self.source.load(ivec2(fragment_coordinate().xy))
+
+
+def test_texel_loads_count_from_the_top_left(device: Device) -> None:
+    data = texels(5, 3)
+    with (
+        device.texture(data, Format.RGBA8) as source,
+        device.texture((5, 3), Format.RGBA8) as target,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with device.render_pass(target):
+            device.draw(device.program(Loads), mesh, source=source)
+        assert_same(target.read(), data)
+
+
+class Marks(Shader):
+    """Writes its own coordinates into an image."""
+
+    target: Image2D = image(Format.RGBA32F)
+
+    def compute(self) -> None:
+        at = global_id().xy
+        self.target.store(at, vec4(vec2(at), 0.0, 1.0))
+
+
+@pytest.mark.needs("compute")
+def test_image_stores_count_from_the_top_left(device: Device) -> None:
+    with device.texture((5, 3), Format.RGBA32F) as target:
+        device.dispatch(device.program(Marks), (5, 3), target=target.image())
+        y, x = np.mgrid[0:3, 0:5]
+        assert_same(target.read()[..., :2], np.stack([x, y], axis=-1))
+
+
+class ImageLoads(Shader):
+    """Copies an image texel by texel."""
+
+    source: Image2D = image(Format.RGBA8)
+    target: Image2D = image(Format.RGBA8)
+
+    def compute(self) -> None:
+        at = global_id().xy
+        self.target.store(at, self.source.load(at))
+
+
+@pytest.mark.needs("compute")
+def test_image_loads_see_drawn_texels_from_the_top_left(device: Device) -> None:
+    with (
+        device.texture((4, 4), Format.RGBA8) as drawn,
+        device.texture((4, 4), Format.RGBA8) as target,
+        device.mesh(rectangle(-1, 0.5, -0.5, 1)) as corner,
+    ):
+        with device.render_pass(drawn, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Colored), corner)
+        device.dispatch(device.program(ImageLoads), (4, 4), source=drawn.image(), target=target.image())
+        mask = np.zeros((4, 4), bool)
+        mask[0, 0] = True
+        assert_mask(target.read(), mask)
+
+
+# -- matrices ----------------------------------------------------------------------------------------------
+
+
+class Camera(Struct):
+    """A matrix and what else may go wrong with its layout."""
+
+    world: mat4
+    turn: mat3
+    flat: mat2
+    scale: float
+
+
+class Moved(Shader):
+    """Positions times a matrix."""
+
+    camera: Uniform[Camera]
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=self.camera.world @ v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+TURN = np.array([(1, 2, 3), (4, 5, 6), (7, 8, 10)], float)
+FLAT = np.array([(1, 2), (3, 4)], float)
+
+
+def test_a_matrix_is_applied_as_numpy_does(device: Device) -> None:
+    """`matrix @ vector`, uploaded as it is: a translation stands in the last column."""
+    world = np.eye(4)
+    world[:3, 3] = (1.0, 0.5, 0.0)
+    rows = rectangle(-1, 0, -0.5, 0.5)
+    with (
+        device.texture((4, 4), Format.R8) as target,
+        device.uniform(Camera(world=world, turn=TURN, flat=FLAT, scale=1.0)) as camera,
+        device.mesh(rows) as mesh,
+    ):
+        with device.render_pass(target):
+            device.draw(device.program(Moved), mesh, camera=camera)
+        mask = np.zeros((4, 4), bool)
+        mask[0, 2] = True
+        assert_mask(target.read(), mask)
+
+
+class Products(Shader):
+    """Every product of matrix and vector, and single elements."""
+
+    camera: Uniform[Camera]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        v = vec3(1.0, 10.0, 100.0)
+        self.results[0] = vec4(self.camera.turn @ v, self.camera.scale)
+        self.results[1] = vec4(v @ self.camera.turn, 0.0)
+        self.results[2] = vec4(self.camera.flat @ vec2(1.0, 10.0), vec2(1.0, 10.0) @ self.camera.flat)
+        self.results[3] = self.camera.world @ vec4(v, 1000.0)
+        self.results[4] = vec4((self.camera.turn @ self.camera.turn) @ v, 0.0)
+
+
+@pytest.mark.needs("compute")
+def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
+    world = np.arange(16.0).reshape(4, 4)
+    v = np.array([1.0, 10.0, 100.0])
+    with (
+        device.uniform(Camera(world=world, turn=TURN, flat=FLAT, scale=7.0)) as camera,
+        device.storage(vec4, 5) as results,
+    ):
+        device.dispatch(device.program(Products), 1, camera=camera, results=results)
+        back = results.read()
+    assert_same(back[0], (*(TURN @ v), 7.0))
+    assert_same(back[1, :3], v @ TURN)
+    assert_same(back[2], (*(FLAT @ v[:2]), *(v[:2] @ FLAT)))
+    assert_same(back[3], world @ (*v, 1000.0))
+    assert_same(back[4, :3], TURN @ TURN @ v)
+
+
+def test_white_is_white(device: Device) -> None:
+    """The control of all of these: nothing else is drawn but what a test asks for."""
+    with device.texture((2, 2), Format.RGBA8) as target, device.mesh(corners([(-1, -1), (3, -1), (-1, 3)], WHITE)) as mesh:
+        with device.render_pass(target):
+            device.draw(device.program(Colored), mesh)
+        assert_same(target.read(), 255)

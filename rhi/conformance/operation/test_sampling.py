@@ -1,0 +1,545 @@
+"""Textures as shaders read them: filters, wraps, levels, kinds, formats, comparisons."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from rhi import Comparison, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
+from rhi.conformance.compare import assert_near, assert_same
+from rhi.conformance.formats import require_format
+from rhi.conformance.reference import compare, decode
+from rhi.conformance.shaders import Colored, Corner, Shade
+from rhi.conformance.shapes import rectangle
+from rhi.formats import COLOR_FORMATS, Kind
+from rhi.shading import (
+    DepthTexture2D,
+    IntTexture2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Texture2D,
+    Texture2DArray,
+    Texture3D,
+    TextureCube,
+    UintTexture2D,
+    global_id,
+    ivec2,
+    ivec3,
+    ivec4,
+    uvec4,
+    vec2,
+    vec4,
+)
+
+pytestmark = pytest.mark.needs("shading", "compute")
+
+NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wrap.CLAMP, Wrap.CLAMP)
+LINEAR = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, Wrap.CLAMP)
+FILTERED = "linear filters have 8 fraction bits at least"
+
+
+def identity(value: Any) -> str:
+    return value.name if isinstance(value, Format | TextureKind | Wrap | Comparison) else str(value)
+
+
+class Sample2D(Shader):
+    """A texture at (u, v) and level z."""
+
+    source: Texture2D
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        self.results[i] = self.source.sample_lod(at.xy, at.z)
+
+
+class SampleArray(Shader):
+    """A layer at (u, v, layer) and level w."""
+
+    source: Texture2DArray
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        self.results[i] = self.source.sample_lod(at.xyz, at.w)
+
+
+class Sample3D(Shader):
+    """A volume at (u, v, w) and a level."""
+
+    source: Texture3D
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        self.results[i] = self.source.sample_lod(at.xyz, at.w)
+
+
+class SampleCube(Shader):
+    """A cube in a direction, at a level."""
+
+    source: TextureCube
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        self.results[i] = self.source.sample_lod(at.xyz, at.w)
+
+
+class Gather2D(Shader):
+    """Component 1 of the four texels around (u, v)."""
+
+    source: Texture2D
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.results[i] = self.source.gather(self.places[i].xy, 1)
+
+
+def sampled(device: Device, shader: Any, texture: Any, places: ArrayLike) -> NDArray[Any]:
+    """What `shader` reads at each of `places` (n, 2 to 4)."""
+    given = np.asarray(places, "f4")
+    full = np.zeros((len(given), 4), "f4")
+    full[:, : given.shape[1]] = given
+    with device.storage(vec4, full) as where, device.storage(vec4, len(full)) as results:
+        device.dispatch(device.program(shader), len(full), source=texture, places=where, results=results)
+        return results.read()
+
+
+def texel_centers(width: int, height: int) -> NDArray[np.float64]:
+    y, x = np.mgrid[0:height, 0:width]
+    return np.stack([(x + 0.5) / width, (y + 0.5) / height], axis=-1).reshape(-1, 2)
+
+
+# -- formats -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=identity)
+def test_a_shader_reads_what_the_format_means(device: Device, format: Format) -> None:
+    require_format(device, format)
+    rng = np.random.default_rng(1)
+    if format.dtype.kind == "f":
+        data = rng.normal(0, 10, (4, 8, format.channels)).astype(format.dtype)
+    else:
+        limits = np.iinfo(format.dtype)
+        data = rng.integers(limits.min, limits.max, (4, 8, format.channels), dtype=format.dtype, endpoint=True)
+        data.reshape(-1)[:2] = limits.min, limits.max
+    with device.texture(data[..., 0] if format.channels == 1 else data, format) as texture:
+        back = sampled(device, Sample2D, texture.sampled(NEAREST), texel_centers(8, 4))
+    slack = 2e-3 if format.kind is Kind.SRGB else 1e-6
+    reason = "sRGB curves may be tables" if format.kind is Kind.SRGB else "conversion in float32"
+    assert_near(back, decode(format, data).reshape(-1, 4), slack, reason)
+
+
+class LoadUint(Shader):
+    """Unsigned integers by texel."""
+
+    source: UintTexture2D
+    results: StorageRW[uvec4]
+
+    def compute(self) -> None:
+        at = global_id().xy
+        self.results[at.y * 4 + at.x] = self.source.load(at)
+
+
+class LoadInt(Shader):
+    """Signed integers by texel."""
+
+    source: IntTexture2D
+    results: StorageRW[ivec4]
+
+    def compute(self) -> None:
+        at = global_id().xy
+        self.results[at.y * 4 + at.x] = self.source.load(at)
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=identity)
+def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
+    require_format(device, format)
+    limits = np.iinfo(format.dtype)
+    data = np.random.default_rng(2).integers(
+        limits.min, limits.max, (2, 4, format.channels), dtype=format.dtype, endpoint=True
+    )
+    expected = np.zeros((8, 4))
+    expected[:, 3] = 1
+    expected[:, : format.channels] = data.reshape(8, -1)
+    shader, element = (LoadUint, uvec4) if format.kind is Kind.UINT else (LoadInt, ivec4)
+    with (
+        device.texture(data[..., 0] if format.channels == 1 else data, format) as texture,
+        device.storage(element, 8) as results,
+    ):
+        device.dispatch(device.program(shader), (4, 2), source=texture, results=results)
+        assert_same(results.read(), expected)
+
+
+@pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity)
+def test_depth_is_read_as_red(device: Device, format: Format) -> None:
+    require_format(device, format)
+    with device.texture((4, 4), format) as depth:
+        with device.render_pass(depth=depth, clear_depth=0.25):
+            pass
+        back = sampled(device, Sample2D, depth, [(0.5, 0.5)])
+    assert_near(back[:, 0], 0.25, 2.0**-16, "16 bits of depth")
+
+
+# -- filters -----------------------------------------------------------------------------------------------
+
+
+ROW = np.array([[0, 100, 40, 200]], np.uint8)
+
+
+def test_nearest_takes_the_texel_that_contains_the_place(device: Device) -> None:
+    u = np.array([0.0, 0.2, 0.26, 0.49, 0.51, 0.74, 0.76, 0.99])
+    with device.texture(ROW, Format.R8) as texture:
+        back = sampled(device, Sample2D, texture.sampled(NEAREST), np.stack([u, u * 0], axis=1))
+    assert_near(back[:, 0] * 255, ROW[0, np.floor(u * 4).astype(int)], 1e-4, "conversion in float32")
+
+
+def test_linear_mixes_the_texels_around_the_place(device: Device) -> None:
+    u = np.linspace(0, 1, 33)
+    with device.texture(ROW, Format.R8) as texture:
+        back = sampled(device, Sample2D, texture.sampled(LINEAR), np.stack([u, u * 0 + 0.5], axis=1))
+    expected = np.interp(u * 4 - 0.5, np.arange(4), ROW[0])
+    assert_near(back[:, 0] * 255, expected, 200 / 256 + 0.01, FILTERED)
+
+
+def test_linear_mixes_in_both_directions(device: Device) -> None:
+    data = np.array([[0, 64], [128, 255]], np.uint8)
+    with device.texture(data, Format.R8) as texture:
+        back = sampled(device, Sample2D, texture.sampled(LINEAR), [(0.5, 0.5), (0.375, 0.625)])
+    expected = (data.mean(), 0.25 * (0.75 * 0 + 0.25 * 64) + 0.75 * (0.75 * 128 + 0.25 * 255))
+    assert_near(back[:, 0] * 255, expected, 2.1, FILTERED)
+
+
+def test_linear_filters_floats_beyond_1(device: Device) -> None:
+    with device.texture(np.array([[-1000.0, 3000.0]], "f4"), Format.R32F) as texture:
+        back = sampled(device, Sample2D, texture.sampled(LINEAR), [(0.5, 0.5)])
+    assert_near(back[:, 0], 1000, 4000 / 256, FILTERED)
+
+
+def test_srgb_is_filtered_in_linear_light(device: Device) -> None:
+    data = np.array([[(0, 0, 0, 0), (255, 255, 255, 255)]], np.uint8)
+    with device.texture(data, Format.RGBA8_SRGB) as texture:
+        back = sampled(device, Sample2D, texture.sampled(LINEAR), [(0.5, 0.5)])
+    assert_near(back, 0.5, 1 / 128, FILTERED)
+
+
+class Drawn(Shader):
+    """A texture over the whole target, its level chosen by the derivatives."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return self.source.sample(v.color.xy)
+
+
+@pytest.mark.parametrize(
+    ("minify", "magnify", "size", "smooth"),
+    [
+        (Filter.NEAREST, Filter.LINEAR, 4, True),
+        (Filter.LINEAR, Filter.NEAREST, 4, False),
+        (Filter.NEAREST, Filter.LINEAR, 64, False),
+        (Filter.LINEAR, Filter.NEAREST, 64, True),
+    ],
+)
+def test_minifying_and_magnifying_have_filters_of_their_own(
+    device: Device, minify: Filter, magnify: Filter, size: int, smooth: bool
+) -> None:
+    """A board of 0 and 255 on 16×16 texels, with uv moved so that linear always mixes."""
+    board = ((np.indices((size, size)).sum(axis=0) % 2) * 255).astype(np.uint8)
+    rows = rectangle()
+    rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2 + 0.3 / size
+    sampler = SamplerDescriptor(minify, magnify, None)
+    with (
+        device.texture(board, Format.R8) as texture,
+        device.texture((16, 16), Format.R8) as image,
+        device.mesh(rows) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(Drawn), mesh, source=texture.sampled(sampler))
+        values = np.unique(image.read())
+    assert (set(values) <= {0, 255}) is not smooth, values
+
+
+# -- wraps -------------------------------------------------------------------------------------------------
+
+
+def wrapped(index: NDArray[np.int64], wrap: Wrap, size: int) -> NDArray[np.int64]:
+    """The texel that is read for `index`; −1 for the border."""
+    if wrap is Wrap.REPEAT:
+        return index % size
+    if wrap is Wrap.MIRROR:
+        turn = index % (2 * size)
+        return np.where(turn < size, turn, 2 * size - 1 - turn)
+    if wrap is Wrap.CLAMP:
+        return np.clip(index, 0, size - 1)
+    return np.where((index >= 0) & (index < size), index, -1)
+
+
+@pytest.mark.parametrize("wrap", list(Wrap), ids=identity)
+@pytest.mark.parametrize("axis", [0, 1], ids=["u", "v"])
+def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis: int) -> None:
+    index = np.arange(-9, 14)
+    places = np.full((len(index), 2), 0.5)
+    places[:, axis] = (index + 0.5) / 4
+    border = (0.5, 0.25, 1.0, 0.75)
+    wraps = [Wrap.CLAMP, Wrap.CLAMP]
+    wraps[axis] = wrap
+    descriptor = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, *wraps, border=border)
+    data = np.zeros((4, 4, 4), np.float32)
+    data[:] = np.array([(i, 10 + i, 20 + i, 30 + i) for i in range(4)])[None, :]
+    if axis == 1:
+        data = data.swapaxes(0, 1)
+    with device.texture(np.ascontiguousarray(data), Format.RGBA32F) as texture:
+        back = sampled(device, Sample2D, texture.sampled(descriptor), places)
+    texel = wrapped(index, wrap, 4)
+    expected = np.where(texel[:, None] < 0, border, texel[:, None] + (0, 10, 20, 30))
+    assert_same(back, expected)
+
+
+def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
+    descriptor = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1))
+    with device.texture(np.zeros((1, 4), np.uint8), Format.R8) as texture:
+        back = sampled(device, Sample2D, texture.sampled(descriptor), [(0.0, 0.5), (0.125, 0.5), (-1.0, 0.5)])
+    assert_near(back[:, 0], (0.5, 0, 1), 1 / 256, FILTERED)
+
+
+def test_w_wraps_too(device: Device) -> None:
+    data = np.arange(4, dtype=np.uint8).reshape(4, 1, 1, 1) * 60
+    descriptor = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, wrap_w=Wrap.MIRROR)
+    index = np.arange(-4, 8)
+    places = np.stack([index * 0 + 0.5, index * 0 + 0.5, (index + 0.5) / 4], axis=1)
+    with device.texture(data, Format.R8, kind=TextureKind.D3) as texture:
+        back = sampled(device, Sample3D, texture.sampled(descriptor), places)
+    assert_near(back[:, 0] * 255, wrapped(index, Wrap.MIRROR, 4) * 60, 1e-3, "conversion in float32")
+
+
+# -- levels ------------------------------------------------------------------------------------------------
+
+
+def ladder(device: Device, levels: int = 4) -> Any:
+    """8×8, each level of one color: 0, 10, 20, 30."""
+    texture = device.texture((8, 8), Format.R32F, levels=levels)
+    for level in range(levels):
+        texture.write(np.full((8 >> level, 8 >> level), level * 10.0, "f4"), level=level)
+    return texture
+
+
+@pytest.mark.parametrize(
+    ("mip", "expected"),
+    [(None, [0, 0, 0, 0, 0, 0]), (Filter.NEAREST, [0, 0, 10, 20, 30, 30]), (Filter.LINEAR, [0, 2.5, 7.5, 20, 30, 30])],
+    ids=["none", "nearest", "linear"],
+)
+def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expected: list[float]) -> None:
+    lods = [-1.0, 0.25, 0.75, 2.0, 3.0, 9.0]
+    with ladder(device) as texture:
+        sampler = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, mip)
+        back = sampled(device, Sample2D, texture.sampled(sampler), [(0.5, 0.5, lod) for lod in lods])
+    assert_near(back[:, 0], expected, 10 / 256 + 1e-3, "levels are mixed with 8 fraction bits at least")
+
+
+def test_derivatives_choose_the_level(device: Device) -> None:
+    """64 texels on 16: level 2."""
+    rows = rectangle()
+    rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
+    with (
+        device.texture((64, 64), Format.R32F, levels=None) as texture,
+        device.texture((16, 16), Format.R32F) as image,
+        device.mesh(rows) as mesh,
+    ):
+        for level in range(7):
+            texture.write(np.full((64 >> level, 64 >> level), float(level), "f4"), level=level)
+        with device.render_pass(image):
+            device.draw(device.program(Drawn), mesh, source=texture)
+        assert_near(image.read(), 2, 1 / 16, "the level is a logarithm of differences")
+
+
+class LoadLevels(Shader):
+    """One texel of each level, and how large each is."""
+
+    source: Texture2D
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        level = global_id().x
+        size = self.source.size(level)
+        texel = self.source.load(size - ivec2(1, 1), level)
+        self.results[level] = vec4(vec2(size), texel.x, float(self.source.levels()))
+
+
+def test_levels_are_loaded_and_measured(device: Device) -> None:
+    with ladder(device) as texture, device.storage(vec4, 4) as results:
+        device.dispatch(device.program(LoadLevels), 4, source=texture, results=results)
+        assert_same(results.read(), [(8, 8, 0, 4), (4, 4, 10, 4), (2, 2, 20, 4), (1, 1, 30, 4)])
+
+
+# -- kinds -------------------------------------------------------------------------------------------------
+
+
+def test_an_array_s_layer_is_chosen_by_its_number(device: Device) -> None:
+    data = np.arange(4, dtype="f4").reshape(4, 1, 1, 1) * np.ones((4, 2, 2, 1), "f4")
+    layers = [-1.0, 0.0, 0.4, 0.6, 2.0, 3.4, 9.0]
+    with device.texture(data, Format.R32F, kind=TextureKind.D2_ARRAY) as texture:
+        back = sampled(device, SampleArray, texture.sampled(LINEAR), [(0.5, 0.5, layer) for layer in layers])
+    assert_same(back[:, 0], [0, 0, 0, 1, 2, 3, 3])
+
+
+def test_a_volume_is_filtered_in_three_directions(device: Device) -> None:
+    data = np.arange(8, dtype="f4").reshape(2, 2, 2, 1)
+    with device.texture(data, Format.R32F, kind=TextureKind.D3) as texture:
+        places = [(0.25, 0.25, 0.25), (0.75, 0.25, 0.25), (0.25, 0.75, 0.25), (0.25, 0.25, 0.75), (0.5, 0.5, 0.5)]
+        back = sampled(device, Sample3D, texture.sampled(LINEAR), places)
+    assert_near(back[:, 0], (0, 1, 2, 4, 3.5), 7 / 256, FILTERED)
+
+
+FACES = [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)]
+
+
+def test_a_cube_s_faces_lie_around_it(device: Device) -> None:
+    data = np.arange(6, dtype="f4").reshape(6, 1, 1, 1) * np.ones((6, 4, 4, 1), "f4")
+    with device.texture(data, Format.R32F, kind=TextureKind.CUBE) as texture:
+        back = sampled(device, SampleCube, texture.sampled(NEAREST), np.array(FACES) * 3.0)
+    assert_same(back[:, 0], np.arange(6))
+
+
+def face_place(face: int, direction: tuple[float, float, float]) -> tuple[float, float]:
+    """(u, v) on a cube's face, v down: OpenGL 4.3, table 8.19."""
+    x, y, z = direction
+    s, t, m = [(-z, -y, x), (z, -y, -x), (x, z, y), (x, -z, -y), (x, -y, z), (-x, -y, -z)][face]
+    return (s / m + 1) / 2, (t / m + 1) / 2
+
+
+def test_a_cube_s_faces_are_turned_as_in_opengl(device: Device) -> None:
+    data = np.arange(96, dtype="f4").reshape(6, 4, 4, 1)
+    rng = np.random.default_rng(5)
+    directions, expected = [], []
+    while len(directions) < 60:
+        d = rng.normal(size=3)
+        face = int(np.abs(d).argmax()) * 2 + int(d[np.abs(d).argmax()] < 0)
+        u, v = face_place(face, tuple(d))
+        if min(abs(u * 4 - round(u * 4)), abs(v * 4 - round(v * 4))) > 0.02:  # clear of texel borders
+            directions.append(d)
+            expected.append(data[face, int(v * 4), int(u * 4), 0])
+    with device.texture(data, Format.R32F, kind=TextureKind.CUBE) as texture:
+        back = sampled(device, SampleCube, texture.sampled(NEAREST), directions)
+    assert_same(back[:, 0], expected)
+
+
+def test_a_cube_is_filtered_across_its_edges(device: Device) -> None:
+    data = np.zeros((6, 2, 2, 1), "f4")
+    data[0] = 1.0
+    with device.texture(data, Format.R32F, kind=TextureKind.CUBE) as texture:
+        back = sampled(device, SampleCube, texture.sampled(LINEAR), [(1.0, 0.0, 1.0)])
+    assert_near(back[:, 0], 0.5, 1 / 64, FILTERED)
+
+
+# -- gather and compare ------------------------------------------------------------------------------------
+
+
+def test_gather_gives_the_four_texels_of_a_linear_filter(device: Device) -> None:
+    """From the lower left around to the upper left, v being up in OpenGL: here that is (0,1) (1,1) (1,0) (0,0)."""
+    data = np.zeros((4, 4, 4), np.float32)
+    data[..., 1] = np.arange(16).reshape(4, 4)
+    with device.texture(data, Format.RGBA32F) as texture:
+        back = sampled(device, Gather2D, texture.sampled(LINEAR), [(0.5, 0.5), (0.25, 0.75)])
+    assert_same(back[0], (9, 10, 6, 5))
+    assert_same(back[1], (12, 13, 9, 8))
+
+
+class Compared(Shader):
+    """A shadow map, against a reference z at (x, y)."""
+
+    source: DepthTexture2D
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        gathered = self.source.gather_compare(at.xy, at.z)
+        self.results[i] = vec4(
+            self.source.sample_compare_lod(at.xy, at.z, 0.0), gathered.x, gathered.y, gathered.z + gathered.w
+        )
+
+
+@pytest.mark.parametrize("function", list(Comparison), ids=identity)
+def test_a_comparison_is_reference_against_texel(device: Device, function: Comparison) -> None:
+    sampler = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, compare=function)
+    references = np.array([0.25, 0.5, 0.75])
+    with device.texture((4, 4), Format.D32F) as depth:
+        with device.render_pass(depth=depth, clear_depth=0.5):
+            pass
+        places = np.stack([references * 0 + 0.5, references * 0 + 0.5, references], axis=1)
+        back = sampled(device, Compared, depth.sampled(sampler), places)
+    assert_same(back[:, 0], compare(function, references, 0.5))
+    assert_same(back[:, 1], compare(function, references, 0.5))
+
+
+def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
+    """Half of the texels are nearer: half of the answer, whatever their depths are."""
+    sampler = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS)
+    with device.texture((2, 2), Format.D32F) as depth, device.mesh(rectangle(-1, -1, 0, 1, depth=0.9)) as left:
+        with device.render_pass(depth=depth, clear_depth=0.1):
+            device.draw(device.program(Colored), left)
+        back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)])
+    assert_near(back[:, 0], (0.5, 1, 0), 1 / 128, FILTERED)
+
+
+# -- binding -----------------------------------------------------------------------------------------------
+
+
+def test_one_texture_is_read_through_several_samplers(device: Device) -> None:
+    with device.texture(ROW, Format.R8) as texture:
+        nearest = sampled(device, Sample2D, texture.sampled(NEAREST), [(0.25, 0.5)])
+        linear = sampled(device, Sample2D, texture.sampled(LINEAR), [(0.25, 0.5)])
+        again = sampled(device, Sample2D, texture.sampled(device.sampler(NEAREST)), [(0.25, 0.5)])
+    assert_same(nearest, again)
+    assert_near(linear[:, 0] * 255, 50, 1, FILTERED)
+
+
+class TwoTextures(Shader):
+    """Two textures at once."""
+
+    first: Texture2D
+    second: Texture2D
+    volume: Texture3D
+    results: StorageRW[vec4]
+
+    def compute(self) -> None:
+        a = self.first.load(ivec2(0, 0)).x
+        b = self.second.load(ivec2(0, 0)).x
+        c = self.volume.load(ivec3(0, 0, 1)).x
+        self.results[0] = vec4(a, b, c, a - b)
+
+
+def test_several_textures_stay_apart(device: Device) -> None:
+    textures = [device.texture(np.full((2, 2), value, "f4"), Format.R32F) for value in (3.0, 5.0)]
+    volume = device.texture(np.arange(8, dtype="f4").reshape(2, 2, 2, 1), Format.R32F, kind=TextureKind.D3)
+    a, b = textures
+    with device.storage(vec4, 1) as results:
+        for first, second in ((a, b), (b, a), (a, a)):
+            device.dispatch(
+                device.program(TwoTextures), 1, first=first, second=second, volume=volume, results=results
+            )
+            values = {id(a): 3.0, id(b): 5.0}
+            x, y = values[id(first)], values[id(second)]
+            assert_same(results.read(), [(x, y, 4, x - y)])
+    for texture in (*textures, volume):
+        texture.destroy()

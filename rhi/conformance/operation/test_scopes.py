@@ -1,0 +1,172 @@
+"""State scopes: what holds inside, what is restored, and the two counters. No shader runs."""
+
+from __future__ import annotations
+
+import pytest
+
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    Op,
+    Scissor,
+    Viewport,
+)
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
+from rhi.states import DEFAULTS, STATE_TYPES
+
+
+def states_of_draws(device: Device, *draws: object) -> list[dict[type, object]]:
+    """The states in effect at the draws that a callable of `draws` makes."""
+    before = len(device.stream)
+    with device.texture((4, 4), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(Colored)
+
+        def draw() -> None:
+            device.draw(program, mesh)
+
+        with device.render_pass(image):
+            for each in draws:
+                each(draw)  # type: ignore[operator]
+    return [command.states for command in device.stream[before:].draws()]
+
+
+def test_outside_of_scopes_the_defaults_hold(recording: Device) -> None:
+    (states,) = states_of_draws(recording, lambda draw: draw())
+    for state_type in STATE_TYPES:
+        value = states[state_type]
+        default = DEFAULTS[state_type]
+        assert value == (default if not isinstance(value, tuple) else (default,) * 8)
+
+
+def test_a_scope_sets_and_restores(recording: Device) -> None:
+    def act(draw: object) -> None:
+        with recording.states(CullMode.NONE, DepthWrite.OFF):
+            draw()  # type: ignore[operator]
+        draw()  # type: ignore[operator]
+
+    inside, after = states_of_draws(recording, act)
+    assert (inside[CullMode], inside[DepthWrite]) == (CullMode.NONE, DepthWrite.OFF)
+    assert (after[CullMode], after[DepthWrite]) == (CullMode.BACK, DepthWrite.ON)
+
+
+def test_inner_scopes_win_and_outer_ones_come_back(recording: Device) -> None:
+    def act(draw: object) -> None:
+        with recording.states(CullMode.NONE, DepthTest.OFF):
+            with recording.states(CullMode.FRONT):
+                draw()  # type: ignore[operator]
+            draw()  # type: ignore[operator]
+
+    inner, outer = states_of_draws(recording, act)
+    assert (inner[CullMode], inner[DepthTest]) == (CullMode.FRONT, DepthTest.OFF)
+    assert (outer[CullMode], outer[DepthTest]) == (CullMode.NONE, DepthTest.OFF)
+
+
+def test_an_exception_restores_too(recording: Device) -> None:
+    with pytest.raises(ZeroDivisionError), recording.states(CullMode.NONE), recording.states(DepthWrite.OFF):
+        raise ZeroDivisionError
+    (states,) = states_of_draws(recording, lambda draw: draw())
+    assert (states[CullMode], states[DepthWrite]) == (CullMode.BACK, DepthWrite.ON)
+
+
+def test_a_scope_may_be_kept_and_entered_inside_itself(recording: Device) -> None:
+    scope = recording.states(CullMode.NONE)
+
+    def act(draw: object) -> None:
+        with scope, recording.states(CullMode.FRONT):
+            with scope:
+                draw()  # type: ignore[operator]
+            draw()  # type: ignore[operator]
+        draw()  # type: ignore[operator]
+
+    first, second, third = states_of_draws(recording, act)
+    assert [s[CullMode] for s in (first, second, third)] == [CullMode.NONE, CullMode.FRONT, CullMode.BACK]
+
+
+def test_states_hold_across_passes(recording: Device) -> None:
+    with recording.states(DepthFunction.LESS):
+        (states,) = states_of_draws(recording, lambda draw: draw())
+    assert states[DepthFunction] is DepthFunction.LESS
+
+
+def test_states_of_one_target_leave_the_others(recording: Device) -> None:
+    def act(draw: object) -> None:
+        with recording.states(BlendFunction.ALPHA), recording.states(BlendFunction.ADDITIVE.at(2), ColorWrite.OFF.at(1)):
+            draw()  # type: ignore[operator]
+
+    (states,) = states_of_draws(recording, act)
+    blends, writes = states[BlendFunction], states[ColorWrite]
+    assert isinstance(blends, tuple)
+    assert isinstance(writes, tuple)
+    assert blends == (BlendFunction.ALPHA,) * 2 + (BlendFunction.ADDITIVE,) + (BlendFunction.ALPHA,) * 5
+    assert writes == (ColorWrite.ON, ColorWrite.OFF) + (ColorWrite.ON,) * 6
+
+
+def test_equal_values_of_different_states_stay_apart(recording: Device) -> None:
+    def act(draw: object) -> None:
+        with recording.states(Viewport(0, 0, 1, 1), Scissor(0, 0, 1, 1)):
+            draw()  # type: ignore[operator]
+
+    (states,) = states_of_draws(recording, act)
+    assert states[Viewport] == Viewport(0, 0, 1, 1)
+    assert states[Scissor] == Scissor(0, 0, 1, 1)
+
+
+def sent(device: Device, since: int) -> list[type]:
+    return [change.type for command in device.stream[since:].filter(Op.SET_STATES) for change in command["changes"]]
+
+
+def test_only_differences_are_sent(recording: Device) -> None:
+    states_of_draws(recording, lambda draw: draw())
+    since = len(recording.stream)
+    with recording.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON):
+        states_of_draws(recording, lambda draw: draw(), lambda draw: draw())
+    assert sent(recording, since) == [CullMode]
+
+
+def test_what_nothing_draws_with_is_never_sent(recording: Device) -> None:
+    states_of_draws(recording, lambda draw: draw())
+    since = len(recording.stream)
+    with recording.states(CullMode.NONE):
+        pass
+    states_of_draws(recording, lambda draw: draw())
+    assert sent(recording, since) == []
+
+
+def test_software_changes_count_states_set_by_scopes(recording: Device) -> None:
+    recording.reset_statistics()
+    for _ in range(3):
+        with recording.states(CullMode.NONE, DepthWrite.OFF):
+            pass
+    assert recording.statistics.software_state_changes == 6
+    assert recording.statistics.hardware_state_changes == 0
+
+
+def test_hardware_changes_count_values_sent(recording: Device) -> None:
+    states_of_draws(recording, lambda draw: draw())
+    recording.reset_statistics()
+    with recording.states(CullMode.NONE, DepthWrite.OFF, DepthTest.ON):
+        states_of_draws(recording, lambda draw: draw())
+    assert recording.statistics.hardware_state_changes == 2
+    states_of_draws(recording, lambda draw: draw())
+    assert recording.statistics.hardware_state_changes == 4
+    assert recording.statistics.software_state_changes == 3
+
+
+def test_scopes_nest_deeply(recording: Device) -> None:
+    """The thesis's stack holds more than 200 states."""
+    from contextlib import ExitStack
+
+    with ExitStack() as stack:
+        for index in range(200):
+            stack.enter_context(recording.states(Scissor(0, 0, index, index)))
+        (states,) = states_of_draws(recording, lambda draw: draw())
+        assert states[Scissor] == Scissor(0, 0, 199, 199)
+    (states,) = states_of_draws(recording, lambda draw: draw())
+    assert states[Scissor] == Scissor.OFF

@@ -1,0 +1,406 @@
+"""Targets: every renderable format, several at once, masks and blends of each, layers, samples and resolves."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhi import (
+    AlphaToCoverage,
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthFunction,
+    Device,
+    Format,
+    Primitive,
+    TextureKind,
+)
+from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.formats import require_renderable
+from rhi.conformance.reference import encode, rounding
+from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, UintColored
+from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.formats import COLOR_FORMATS, Kind
+from rhi.shading import Shader, Struct, uvec4, vec2, vec4
+
+pytestmark = pytest.mark.needs("shading")
+
+SIZE = (4, 4)
+
+
+def identity(value: Any) -> str:
+    return value.name if isinstance(value, Format | TextureKind) else str(value)
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=identity)
+@pytest.mark.parametrize("color", [(0.2, 0.4, 0.6, 0.8), (-0.5, 1.5, 0.0, 0.3)], ids=str)
+def test_a_fragment_s_color_is_converted_to_the_format(
+    device: Device, format: Format, color: tuple[float, float, float, float]
+) -> None:
+    require_renderable(device, format)
+    with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(Colored), mesh)
+        back = image.read().reshape(16, -1)
+    expected = encode(format, np.float32(color))
+    assert_near(back, expected, *rounding(format, expected))
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=identity)
+def test_integers_are_stored_as_they_are(device: Device, format: Format) -> None:
+    require_renderable(device, format)
+    top = min(float(np.iinfo(format.dtype).max), 2.0**24)
+    color = (1.0, top, 0.0, 100.0) if format.kind is Kind.UINT else (-1.0, top, -(2.0**24), 100.0)
+    shader: type[Shader] = UintColored if format.kind is Kind.UINT else IntColored
+    with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(shader), mesh)
+        assert_same(image.read().reshape(16, -1), color[: format.channels])
+
+
+class Three(Struct):
+    """Outputs of three kinds."""
+
+    first: vec4
+    second: uvec4
+    third: vec2
+
+
+class ToThree(Shader):
+    """The color to a float, an unsigned and a two-channel target."""
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=v.color)
+
+    def fragment(self, v: FlatShade) -> Three:
+        return Three(first=v.color * 0.5, second=uvec4(v.color * 100.0), third=v.color.zw)
+
+
+def test_each_output_goes_to_its_target(device: Device) -> None:
+    targets = [device.texture(SIZE, f) for f in (Format.RGBA8, Format.RGBA16UI, Format.RG32F)]
+    with device.mesh(rectangle(color=(1, 0, 0.25, 2))) as mesh, device.render_pass(targets):
+        device.draw(device.program(ToThree), mesh)
+    assert_same(targets[0].read()[..., [0, 1, 3]], (128, 0, 255))
+    assert_same(targets[1].read(), (100, 0, 25, 200))
+    assert_same(targets[2].read(), (0.25, 2.0))
+    for target in targets:
+        target.destroy()
+
+
+class Two(Struct):
+    """Two colors."""
+
+    first: vec4
+    second: vec4
+
+
+class ToTwo(Shader):
+    """The color, and the same backwards."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> Two:
+        return Two(first=v.color, second=v.color.wzyx)
+
+
+def two_after(device: Device, *states: Any) -> tuple[Any, Any]:
+    with (
+        device.texture(SIZE, Format.RGBA8) as one,
+        device.texture(SIZE, Format.RGBA32F) as two,
+        device.mesh(rectangle(color=(1.0, 0.0, 0.0, 0.0))) as mesh,
+    ):
+        with device.render_pass([one, two], clear=(0, 0, 0, 1)), device.states(*states):
+            device.draw(device.program(ToTwo), mesh)
+        return one.read()[0, 0], two.read()[0, 0]
+
+
+def test_color_write_of_all_targets(device: Device) -> None:
+    one, two = two_after(device, ColorWrite.OFF)
+    assert_same(one, (0, 0, 0, 255))
+    assert_same(two, (0, 0, 0, 1))
+
+
+def test_color_write_of_one_target(device: Device) -> None:
+    one, two = two_after(device, ColorWrite.OFF.at(0))
+    assert_same(one, (0, 0, 0, 255))
+    assert_same(two, (0, 0, 0, 1))  # the second output is (0, 0, 0, 1) backwards, as cleared
+    one, two = two_after(device, ColorWrite(alpha=False).at(0), ColorWrite(alpha=False).at(1))
+    assert_same(one, (255, 0, 0, 255))
+    assert_same(two, (0, 0, 0, 1))
+
+
+@pytest.mark.needs("blend_per_target")
+def test_each_target_blends_by_its_own_function(device: Device) -> None:
+    one, two = two_after(device, BlendFunction.ADDITIVE.at(1))
+    assert_same(one, (255, 0, 0, 0))
+    assert_same(two, (0, 0, 0, 2))
+    one, two = two_after(device, BlendFunction.ADDITIVE.at(0))
+    assert_same(one, (255, 0, 0, 255))
+    assert_same(two, (0, 0, 0, 1))
+
+
+def test_a_target_without_an_output_keeps_other_targets_right(device: Device) -> None:
+    """A program with one output in a pass of two: the first is written as ever."""
+    with (
+        device.texture(SIZE, Format.RGBA8) as one,
+        device.texture(SIZE, Format.RGBA8) as two,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with device.render_pass([one, two], clear=(0, 0, 0, 0)), device.states(ColorWrite.OFF.at(1)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(one.read(), 255)
+        assert_same(two.read(), 0)
+
+
+def test_a_pass_with_depth_alone_draws_depth(device: Device) -> None:
+    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rectangle()) as mesh:
+        with device.render_pass(depth=depth, clear_depth=0):
+            device.draw(device.program(Colored), mesh)
+        assert_same(depth.read(), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "layers"), [(TextureKind.D2_ARRAY, 3), (TextureKind.D3, 3), (TextureKind.CUBE, 6)], ids=identity
+)
+def test_a_layer_is_drawn_to_alone(device: Device, kind: TextureKind, layers: int) -> None:
+    with device.texture(SIZE, Format.R8, kind=kind, layers=layers) as image, device.mesh(rectangle(0, 0, 1, 1)) as mesh:
+        with device.render_pass(image.at(layer=2)):
+            device.draw(device.program(Colored), mesh)
+        expected = np.zeros((layers, 4, 4, 1))
+        expected[2, :2, 2:] = 255
+        assert_same(image.read_layers(), expected)
+
+
+def test_layers_of_one_texture_are_targets_side_by_side(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=2) as image,
+        device.mesh(rectangle(color=(1, 0, 0, 0))) as mesh,
+    ):
+        with device.render_pass([image.at(layer=1), image.at(layer=0)]):
+            device.draw(device.program(ToTwo), mesh)
+        assert_same(image.read_layers()[1], (255, 0, 0, 0))
+        assert_same(image.read_layers()[0], (0, 0, 0, 255))
+
+
+def test_a_depth_layer_is_drawn_to_alone(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.D32F, kind=TextureKind.D2_ARRAY, layers=3) as depth,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with device.render_pass(depth=depth.at(layer=1)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(depth.read_layers()[..., 0], np.array([0, 0.5, 0])[:, None, None])
+
+
+def test_eight_targets_are_drawn_at_once(device: Device) -> None:
+    count = device.capabilities.max_color_targets
+    assert count >= 4
+    targets = [device.texture(SIZE, Format.RGBA8) for _ in range(count)]
+    with device.mesh(rectangle(color=(1, 1, 1, 1))) as mesh:
+        with device.render_pass(targets, clear=[(i / 255, 0, 0, 0) for i in range(count)]):
+            device.draw(device.program(ToTwo), mesh, 0)
+    for index, target in enumerate(targets):
+        assert_same(target.read(), (index, 0, 0, 0))
+        target.destroy()
+
+
+# -- samples -----------------------------------------------------------------------------------------------
+
+
+def require_samples(device: Device, samples: int) -> None:
+    if samples > device.capabilities.max_samples:
+        pytest.skip(f"{device.backend_name} declares max_samples {device.capabilities.max_samples}")
+
+
+@pytest.mark.parametrize("samples", [2, 4, 8])
+def test_inside_a_triangle_all_samples_are_covered(device: Device, samples: int) -> None:
+    require_samples(device, samples)
+    with (
+        device.texture(SIZE, Format.RGBA8, samples=samples) as image,
+        device.texture(SIZE, Format.RGBA8) as target,
+        device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8))) as mesh,
+    ):
+        with device.render_pass(image, resolve=target):
+            device.draw(device.program(Colored), mesh)
+        assert_same(target.read(), (51, 102, 153, 204))
+
+
+@pytest.mark.parametrize("samples", [2, 4, 8])
+def test_an_edge_covers_some_samples_of_its_texels(device: Device, samples: int) -> None:
+    """A diagonal from corner to corner: the texels on it are covered in part, those beside it fully or not."""
+    require_samples(device, samples)
+    with (
+        device.texture((8, 8), Format.R32F, samples=samples) as image,
+        device.texture((8, 8), Format.R32F) as target,
+        device.mesh(corners([(-1, 1), (-1, -1), (1, -1)])) as mesh,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target):
+            device.draw(device.program(Colored), mesh)
+        covered = target.read().astype(np.float64)
+    assert_same(covered[np.tril_indices(8, -1)], 1)
+    assert_same(covered[np.triu_indices(8, 1)], 0)
+    diagonal = covered.diagonal()
+    assert ((diagonal > 0) & (diagonal < 1)).all(), diagonal
+    assert_same(diagonal * samples, np.rint(diagonal * samples))
+
+
+def test_a_resolve_averages_the_samples(device: Device) -> None:
+    """Two triangles that share a diagonal leave no gap: the average is the mix of both colors."""
+    require_samples(device, 4)
+    rows = np.concatenate(
+        [corners([(-1, 1), (-1, -1), (1, -1)], (1, 0, 0, 1)), corners([(-1, 1), (1, -1), (1, 1)], (0, 1, 0, 1))]
+    )
+    with (
+        device.texture((8, 8), Format.RGBA32F, samples=4) as image,
+        device.texture((8, 8), Format.RGBA32F) as target,
+        device.mesh(rows) as mesh,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Colored), mesh)
+        image.resolve_to(target)
+        resolved = target.read()
+    assert_near(resolved[..., 0] + resolved[..., 1], 1, 1e-6, "an average in float32")
+    assert_near(resolved[..., 3], 1, 1e-6, "an average in float32")
+    assert_same(resolved[7, 0], (1, 0, 0, 1))
+    assert_same(resolved[0, 7], (0, 1, 0, 1))
+
+
+def test_a_resolve_keeps_row_0_on_top(device: Device) -> None:
+    require_samples(device, 4)
+    with (
+        device.texture(SIZE, Format.R8, samples=4) as image,
+        device.texture(SIZE, Format.R8) as target,
+        device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target):
+            device.draw(device.program(Colored), mesh)
+        expected = np.zeros((4, 4), bool)
+        expected[0] = True
+        assert_mask(target.read(), expected)
+
+
+def test_a_clear_reaches_all_samples(device: Device) -> None:
+    require_samples(device, 4)
+    with device.texture(SIZE, Format.RGBA8, samples=4) as image, device.texture(SIZE, Format.RGBA8) as target:
+        with device.render_pass(image, clear=(0.2, 0.4, 0.6, 0.8), resolve=target):
+            pass
+        assert_same(target.read(), (51, 102, 153, 204))
+
+
+def test_depth_is_tested_for_each_sample(device: Device) -> None:
+    """A triangle covers half of each texel on the diagonal; what lies behind it shows in the other samples."""
+    require_samples(device, 4)
+    with (
+        device.texture((8, 8), Format.R32F, samples=4) as image,
+        device.texture((8, 8), Format.D32F, samples=4) as depth,
+        device.texture((8, 8), Format.R32F) as target,
+        device.mesh(corners([(-1, 1), (-1, -1), (1, -1)], (0, 0, 0, 1), 0.75)) as front,
+        device.mesh(rectangle(depth=0.25)) as behind,
+    ):
+        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0, resolve=target):
+            device.draw(device.program(Colored), front)
+            device.draw(device.program(Colored), behind)
+        diagonal = target.read().diagonal()
+    assert ((diagonal > 0) & (diagonal < 1)).all(), diagonal
+
+
+def test_each_of_several_targets_is_resolved_to_its_own(device: Device) -> None:
+    require_samples(device, 4)
+    sources = [device.texture(SIZE, Format.RGBA8, samples=4) for _ in range(2)]
+    targets = [device.texture(SIZE, Format.RGBA8) for _ in range(2)]
+    with device.mesh(rectangle(color=(1, 0, 0, 0))) as mesh:
+        with device.render_pass(sources, clear=(0, 0, 0, 0), resolve=targets):
+            device.draw(device.program(ToTwo), mesh)
+    assert_same(targets[0].read(), (255, 0, 0, 0))
+    assert_same(targets[1].read(), (0, 0, 0, 255))
+    for texture in sources + targets:
+        texture.destroy()
+
+
+@pytest.mark.needs("alpha_to_coverage")
+@pytest.mark.parametrize("alpha", [0.0, 0.5, 1.0])
+def test_alpha_becomes_coverage(device: Device, alpha: float) -> None:
+    require_samples(device, 4)
+    with (
+        device.texture((8, 8), Format.RGBA32F, samples=4) as image,
+        device.texture((8, 8), Format.RGBA32F) as target,
+        device.mesh(rectangle(color=(1, 1, 1, alpha))) as mesh,
+    ):
+        with (
+            device.render_pass(image, clear=(0, 0, 0, 0), resolve=target),
+            device.states(AlphaToCoverage.ON),
+        ):
+            device.draw(device.program(Colored), mesh)
+        covered = target.read()[..., 0].mean()
+    assert_near(covered, alpha, 0.25 if alpha == 0.5 else 0.0, "which samples are covered is left to the device")
+
+
+@pytest.mark.needs("alpha_to_coverage")
+def test_without_the_state_alpha_covers_nothing_less(device: Device) -> None:
+    require_samples(device, 4)
+    with (
+        device.texture(SIZE, Format.RGBA32F, samples=4) as image,
+        device.texture(SIZE, Format.RGBA32F) as target,
+        device.mesh(rectangle(color=(1, 1, 1, 0.5))) as mesh,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0), resolve=target):
+            device.draw(device.program(Colored), mesh)
+        assert_same(target.read()[..., 0], 1)
+
+
+@pytest.mark.needs("alpha_test")
+@pytest.mark.parametrize("name", ["NEVER", "LESS", "EQUAL", "LESS_EQUAL", "GREATER", "NOT_EQUAL", "GREATER_EQUAL", "ALWAYS"])
+def test_an_alpha_function_compares_alpha_with_the_reference(device: Device, name: str) -> None:
+    from rhi import AlphaFunction, AlphaReference, AlphaTest
+    from rhi.conformance.reference import compare
+
+    function = AlphaFunction[name]
+    alphas = np.array([0.25, 0.5, 0.75])
+    rows = corners(centers([(0, 0), (1, 0), (2, 0)], (3, 1)), np.stack([alphas * 0 + 1] * 3 + [alphas], axis=1))
+    with device.texture((3, 1), Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with (
+            device.render_pass(image, clear=(0, 0, 0, 0)),
+            device.states(AlphaTest.ON, function, AlphaReference(0.5)),
+        ):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read()[0], compare(function, alphas, 0.5) * 255)
+
+
+def test_points_and_lines_ignore_culling(device: Device) -> None:
+    rows = corners(centers([(0, 0), (2, 2)], SIZE))
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        for cull in CullMode:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(cull, DepthFunction.ALWAYS):
+                device.draw(device.program(Colored), mesh)
+            assert image.read()[0, 0] == 255
+            assert image.read()[2, 2] == 255
+
+
+class Nothing(Shader):
+    """No fragment output at all."""
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self, v: Bare) -> None:
+        pass
+
+
+def test_a_program_without_outputs_draws_depth(device: Device) -> None:
+    with device.texture(SIZE, Format.D32F) as depth, device.mesh(rectangle()) as mesh:
+        with device.render_pass(depth=depth, clear_depth=0):
+            device.draw(device.program(Nothing), mesh)
+        assert_same(depth.read(), 0.5)
+
+
+def test_signed_integers_keep_their_sign(device: Device) -> None:
+    with device.texture(SIZE, Format.RGBA32I) as image, device.mesh(rectangle(color=(-5, 5, -1, 0))) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(IntColored), mesh)
+        assert_same(image.read(), (-5, 5, -1, 0))
+
+

@@ -1,0 +1,266 @@
+"""Fences, frames, deferred destruction, timers, labels. Shaders run in none of these."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+import rhi
+from rhi import Access, Device, Format, Op
+from rhi.conformance.compare import assert_same
+
+
+def test_signals_count_up(device: Device) -> None:
+    first = device.signal()
+    assert device.signal() == first + 1
+    assert device.signal() == first + 2
+
+
+def test_completed_reaches_what_was_signalled(device: Device) -> None:
+    value = device.signal()
+    assert device.wait(value)
+    assert device.completed >= value
+
+
+def test_completed_never_falls_and_never_runs_ahead(device: Device) -> None:
+    last = device.completed
+    for _ in range(50):
+        value = device.signal()
+        now = device.completed
+        assert last <= now <= value
+        last = now
+    device.wait(value)
+    assert device.completed == value
+
+
+def test_completed_gets_there_without_a_wait(device: Device) -> None:
+    """A signal starts the work before it: polling alone sees it finish."""
+    value = device.signal()
+    deadline = time.monotonic() + 10
+    while device.completed < value and time.monotonic() < deadline:
+        time.sleep(0.001)
+    assert device.completed >= value
+
+
+def test_a_wait_for_the_past_returns_at_once(device: Device) -> None:
+    value = device.signal()
+    device.wait(value)
+    start = time.monotonic()
+    assert device.wait(value, 10)
+    assert device.wait(0, 10)
+    assert time.monotonic() - start < 1
+
+
+def test_a_wait_of_no_time_says_whether_it_is_done(device: Device) -> None:
+    value = device.signal()
+    done = device.wait(value, 0)
+    assert done in (True, False)
+    assert not done or device.completed >= value
+    assert device.wait(value)
+
+
+def test_waits_for_several_values_in_any_order(device: Device) -> None:
+    values = [device.signal() for _ in range(5)]
+    for value in reversed(values):
+        assert device.wait(value)
+    for value in values:
+        assert device.wait(value)
+
+
+def test_a_fence_is_passed_only_after_the_work_before_it(device: Device) -> None:
+    with device.buffer(1 << 16) as a, device.buffer(1 << 16) as b:
+        a.clear(0x01010101)
+        a.copy_to(b)
+        device.wait(device.signal())
+        assert_same(b.read(0, 16), 1)
+
+
+def test_finish_completes_everything(device: Device) -> None:
+    value = device.signal()
+    device.finish()
+    assert device.completed >= value
+
+
+# -- frames ------------------------------------------------------------------------------------------------
+
+
+def test_a_frame_may_show_an_image_or_none(device: Device) -> None:
+    with device.texture((4, 4), Format.RGBA8) as image:
+        with device.render_pass(image, clear=(1, 1, 1, 1)):
+            pass
+        device.present(image)
+        device.present()
+        assert_same(image.read(), 255)
+
+
+def test_present_ends_the_frame_in_the_stream(recording: Device) -> None:
+    since = len(recording.stream)
+    with recording.texture((4, 4), Format.RGBA8) as image:
+        recording.present(image)
+        (present,) = recording.stream[since:].filter(Op.PRESENT)
+        assert present["texture"] == image.id
+
+
+def test_the_cpu_stays_a_few_frames_ahead_at_most(backend: str) -> None:
+    with rhi.create_device(backend, frames_in_flight=2) as device:
+        ends = []
+        for _ in range(10):
+            device.present()
+            ends.append(device.signal())
+            if len(ends) > 3:
+                assert device.completed >= ends[-4], "frame n can't begin before frame n - 2 is done"
+
+
+# -- destruction -------------------------------------------------------------------------------------------
+
+
+def test_a_resource_is_destroyed_after_the_work_that_uses_it(recording: Device) -> None:
+    recording.finish()
+    since = len(recording.stream)
+    with recording.buffer(np.full(64, 7, "u4")) as source, recording.buffer(64, np.dtype("u4")) as target:
+        source.copy_to(target)
+        source.destroy()
+        assert_same(target.read(), 7)
+    recording.finish()
+    destroyed = [command["resource"] for command in recording.stream[since:].filter(Op.DESTROY)]
+    assert sorted(destroyed) == sorted([source.id, target.id])
+    copies = recording.stream[since:].filter(Op.COPY_BUFFER)
+    destroys = recording.stream[since:].filter(Op.DESTROY)
+    assert copies[0].index < destroys[0].index
+
+
+def test_nothing_is_destroyed_twice(recording: Device) -> None:
+    recording.finish()
+    since = len(recording.stream)
+    buffer = recording.buffer(4)
+    buffer.destroy()
+    buffer.destroy()
+    for _ in range(3):
+        recording.finish()
+    ids = [command["resource"] for command in recording.stream[since:].filter(Op.DESTROY)]
+    assert ids == [buffer.id]
+
+
+def test_ids_are_never_used_twice(device: Device) -> None:
+    seen = set()
+    for _ in range(20):
+        with device.buffer(4) as buffer, device.texture((1, 1), Format.R8) as texture:
+            assert not seen & {buffer.id, texture.id}
+            seen |= {buffer.id, texture.id}
+        device.finish()
+
+
+# -- timers and labels -------------------------------------------------------------------------------------
+
+
+def frame(device: Device) -> None:
+    with device.event("frame"):
+        with device.event("first"), device.buffer(1 << 12) as buffer:
+            buffer.clear(1)
+        with device.event("second"):
+            with device.event("part"):
+                pass
+            with device.event("part"):
+                pass
+
+
+@pytest.mark.needs("timestamps")
+def test_timers_form_a_tree(device: Device) -> None:
+    device.present()
+    frame(device)
+    device.present()
+    device.finish()
+    (root,) = device.timers
+    assert root.name == "frame"
+    assert [child.name for child in root.children] == ["first", "second"]
+    assert [child.name for child in root.children[1].children] == ["part", "part"]
+
+
+@pytest.mark.needs("timestamps")
+def test_times_of_parts_fit_into_those_of_the_whole(device: Device) -> None:
+    device.present()
+    frame(device)
+    device.present()
+    device.finish()
+    (root,) = device.timers
+    slack = 1e-3  # timestamps of a microsecond's granularity
+    assert root.gpu_milliseconds >= 0
+    assert sum(child.gpu_milliseconds for child in root.children) <= root.gpu_milliseconds + slack
+    assert sum(child.cpu_milliseconds for child in root.children) <= root.cpu_milliseconds + slack
+
+
+@pytest.mark.needs("timestamps")
+def test_each_frame_has_a_tree_of_its_own(device: Device) -> None:
+    for name in ("one", "two", "three"):
+        with device.event(name):
+            pass
+        device.present()
+        device.finish()
+        assert [node.name for node in device.timers] == [name]
+
+
+def test_events_without_timing_are_labels_only(recording: Device) -> None:
+    since = len(recording.stream)
+    frame(recording)
+    ops = [command.op for command in recording.stream[since:]]
+    assert ops.count(Op.PUSH_LABEL) == ops.count(Op.POP_LABEL) == 5
+    assert Op.WRITE_QUERY not in ops
+
+
+def test_timing_can_be_switched(backend: str) -> None:
+    with rhi.create_device(backend) as device:
+        if not device.capabilities.timestamps:
+            pytest.skip(f"{backend} declares no timestamps")
+        assert not device.timing
+        device.timing = True
+        with device.event("timed"):
+            pass
+        device.present()
+        device.finish()
+        assert [node.name for node in device.timers] == ["timed"]
+
+
+# -- devices -----------------------------------------------------------------------------------------------
+
+
+def test_two_devices_live_side_by_side(device: Device, backend: str) -> None:
+    with device.buffer(np.full(8, 1, "u4")) as mine, rhi.create_device(backend) as other:
+        with other.buffer(np.full(8, 2, "u4")) as theirs:
+            mine.write(np.full(8, 3, "u4"))
+            theirs.write(np.full(4, 4, "u4"), 4)
+            assert_same(mine.read(), 3)
+            assert_same(theirs.read(), [2, 2, 2, 2, 4, 4, 4, 4])
+        with device.texture((2, 2), Format.RGBA8) as image, other.texture((2, 2), Format.RGBA8) as image2:
+            with device.render_pass(image, clear=(1, 1, 1, 1)), other.render_pass(image2, clear=(0, 0, 0, 1)):
+                pass
+            assert_same(image.read(), 255)
+            assert_same(image2.read(), (0, 0, 0, 255))
+    with device.buffer(np.full(8, 5, "u4")) as buffer:
+        assert_same(buffer.read(), 5)
+
+
+def test_a_closed_device_leaves_others_alone(device: Device, backend: str) -> None:
+    with device.buffer(np.full(8, 1, "u4")) as mine:
+        with rhi.create_device(backend):
+            pass
+        with mine.lock(Access.READ_WRITE) as array:
+            array += 1
+        assert_same(mine.read(), 2)
+
+
+def test_devices_come_and_go(backend: str) -> None:
+    for number in range(3):
+        with rhi.create_device(backend) as device, device.buffer(np.full(4, number, "u4")) as buffer:
+            assert_same(buffer.read(), number)
+
+
+def test_a_device_says_what_it_is(device: Device, backend: str) -> None:
+    capabilities = device.capabilities
+    assert device.backend_name == capabilities.backend == backend
+    assert capabilities.device
+    assert capabilities.max_texture_size >= 4096
+    assert capabilities.max_color_targets >= 4
+    assert capabilities.uniform_alignment & (capabilities.uniform_alignment - 1) == 0
+    assert capabilities.storage_alignment & (capabilities.storage_alignment - 1) == 0

@@ -1,0 +1,211 @@
+"""Each topology covers the texels it should, with and without indices, and strips restart."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rhi import CullMode, Device, Format, Primitive
+from rhi.conformance.compare import assert_mask, assert_same
+from rhi.conformance.reference import SUBTEXELS, rasterise
+from rhi.conformance.shaders import Colored, FlatColored
+from rhi.conformance.shapes import centers, corners, window_to_clip
+
+pytestmark = pytest.mark.needs("shading")
+
+SIZE = (16, 16)
+
+
+def drawn(
+    device: Device, primitive: Primitive, positions: Any, indices: Any = None, color: Any = (1, 1, 1, 1)
+) -> NDArray[Any]:
+    """The image of one draw without culling."""
+    rows = corners(positions, color)
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.mesh(rows, indices, primitive=primitive) as mesh,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+            device.draw(device.program(FlatColored), mesh)
+        return image.read()
+
+
+def covered(*triangles: Any) -> NDArray[np.bool_]:
+    """What triangles in window texels cover together."""
+    mask = np.zeros(SIZE[::-1], bool)
+    for triangle in triangles:
+        mask |= rasterise(np.asarray(triangle) * SUBTEXELS, *SIZE)
+    return mask
+
+
+def test_points_cover_one_texel_each(device: Device) -> None:
+    texels = np.array([(0, 0), (15, 0), (0, 15), (15, 15), (7, 3), (8, 12)])
+    expected = np.zeros((16, 16), bool)
+    expected[texels[:, 1], texels[:, 0]] = True
+    assert_mask(drawn(device, Primitive.POINTS, centers(texels, SIZE)), expected)
+
+
+def test_points_outside_the_target_draw_nothing(device: Device) -> None:
+    texels = np.array([(-1, 3), (16, 3), (3, -1), (3, 16)])
+    assert_mask(drawn(device, Primitive.POINTS, centers(texels, SIZE)), np.zeros((16, 16), bool))
+
+
+@pytest.mark.parametrize(
+    ("start", "end"), [((2, 5), (12, 5)), ((12, 5), (2, 5)), ((4, 1), (4, 14)), ((2, 2), (12, 12)), ((12, 2), (2, 12))]
+)
+def test_a_line_covers_the_texels_between_its_ends(
+    device: Device, start: tuple[int, int], end: tuple[int, int]
+) -> None:
+    image = drawn(device, Primitive.LINES, centers([start, end], SIZE))
+    count = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
+    steps = np.arange(count + 1)
+    x = start[0] + steps * (end[0] - start[0]) // count
+    y = start[1] + steps * (end[1] - start[1]) // count
+    expected = np.zeros((16, 16), bool)
+    expected[y, x] = True
+    # Whether the last texel belongs to the line is left to the device (the diamond-exit rule leaves it out).
+    image[end[1], end[0]] = 255
+    assert_mask(image, expected)
+
+
+def test_lines_are_separate(device: Device) -> None:
+    image = drawn(device, Primitive.LINES, centers([(1, 1), (6, 1), (1, 9), (6, 9)], SIZE))
+    assert_same(image[2:9], 0)
+    assert image[1, 2:6].all()
+    assert image[9, 2:6].all()
+
+
+def test_a_line_strip_joins_its_vertices(device: Device) -> None:
+    path = [(1, 1), (10, 1), (10, 10), (1, 10)]
+    image = drawn(device, Primitive.LINE_STRIP, centers(path, SIZE)).any(axis=2)
+    assert image[1, 1:11].all()
+    assert image[1:11, 10].all()
+    assert image[10, 2:11].all()
+    assert not image[2:10, 1].any(), "a strip is not closed"
+    assert not image[3:9, 3:9].any()
+
+
+TRIANGLE_POINTS = [(1, 1), (13, 3), (5, 14), (2, 15), (15, 15), (9, 8)]
+
+
+def test_triangles_take_three_vertices_each(device: Device) -> None:
+    image = drawn(device, Primitive.TRIANGLES, window_to_clip(TRIANGLE_POINTS, SIZE))
+    assert_mask(image, covered(TRIANGLE_POINTS[:3], TRIANGLE_POINTS[3:]))
+
+
+def test_vertices_left_over_draw_nothing(device: Device) -> None:
+    image = drawn(device, Primitive.TRIANGLES, window_to_clip(TRIANGLE_POINTS[:5], SIZE))
+    assert_mask(image, covered(TRIANGLE_POINTS[:3]))
+
+
+STRIP = [(1, 1), (2, 8), (7, 2), (8, 9), (14, 1), (15, 12)]
+
+
+def test_a_triangle_strip_takes_each_vertex_with_the_two_before(device: Device) -> None:
+    image = drawn(device, Primitive.TRIANGLE_STRIP, window_to_clip(STRIP, SIZE))
+    assert_mask(image, covered(*(STRIP[i : i + 3] for i in range(4))))
+
+
+def test_the_triangles_of_a_strip_have_one_winding(device: Device) -> None:
+    rows = corners(window_to_clip(STRIP, SIZE))
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.mesh(rows, primitive=Primitive.TRIANGLE_STRIP) as mesh,
+    ):
+        for culled, expected in ((CullMode.BACK, covered(*(STRIP[i : i + 3] for i in range(4)))),
+                                 (CullMode.FRONT, covered())):  # fmt: skip
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(culled):
+                device.draw(device.program(FlatColored), mesh)
+            assert_mask(image.read(), expected)
+
+
+FAN = [(8, 8), (15, 8), (12, 1), (5, 1), (1, 7), (4, 15)]
+
+
+def test_a_triangle_fan_turns_around_its_first_vertex(device: Device) -> None:
+    image = drawn(device, Primitive.TRIANGLE_FAN, window_to_clip(FAN, SIZE))
+    assert_mask(image, covered(*([FAN[0], FAN[i], FAN[i + 1]] for i in range(1, 5))))
+
+
+QUADS = [(1, 7), (7, 6), (6, 1), (2, 2), (9, 15), (15, 15), (14, 8), (9, 9)]
+
+
+def test_quads_are_two_triangles_each(device: Device) -> None:
+    image = drawn(device, Primitive.QUADS, window_to_clip(QUADS, SIZE))
+    q = QUADS
+    assert_mask(image, covered(q[:3], [q[0], q[2], q[3]], q[4:7], [q[4], q[6], q[7]]))
+
+
+def test_quads_that_are_not_convex_show_which_diagonal_is_used(device: Device) -> None:
+    quad = [(1, 1), (3, 14), (6, 6), (14, 3)]
+    image = drawn(device, Primitive.QUADS, window_to_clip(quad, SIZE))
+    assert_mask(image, covered(quad[:3], [quad[0], quad[2], quad[3]]))
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+@pytest.mark.parametrize("primitive", list(Primitive), ids=lambda p: p.name)
+def test_indexed_vertices_draw_what_the_same_vertices_draw_in_a_row(
+    device: Device, primitive: Primitive, dtype: str
+) -> None:
+    order = np.array([3, 0, 4, 1, 5, 2, 7, 6])
+    points = np.array([(1, 2), (14, 1), (9, 6), (3, 13), (12, 14), (6, 8), (2, 9), (15, 9)])
+    positions = centers(points, SIZE)
+    indexed = drawn(device, primitive, positions, order.astype(dtype))
+    assert indexed.any()
+    assert_same(indexed, drawn(device, primitive, positions[order]))
+
+
+@pytest.mark.parametrize(
+    ("dtype", "restart"), [("u2", 0xFFFF), ("u4", 0xFFFFFFFF)], ids=["uint16", "uint32"]
+)
+@pytest.mark.parametrize("primitive", [Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN], ids=lambda p: p.name)
+def test_the_last_index_restarts(device: Device, primitive: Primitive, dtype: str, restart: int) -> None:
+    points = [(1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
+    indices = np.array([0, 1, 2, restart, 3, 4, 5], dtype)
+    image = drawn(device, primitive, window_to_clip(points, SIZE), indices)
+    assert_mask(image, covered(points[:3], points[3:]))
+
+
+def test_a_line_strip_restarts(device: Device) -> None:
+    indices = np.array([0, 1, 0xFFFF, 2, 3], "u2")
+    image = drawn(device, Primitive.LINE_STRIP, centers([(1, 1), (6, 1), (1, 9), (6, 9)], SIZE), indices)
+    assert_same(image[2:9], 0)
+    assert image[1, 2:6].all()
+    assert image[9, 2:6].all()
+
+
+def test_65535_is_an_index_like_any_other_among_uint32(device: Device) -> None:
+    positions = np.zeros((65536, 2)) - 2.0
+    positions[[0, 1, 65535]] = window_to_clip([(0, 0), (0, 16), (16, 0)], SIZE)
+    image = drawn(device, Primitive.TRIANGLES, positions, np.array([0, 1, 65535], "u4"))
+    assert_mask(image, covered([(0, 0), (0, 16), (16, 0)]))
+
+
+def test_primitives_are_drawn_in_order(device: Device) -> None:
+    color = np.repeat([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1)], 3, axis=0)
+    positions = np.tile(window_to_clip([(0, 0), (0, 32), (32, 0)], SIZE), (3, 1))
+    rows = corners(positions, color)
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), (0, 0, 255, 255))
+
+
+@pytest.mark.parametrize(
+    ("primitive", "provoking"),
+    [(Primitive.TRIANGLES, 0), (Primitive.TRIANGLE_STRIP, 0), (Primitive.QUADS, 0)],
+    ids=["triangles", "strip", "quads"],
+)
+def test_a_flat_value_is_that_of_the_first_vertex(device: Device, primitive: Primitive, provoking: int) -> None:
+    color = np.array([(1, 0, 0, 1), (0, 1, 0, 1), (0, 0, 1, 1), (1, 1, 0, 1)], float)
+    square = [(0, 0), (0, 16), (16, 16), (16, 0)]
+    if primitive is Primitive.TRIANGLES:
+        square, color = [(-16, 0), (16, 32), (16, -32)], color[:3]
+        square = [(0, 0), (0, 32), (32, 0)]
+    elif primitive is Primitive.TRIANGLE_STRIP:
+        square, color = [(0, 0), (0, 32), (32, 0)], color[:3]
+    image = drawn(device, primitive, window_to_clip(square, SIZE), color=color)
+    assert_same(image, color[provoking] * 255)

@@ -1,0 +1,196 @@
+"""What a device must give, computed plainly: float64 NumPy for values, exact integers for coverage.
+
+Nothing here is fast or clever; it is what results are judged by. Colors are (…, 4) arrays, images have their
+top row first, windows have y down.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rhi import BlendFactor, BlendFunction, BlendOperation, Format, StencilOperation
+from rhi.formats import Kind
+
+Array = NDArray[Any]
+Float = NDArray[np.float64]
+
+SUBTEXELS = 16
+"""Triangle corners lie on 1/16 of a texel: every device's fixed-point grid holds these exactly."""
+
+_COMPARISONS = {
+    "never": lambda new, stored: np.zeros(np.broadcast(new, stored).shape, bool),
+    "less": np.less,
+    "equal": np.equal,
+    "less_equal": np.less_equal,
+    "greater": np.greater,
+    "not_equal": np.not_equal,
+    "greater_equal": np.greater_equal,
+    "always": lambda new, stored: np.ones(np.broadcast(new, stored).shape, bool),
+}
+
+
+def compare(function: Any, new: ArrayLike, stored: ArrayLike) -> NDArray[np.bool_]:
+    """`new OP stored` for a `Comparison`, `DepthFunction` or `AlphaFunction`."""
+    return np.asarray(_COMPARISONS[function.value](np.asarray(new), np.asarray(stored)))
+
+
+# -- blending and stencil --------------------------------------------------------------------------------
+
+
+def blend(function: BlendFunction, source: ArrayLike, destination: ArrayLike, constant: ArrayLike) -> Float:
+    """The blended color before it is stored; arguments are (…, 4)."""
+    src, dst, con = (np.asarray(v, np.float64) for v in (source, destination, constant))
+    src, dst = np.broadcast_arrays(src, dst)
+    color = _combine(function.operation, function.source, function.destination, src, dst, con)
+    alpha = _combine(
+        function.operation_alpha or function.operation,
+        function.source_alpha or function.source,
+        function.destination_alpha or function.destination,
+        src, dst, con,
+    )  # fmt: skip
+    return np.concatenate([color[..., :3], alpha[..., 3:]], axis=-1)
+
+
+def _combine(
+    operation: BlendOperation, source_factor: BlendFactor, destination_factor: BlendFactor, source: Float,
+    destination: Float, constant: Float,
+) -> Float:  # fmt: skip
+    if operation is BlendOperation.MINIMUM:
+        return np.minimum(source, destination)
+    if operation is BlendOperation.MAXIMUM:
+        return np.maximum(source, destination)
+    left = source * _factor(source_factor, source, destination, constant)
+    right = destination * _factor(destination_factor, source, destination, constant)
+    if operation is BlendOperation.SUBTRACT:
+        return left - right
+    if operation is BlendOperation.REVERSE_SUBTRACT:
+        return right - left
+    return left + right
+
+
+def _factor(factor: BlendFactor, source: Float, destination: Float, constant: Float) -> Float:
+    one = np.ones_like(source)
+    if factor is BlendFactor.SOURCE_ALPHA_SATURATE:
+        saturated = np.minimum(source[..., 3:], 1.0 - destination[..., 3:])
+        return np.concatenate([one[..., :3] * saturated, one[..., 3:]], axis=-1)
+    base = {
+        "zero": 0.0 * one,
+        "one": one,
+        "source_color": source,
+        "source_alpha": source[..., 3:] * one,
+        "destination_color": destination,
+        "destination_alpha": destination[..., 3:] * one,
+        "constant": constant * one,
+    }
+    name = factor.value
+    return one - base[name.removeprefix("one_minus_")] if name.startswith("one_minus_") else base[name]
+
+
+def stencil(operation: StencilOperation, stored: int, reference: int, write_mask: int = 255) -> int:
+    """The stored stencil value after an operation."""
+    new = {
+        StencilOperation.KEEP: stored,
+        StencilOperation.ZERO: 0,
+        StencilOperation.REPLACE: reference,
+        StencilOperation.INCREMENT: min(stored + 1, 255),
+        StencilOperation.INCREMENT_WRAP: (stored + 1) & 255,
+        StencilOperation.DECREMENT: max(stored - 1, 0),
+        StencilOperation.DECREMENT_WRAP: (stored - 1) & 255,
+        StencilOperation.INVERT: ~stored & 255,
+    }[operation]
+    return (stored & ~write_mask) | (new & write_mask)
+
+
+# -- formats ---------------------------------------------------------------------------------------------
+
+
+def srgb_to_linear(value: ArrayLike) -> Float:
+    """IEC 61966-2-1, both 0 to 1."""
+    v = np.asarray(value, np.float64)
+    return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
+
+
+def linear_to_srgb(value: ArrayLike) -> Float:
+    """IEC 61966-2-1, both 0 to 1."""
+    v = np.asarray(value, np.float64)
+    return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
+
+
+def decode(format: Format, stored: ArrayLike) -> Float:
+    """What a shader reads where `stored` (…, channels) is kept; missing channels are 0, 0, 1."""
+    values = np.asarray(stored, np.float64)
+    if format.kind is Kind.UNORM:
+        values = values / np.iinfo(format.dtype).max
+    elif format.kind is Kind.SNORM:
+        values = np.maximum(values / np.iinfo(format.dtype).max, -1.0)
+    elif format.kind is Kind.SRGB:
+        values = values / 255.0
+        values = np.concatenate([srgb_to_linear(values[..., :3]), values[..., 3:]], axis=-1)
+    full = np.zeros((*values.shape[:-1], 4))
+    full[..., 3] = 1.0
+    full[..., : values.shape[-1]] = values
+    return full
+
+
+def encode(format: Format, color: ArrayLike) -> Float:
+    """The stored number for `color` (…, 4) before it is rounded; (…, channels)."""
+    values = np.asarray(color, np.float64)[..., : format.channels]
+    if format.kind is Kind.UNORM:
+        return np.asarray(np.clip(values, 0.0, 1.0) * np.iinfo(format.dtype).max)
+    if format.kind is Kind.SNORM:
+        return np.asarray(np.clip(values, -1.0, 1.0) * np.iinfo(format.dtype).max)
+    if format.kind is Kind.SRGB:
+        values = np.clip(values, 0.0, 1.0)
+        return 255.0 * np.concatenate([linear_to_srgb(values[..., :3]), values[..., 3:]], axis=-1)
+    return values
+
+
+def rounding(format: Format, expected: Float) -> tuple[Float, str]:
+    """(tolerance, reason) of a conversion whose exact result is `expected`."""
+    if format.dtype.kind == "f":
+        # A device may cut off instead of rounding (OpenGL 4.3, section 2.3.4.1: implementation-dependent).
+        bits = 10 if format.dtype.itemsize == 2 else 23
+        return np.abs(expected) * 2.0**-bits, f"cutting {bits} fraction bits off"
+    if format.kind is Kind.SRGB:
+        return np.ones_like(expected), "sRGB curves may be approximated within one stored number"
+    # The product with 2^n - 1 is computed in float32, so what lies near a half may go either way.
+    return 0.5 + np.abs(expected) * 2.0**-22, "rounding to the nearest stored number"
+
+
+def halve(format: Format, stored: Array) -> Float:
+    """The next mip level of (height, width, channels), even sizes, before rounding: a 2×2 box in linear light."""
+    values = stored.astype(np.float64)
+    if format.kind is Kind.SRGB:
+        values = decode(format, values)
+    height, width, channels = values.shape
+    box = values.reshape(height // 2, 2, width // 2, 2, channels).mean(axis=(1, 3))
+    return encode(format, box) if format.kind is Kind.SRGB else np.asarray(box)
+
+
+# -- coverage --------------------------------------------------------------------------------------------
+
+
+def rasterise(triangle: ArrayLike, width: int, height: int) -> NDArray[np.bool_]:
+    """The texels whose centers a triangle covers, by the top-left rule; exact.
+
+    `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, of either winding.
+    """
+    corners = np.asarray(triangle, np.int64)
+    (ax, ay), (bx, by), (cx, cy) = (map(int, corner) for corner in corners)
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    if area == 0:
+        return np.zeros((height, width), bool)
+    order: Sequence[int] = (0, 1, 2) if area > 0 else (0, 2, 1)  # clockwise as seen with y down
+    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * SUBTEXELS + SUBTEXELS // 2
+    inside = np.ones((height, width), bool)
+    for start, end in zip(order, (*order[1:], order[0]), strict=True):
+        sx, sy = map(int, corners[start])
+        dx, dy = int(corners[end][0]) - sx, int(corners[end][1]) - sy
+        edge = dx * (y - sy) - dy * (x - sx)
+        is_top_left = dy < 0 or (dy == 0 and dx > 0)
+        inside &= (edge >= 0) if is_top_left else (edge > 0)
+    return inside

@@ -1,0 +1,102 @@
+"""The shaders that many tests share."""
+
+from __future__ import annotations
+
+from rhi.shading import Flat, FragmentDepth, Shader, Struct, ivec4, uvec4, vec2, vec4
+
+class Corner(Struct):
+    """A vertex in clip space, with a color."""
+
+    position: vec4
+    color: vec4
+
+
+class Bare(Struct):
+    """A position alone."""
+
+    clip: vec4
+
+
+class Shade(Struct):
+    """A position and a color that is interpolated."""
+
+    clip: vec4
+    color: vec4
+
+
+class Colored(Shader):
+    """Vertex positions and colors as they are."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+class FlatShade(Struct):
+    """A position and a color of the whole primitive."""
+
+    clip: vec4
+    color: Flat[vec4]
+
+
+class FlatColored(Shader):
+    """One color per primitive: that of its first vertex."""
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=v.color)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+class UintColored(Shader):
+    """Colors as unsigned integers, for integer targets."""
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=v.color)
+
+    def fragment(self, v: FlatShade) -> uvec4:
+        return uvec4(v.color)
+
+
+class IntColored(Shader):
+    """Colors as signed integers, for integer targets."""
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=v.color)
+
+    def fragment(self, v: FlatShade) -> ivec4:
+        return ivec4(v.color)
+
+
+class DepthColor(Struct):
+    """A color and a depth of the fragment's own."""
+
+    color: vec4
+    depth: FragmentDepth
+
+
+class DepthFromColor(Shader):
+    """The red channel becomes the depth."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> DepthColor:
+        return DepthColor(color=v.color, depth=v.color.x)
+
+
+class PlaceVarying(Struct):
+    """A position and texture coordinates."""
+
+    clip: vec4
+    uv: vec2
+
+
+class Place(Struct):
+    """A vertex in clip space, with texture coordinates."""
+
+    position: vec4
+    uv: vec2

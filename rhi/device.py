@@ -1,0 +1,635 @@
+"""What users hold: the platform-independent half of the interface (the thesis's modified PIMPL, 3.6.3).
+
+- `Device` makes resources, opens passes and scopes, draws, and keeps time. It is the only place with policy:
+  when resources are freed, how far the CPU may run ahead, how large rings are.
+- The other half is a `Backend`; commands are calls of its methods. Whatever is refused is refused here,
+  before the backend hears of it.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import ParamSpec
+
+from rhi.backend import Backend, Capabilities
+from rhi.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, check_layout
+from rhi.commands import CommandStream
+from rhi.core import Core, Statistics
+from rhi.descriptors import (
+    BufferUsage,
+    Primitive,
+    ProgramDescriptor,
+    SamplerDescriptor,
+    TextureDescriptor,
+    TextureKind,
+)
+from rhi.errors import refuse
+from rhi.formats import Format
+from rhi.immediate import Immediate, TransientMemory
+from rhi.layout import Layout, element_dtype
+from rhi.mesh import Mesh, MeshData, VertexSource, check_draws
+from rhi.passes import Clear, RenderPass, Target
+from rhi.program import Program
+from rhi.queries import Conditional, Event, OcclusionQuery, QueryDesk, TimerNode, Timers
+from rhi.recorder import Recorder
+from rhi.rules import (
+    BUFFER_DTYPE,
+    DEVICE_ARGUMENT,
+    DEVICE_CAPABILITY,
+    DEVICE_NOT_RECORDING,
+    DISPATCH_SIZE,
+    INDIRECT_RANGE,
+    LOCK_OPEN,
+    PASS_OPEN,
+    RESOURCE_FOREIGN,
+    TEXTURE_DATA,
+    TEXTURE_SIZE,
+)
+from rhi.shading import Shader, Struct, compile_shader, value_type_of
+from rhi.state_cache import StateCache, StateScope
+from rhi.states import AlphaFunction, AlphaReference, AlphaTest, AlphaToCoverage, State, StencilTest
+from rhi.textures import Sampler, Texture, full_levels
+
+__rhi_internal__ = True
+
+P = ParamSpec("P")
+S = TypeVar("S", bound=Struct)
+T = TypeVar("T")
+B = TypeVar("B")
+
+
+@dataclass(frozen=True, slots=True)
+class IndirectDraws:
+    """Draws whose arguments the GPU reads from a buffer when it executes them.
+
+    Each is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`), `stride` bytes apart from `offset`.
+    With `count`, their number is the uint32 at `count_offset` of that buffer, at most `draws`.
+    """
+
+    buffer: Buffer | StorageBuffer[Any]
+    draws: int
+    offset: int = 0
+    stride: int = 20
+    count: Buffer | StorageBuffer[Any] | None = None
+    count_offset: int = 0
+
+
+class Device:
+    """One device. `rhi.create_device` makes it; use it in a `with` block, or call `close`."""
+
+    def __init__(self, backend: Backend, *, timing: bool = False, frames_in_flight: int = 2) -> None:
+        """`backend` may be a `Recorder` in front of another."""
+        capabilities = backend.capabilities
+        self._backend = backend
+        self._core = Core(backend, StateCache(_unsupported_states(capabilities)))
+        self._scope = self._core.states.scope
+        self._desk = QueryDesk()
+        self._timers = Timers(self._core, timing and capabilities.timestamps)
+        self._transient = TransientMemory(self._core)
+        self._programs: dict[object, Program[Any]] = {}
+        self._frames: deque[int] = deque()
+        self._frames_in_flight = max(1, frames_in_flight)
+
+    # -- life --------------------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close(quiet=kind is not None)
+
+    def close(self, *, quiet: bool = False) -> None:
+        """Let go of the device and of everything made with it; a second call does nothing.
+
+        Raises:
+            ValidationError: `lock-open` when a lock was never released (unless `quiet`); the device is
+                closed all the same.
+        """
+        core = self._core
+        if core.closed:
+            return
+        core.closed = True
+        core.program = None
+        self._backend.close()
+        if core.locked and not quiet:
+            shown = ", ".join(repr(owner) for owner in core.locked)
+            refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
+
+    @property
+    def closed(self) -> bool:
+        return self._core.closed
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What the device can do, and its limits."""
+        return self._core.capabilities
+
+    @property
+    def backend_name(self) -> str:
+        """The backend's name: "gl", "null"…"""
+        return self._core.capabilities.backend
+
+    @property
+    def statistics(self) -> Statistics:
+        """Counters since creation or `reset_statistics`: a snapshot."""
+        return self._core.statistics()
+
+    def reset_statistics(self) -> None:
+        self._core.reset_statistics()
+
+    @property
+    def stream(self) -> CommandStream:
+        """The recorded commands.
+
+        Raises:
+            ValidationError: `device-not-recording` without a recorder.
+        """
+        if isinstance(self._backend, Recorder):
+            return self._backend.stream
+        refuse(DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record")
+
+    def backend_as(self, kind: type[B]) -> B:
+        """The backend itself, for what only it can do; below a recorder, if there is one.
+
+        Raises:
+            ValidationError: `device-capability` if it is another backend.
+        """
+        backend: object = self._backend
+        while isinstance(backend, Recorder) and not isinstance(backend, kind):
+            backend = backend.backend
+        if isinstance(backend, kind):
+            return backend
+        refuse(
+            DEVICE_CAPABILITY, f"device.backend_as({kind.__name__})", type(backend).__name__, kind.__name__
+        )
+
+    def __repr__(self) -> str:
+        return f"Device({self.backend_name!r}, {self.capabilities.device!r})"
+
+    # -- resources ---------------------------------------------------------------------------------------
+
+    def buffer(
+        self,
+        source: int | NDArray[Any],
+        dtype: np.dtype[Any] | type | str | None = None,
+        *,
+        usage: BufferUsage = BufferUsage.STATIC,
+        label: str = "",
+    ) -> Buffer:
+        """Memory on the device: a number of elements of `dtype` (default: bytes), zeroed, or an array's copy."""
+        if isinstance(source, (int, np.integer)):
+            return Buffer(self._core, int(source), np.dtype(dtype or np.uint8), usage, label)
+        array = np.asarray(source)
+        if dtype is not None and array.dtype != np.dtype(dtype):
+            refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
+        buffer = Buffer(self._core, array.size, array.dtype, usage, label)
+        buffer.write(array)
+        return buffer
+
+    def uniform(self, value: S, *, label: str = "") -> UniformBuffer[S]:
+        """Constants: one struct, bound as `Uniform[S]`."""
+        if not isinstance(value, Struct):
+            refuse(
+                DEVICE_ARGUMENT, "device.uniform", repr(value), "a Struct's value, e.g. Tint(scale=(1, 1, 1))"
+            )
+        return UniformBuffer(self._core, value, label)
+
+    def uniform_array(self, struct: type[S], count: int, *, label: str = "") -> UniformArray[S]:
+        """Constants of `count` objects, written as one array, bound one by one as `array[i]`."""
+        return UniformArray(self._core, struct, count, label)
+
+    def storage(
+        self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = ""
+    ) -> StorageBuffer[T]:
+        """An array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, an array's copy, or a
+        view of a buffer.
+
+        Raises:
+            ValidationError: `layout-mismatch` when the array isn't of the element's std430 dtype.
+        """
+        shading_type = value_type_of(element)
+        dtype = element_dtype(shading_type, Layout.STD430)
+        if isinstance(source, Buffer):
+            if source.core is not self._core:
+                refuse(RESOURCE_FOREIGN, "device.storage", repr(source))
+            return StorageBuffer(source, element, dtype)
+        count = int(source) if isinstance(source, (int, np.integer)) else 0
+        name = label or f"{getattr(element, '__name__', element)}[]"
+        if not isinstance(source, (int, np.integer)):
+            array = np.asarray(source)
+            check_layout(array, dtype, "device.storage")
+            count = array.size // int(np.prod(dtype.shape, initial=1))
+        storage: StorageBuffer[T] = StorageBuffer(
+            Buffer(self._core, count, dtype, label=name), element, dtype
+        )
+        if not isinstance(source, (int, np.integer)):
+            storage.write(array)
+        return storage
+
+    def texture(
+        self,
+        source: tuple[int, int] | NDArray[Any],
+        format: Format,
+        *,
+        kind: TextureKind = TextureKind.D2,
+        layers: int | None = None,
+        levels: int | None = 1,
+        samples: int = 1,
+        label: str = "",
+    ) -> Texture:
+        """A texture of (width, height), zeroed, or of an array's texels.
+
+        An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
+        channels), top row first, of the format's dtype. `levels` None means all down to 1×1; they are
+        filled from an array's texels if the format can be filtered.
+        """
+        data = None
+        if isinstance(source, np.ndarray):
+            data = source
+            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.channels == 1):
+                refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", "(height, width, channels), or with "
+                       "layers in front")  # fmt: skip
+            height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
+            layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
+        else:
+            if len(source) != 2 or not all(isinstance(n, (int, np.integer)) for n in source):
+                refuse(TEXTURE_SIZE, "device.texture", repr(source), "(width, height), two whole numbers")
+            width, height = source
+        if layers is None:
+            layers = 6 if kind is TextureKind.CUBE else 1
+        if levels is None:
+            levels = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
+        descriptor = TextureDescriptor(
+            (int(width), int(height)), format, kind, layers, levels, samples, label
+        )
+        texture = Texture(self._core, descriptor)
+        if data is not None:
+            try:
+                texture.write(data)
+            except BaseException:
+                texture.destroy()
+                raise
+            if levels > 1 and not format.is_integer:
+                texture.generate_mipmaps()
+        return texture
+
+    def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
+        """How textures are read: `texture.sampled(sampler)`."""
+        self._core.check_open()
+        return Sampler(self._core.sampler(descriptor), descriptor)
+
+    def mesh(
+        self,
+        vertices: VertexSource | int,
+        indices: NDArray[Any] | Buffer | None = None,
+        *,
+        instances: VertexSource | None = None,
+        primitive: Primitive = Primitive.TRIANGLES,
+        label: str = "",
+    ) -> Mesh:
+        """Vertices, and optionally indices and per-instance data, that draws read.
+
+        Args:
+            vertices: a structured array, a dict of arrays by attribute name, a buffer with a structured
+                dtype, or a number of vertices without attributes.
+            indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
+            instances: as `vertices`, one element per instance.
+
+        Raises:
+            ValidationError: `mesh-data` (not structured, empty, NaN), `mesh-index` (out of range).
+        """
+        data = MeshData(self._core, vertices, indices, instances, label)
+        return Mesh(data, primitive, 0, data.vertex_count if data.index_count is None else data.index_count)
+
+    @overload
+    def program(self, shader: Callable[P, Shader]) -> Program[P]: ...
+
+    @overload
+    def program(self, shader: ProgramDescriptor) -> Program[...]: ...
+
+    def program(self, shader: Any) -> Program[Any]:
+        """A shader class (or a native program's descriptor) on the device; the same for the same class.
+
+        Raises:
+            ShaderError: it doesn't type-check, or the driver refuses it.
+        """
+        self._core.check_open()
+        program = self._programs.get(shader)
+        if program is None or program.destroyed:
+            descriptor = shader if isinstance(shader, ProgramDescriptor) else compile_shader(shader)
+            program = self._programs[shader] = Program(self._core, descriptor)
+        return program
+
+    # -- passes and states -------------------------------------------------------------------------------
+
+    def render_pass(
+        self,
+        color: Target | Sequence[Target] | None = None,
+        depth: Target | None = None,
+        *,
+        clear: Clear = None,
+        clear_depth: float | None = None,
+        clear_stencil: int | None = None,
+        resolve: Texture | Sequence[Texture | None] | None = None,
+        label: str = "",
+    ) -> RenderPass:
+        """`with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):` draws go to these.
+
+        Args:
+            color, depth: textures, or `texture.at(level, layer)`, all of one size and number of samples.
+            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps it).
+            clear_depth: 0 is far and 1 near under reversed depth; None keeps what is there.
+            resolve: single-sampled textures that get the averaged samples at the end.
+        """
+        return RenderPass(
+            self._core, self._desk, color, depth, clear, clear_depth, clear_stencil, resolve, label
+        )  # fmt: skip
+
+    def states(self, *states: State) -> StateScope:
+        """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
+        return self._scope(states)
+
+    # -- work --------------------------------------------------------------------------------------------
+
+    if TYPE_CHECKING:
+
+        def draw(
+            self, program: Program[P], mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
+        ) -> None:
+            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
+
+            Raises:
+                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
+                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
+            """
+
+    else:
+        # Without *args, which cost 80 ns; there are none, a type checker only wants them named.
+        def draw(self, program, mesh, instances=1, /, **bindings):
+            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
+
+            Raises:
+                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
+                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
+            """
+            try:
+                program.draw(mesh, instances, **bindings)
+            except (TypeError, AttributeError):
+                check_program(program, "device.draw")
+                program.check_names(set(bindings))
+                raise
+
+    def draw_many(
+        self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
+    ) -> None:
+        """Draw parts of `mesh`, an array of `rhi.DRAW` (see `mesh.draws`), in one call.
+
+        The array is copied into a buffer of its own ring; shaders tell the draws apart by
+        `instance_index()` (which counts from `base_instance`) or `draw_index()`.
+        """
+        check_program(program, "device.draw_many")
+        check_mesh(mesh, "device.draw_many")
+        array = check_draws(mesh, draws, "device.draw_many")
+        if mesh.primitive is Primitive.QUADS:
+            refuse(DEVICE_CAPABILITY, "device.draw_many", "Primitive.QUADS", "any other primitive")
+        vertex_array = self._bind_draws(program, mesh, bindings)
+        if not len(array):
+            return
+        core = self._core
+        core.upload_bytes += array.nbytes
+        arguments = self._transient.arguments
+        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
+        core.backend.draw_indirect(
+            vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
+        )
+        core.draws += 1
+
+    def draw_indirect(
+        self,
+        program: Program[P],
+        mesh: Mesh,
+        arguments: IndirectDraws,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Draw with arguments that the GPU reads from a buffer when it gets there."""
+        call = "device.draw_indirect"
+        check_program(program, call)
+        check_mesh(mesh, call)
+        core = self._core
+        buffer = _plain(arguments.buffer)
+        count = None if arguments.count is None else _plain(arguments.count)
+        core.check_usable(buffer, call)
+        end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
+        if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
+            given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
+            refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
+        if (
+            arguments.stride < 20
+            or arguments.stride % 4
+            or arguments.offset % 4
+            or arguments.count_offset % 4
+        ):
+            refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
+                   "a stride of 20 or more and offsets, all multiples of 4")  # fmt: skip
+        if mesh.primitive is Primitive.QUADS:
+            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        if count is not None:
+            if not core.capabilities.indirect_count:
+                refuse(DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count")
+            core.check_usable(count, call)
+            if not 0 <= arguments.count_offset <= count.size - 4:
+                refuse(
+                    INDIRECT_RANGE,
+                    call,
+                    f"count at byte {arguments.count_offset}",
+                    f"within {count.size} bytes",
+                )
+        vertex_array = self._bind_draws(program, mesh, bindings)
+        core.backend.draw_indirect(
+            vertex_array,
+            mesh.primitive,
+            buffer.id,
+            arguments.offset,
+            arguments.draws,
+            arguments.stride,
+            count.id if count is not None else 0,
+            arguments.count_offset,
+        )
+        core.draws += 1
+
+    def dispatch(
+        self, program: Program[P], groups: int | Sequence[int], /, *args: P.args, **bindings: P.kwargs
+    ) -> None:
+        """Run `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
+
+        What it writes is visible to everything after it; no barrier is needed.
+        """
+        call = "device.dispatch"
+        check_program(program, call)
+        sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
+        sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
+        most = self._core.capabilities.max_dispatch
+        if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
+            refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
+        program.check_names(set(bindings))
+        program.bind(program.ready_to_dispatch, None, **bindings)
+        if 0 not in sizes:
+            self._core.backend.dispatch(*sizes)
+            self._core.dispatches += 1
+
+    def dispatch_indirect(
+        self,
+        program: Program[P],
+        buffer: Buffer | StorageBuffer[Any],
+        offset: int = 0,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
+        call = "device.dispatch_indirect"
+        check_program(program, call)
+        plain = _plain(buffer)
+        self._core.check_usable(plain, call)
+        if offset < 0 or offset % 4 or offset + 12 > plain.size:
+            refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {plain.size - 12}")
+        program.check_names(set(bindings))
+        program.bind(program.ready_to_dispatch, None, **bindings)
+        self._core.backend.dispatch_indirect(plain.id, offset)
+        self._core.dispatches += 1
+
+    def immediate(
+        self, program: Program[P], primitive: Primitive, /, *args: P.args, **bindings: P.kwargs
+    ) -> Immediate[Any]:
+        """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
+        check_program(program, "device.immediate")
+        return Immediate(self._transient, program, primitive, bindings)
+
+    @property
+    def transient(self) -> TransientMemory:
+        """Ring memory for constants and vertices of this frame."""
+        return self._transient
+
+    # -- time --------------------------------------------------------------------------------------------
+
+    def signal(self) -> int:
+        """Mark this point of the command stream; the value to compare `completed` with or to `wait` for."""
+        self._core.check_open()
+        return self._core.signal()
+
+    @property
+    def completed(self) -> int:
+        """The last signalled value that the GPU has reached; never waits."""
+        self._core.check_open()
+        return self._core.timeline.completed
+
+    def wait(self, value: int, seconds: float | None = None) -> bool:
+        """Block until the GPU has reached `value`, at most `seconds`; whether it has."""
+        self._core.check_open()
+        reached = self._core.timeline.wait(value, seconds)
+        self._core.timeline.collect()
+        return reached
+
+    def finish(self) -> None:
+        """Block until everything submitted is done."""
+        self.wait(self.signal())
+        self._timers.collect()
+
+    def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
+        """A counter of visible samples; `emulated` asks for the thesis's emulation (4.4.2) where it can be had."""
+        return OcclusionQuery(self._core, self._desk, emulated)
+
+    def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
+        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing."""
+        return Conditional(self._core, query, inverted)
+
+    def event(self, label: str) -> Event:
+        """`with device.event("shadows"):` a label on the commands inside and, with timing on, a timer."""
+        return Event(self._core, self._timers, label)
+
+    @property
+    def timing(self) -> bool:
+        """Whether events take timestamps."""
+        return self._timers.enabled
+
+    @timing.setter
+    def timing(self, on: bool) -> None:
+        if on and not self.capabilities.timestamps:
+            refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
+        self._timers.enabled = on
+
+    @property
+    def timers(self) -> list[TimerNode]:
+        """The events of the latest frame whose times are known."""
+        if not self._core.closed:
+            self._timers.collect()
+        return self._timers.latest
+
+    def present(self, image: Texture | None = None) -> None:
+        """End the frame; `image` is what it shows.
+
+        Waits only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame
+        is free once the GPU is done with it.
+        """
+        core = self._core
+        core.check_open()
+        if core.render_pass is not None:
+            refuse(PASS_OPEN, "device.present", "an open render pass")
+        if image is not None:
+            core.check_usable(image, "device.present")
+        core.backend.present(image.id if image is not None else 0)
+        self._timers.end_frame()
+        self._frames.append(core.end_frame())
+        if len(self._frames) > self._frames_in_flight:
+            core.timeline.wait(self._frames.popleft())
+            core.timeline.collect()
+
+    # -- inside ------------------------------------------------------------------------------------------
+
+    def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
+        """Everything a draw needs but the draw itself; returns the vertex array."""
+        program.check_names(set(bindings))
+        core = self._core
+        core.program = None  # many draws at once are worth a full check
+        vertex_array = mesh.vertex_arrays.get(program) or program.attach(mesh)
+        program.bind(program.ready_to_draw, mesh, **bindings)
+        states = core.states
+        if states.wanted is not states.hardware:
+            core.backend.set_states(states.flush())
+        return vertex_array
+
+
+def check_program(program: object, call: str) -> None:
+    if not isinstance(program, Program):
+        refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+
+
+def check_mesh(mesh: object, call: str) -> None:
+    if not isinstance(mesh, Mesh):
+        refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+
+
+def _plain(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
+    return buffer.owner if isinstance(buffer, StorageBuffer) else buffer
+
+
+def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
+    lacking: dict[type, str] = {}
+    if not capabilities.alpha_test:
+        lacking |= dict.fromkeys((AlphaTest, AlphaFunction, AlphaReference), "alpha_test")
+    if not capabilities.stencil:
+        lacking[StencilTest] = "stencil"
+    if not capabilities.alpha_to_coverage:
+        lacking[AlphaToCoverage] = "alpha_to_coverage"
+    return lacking

@@ -1,0 +1,123 @@
+"""Texel and index formats: what a texel is made of, and how it looks to NumPy.
+
+- A `Format` knows its channels, their kind and the NumPy dtype that `Texture.read` and `write` use; a
+  backend keeps its own table from `Format` to the names of its API.
+- Depth formats read back as float32, whatever they are stored as; stencil reads as uint8.
+"""
+
+from __future__ import annotations
+
+import enum
+from typing import Final
+
+import numpy as np
+
+__rhi_internal__ = True
+
+
+class Kind(enum.Enum):
+    """How a shader sees a channel."""
+
+    UNORM = "unorm"
+    SNORM = "snorm"
+    FLOAT = "float"
+    UINT = "uint"
+    INT = "int"
+    SRGB = "srgb"
+    DEPTH = "depth"
+    DEPTH_STENCIL = "depth_stencil"
+
+
+class Format(enum.Enum):
+    """A texel format. `channels`, `kind`, `dtype` and `texel_bytes` describe it.
+
+    The value is (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
+    """
+
+    R8 = (1, Kind.UNORM, "u1", 1)
+    RG8 = (2, Kind.UNORM, "u1", 2)
+    RGBA8 = (4, Kind.UNORM, "u1", 4)
+    RGBA8_SRGB = (4, Kind.SRGB, "u1", 4)
+    R8_SNORM = (1, Kind.SNORM, "i1", 1)
+    RG8_SNORM = (2, Kind.SNORM, "i1", 2)
+    RGBA8_SNORM = (4, Kind.SNORM, "i1", 4)
+    R16 = (1, Kind.UNORM, "u2", 2)
+    RG16 = (2, Kind.UNORM, "u2", 4)
+    RGBA16 = (4, Kind.UNORM, "u2", 8)
+    R16F = (1, Kind.FLOAT, "f2", 2)
+    RG16F = (2, Kind.FLOAT, "f2", 4)
+    RGBA16F = (4, Kind.FLOAT, "f2", 8)
+    R32F = (1, Kind.FLOAT, "f4", 4)
+    RG32F = (2, Kind.FLOAT, "f4", 8)
+    RGBA32F = (4, Kind.FLOAT, "f4", 16)
+    R8UI = (1, Kind.UINT, "u1", 1)
+    RG8UI = (2, Kind.UINT, "u1", 2)
+    RGBA8UI = (4, Kind.UINT, "u1", 4)
+    R16UI = (1, Kind.UINT, "u2", 2)
+    RG16UI = (2, Kind.UINT, "u2", 4)
+    RGBA16UI = (4, Kind.UINT, "u2", 8)
+    R32UI = (1, Kind.UINT, "u4", 4)
+    RG32UI = (2, Kind.UINT, "u4", 8)
+    RGBA32UI = (4, Kind.UINT, "u4", 16)
+    R32I = (1, Kind.INT, "i4", 4)
+    RG32I = (2, Kind.INT, "i4", 8)
+    RGBA32I = (4, Kind.INT, "i4", 16)
+    D16 = (1, Kind.DEPTH, "f4", 2)
+    D24 = (1, Kind.DEPTH, "f4", 4)
+    D32F = (1, Kind.DEPTH, "f4", 4)  # noqa: PIE796 (members are numbered, see __new__)
+    D24S8 = (1, Kind.DEPTH_STENCIL, "f4", 4)
+    D32FS8 = (1, Kind.DEPTH_STENCIL, "f4", 8)
+
+    __hash__ = object.__hash__
+
+    channels: int
+    kind: Kind
+    dtype: np.dtype[np.generic]
+    texel_bytes: int
+
+    def __init__(self, channels: int, kind: Kind, dtype: str, texel_bytes: int) -> None:
+        # Two formats may agree in all four parts (D24 and D32F do), and Enum would make them aliases
+        # were the values equal; __new__ below numbers them.
+        self.channels = channels
+        self.kind = kind
+        self.dtype = np.dtype(dtype)
+        self.texel_bytes = texel_bytes
+
+    def __new__(cls, *parts: object) -> Format:
+        member = object.__new__(cls)
+        member._value_ = len(cls.__members__)
+        return member
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether it is a depth format, with or without stencil."""
+        return self.kind in (Kind.DEPTH, Kind.DEPTH_STENCIL)
+
+    @property
+    def has_stencil(self) -> bool:
+        return self.kind is Kind.DEPTH_STENCIL
+
+    @property
+    def is_integer(self) -> bool:
+        """Whether shaders read integers: no filtering, no blending."""
+        return self.kind in (Kind.UINT, Kind.INT)
+
+
+class IndexFormat(enum.Enum):
+    """The type of an index buffer's elements; `size` is in bytes."""
+
+    UINT16 = "u2"
+    UINT32 = "u4"
+
+    __hash__ = object.__hash__
+
+    dtype: np.dtype[np.generic]
+    size: int
+
+    def __init__(self, code: str) -> None:
+        self.dtype = np.dtype(code)
+        self.size = self.dtype.itemsize
+
+
+COLOR_FORMATS: Final = tuple(f for f in Format if not f.is_depth)
+DEPTH_FORMATS: Final = tuple(f for f in Format if f.is_depth)

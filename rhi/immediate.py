@@ -1,0 +1,310 @@
+"""Immediate mode and transient memory: geometry and constants that live for a frame (thesis 4.3).
+
+- `TransientMemory` puts constants, vertices and indices into rings; what it gives is valid until the frame is
+  presented.
+- `Immediate` collects ad-hoc vertices, one at a time or as whole arrays, and draws them all at once at the end
+  of its `with` block: one upload, one draw (Listing 4.9 without the counts in advance).
+- Vertices are laid out as the program's vertex stage reads them.
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.core import Core
+from rhi.descriptors import (
+    Attribute,
+    Id,
+    Primitive,
+    VertexArrayDescriptor,
+    VertexAttribute,
+    VertexFormat,
+    VertexStream,
+)
+from rhi.errors import refuse
+from rhi.formats import IndexFormat
+from rhi.layout import VectorType
+from rhi.mesh import Mesh
+from rhi.program import Program
+from rhi.ring import Ring
+from rhi.rules import IMMEDIATE_VERTEX, RESOURCE_DESTROYED
+from rhi.shading.bindings import UniformRange
+
+if TYPE_CHECKING:
+    from rhi.shading import Struct
+
+__rhi_internal__ = True
+
+S = TypeVar("S", bound="Struct")
+
+_FLOAT_FORMATS = {f.components: f for f in VertexFormat if f.code == "f4"}
+_INT_FORMATS = {f.components: f for f in VertexFormat if f.code == "i4"}
+_UINT_FORMATS = {f.components: f for f in VertexFormat if f.code == "u4" and not f.normalized}
+_BY_SCALAR = {"float": _FLOAT_FORMATS, "int": _INT_FORMATS, "uint": _UINT_FORMATS}
+
+
+class _RingOwner:
+    """Stands for a ring's buffer where bindings look at their owner; destroyed when the ring has grown."""
+
+    __slots__ = ("core", "destroyed", "label")
+
+    def __init__(self, core: Core, label: str) -> None:
+        self.core = core
+        self.destroyed = False
+        self.label = label
+
+
+class TransientMemory:
+    """Ring memory of one device, for what is used in one frame only.
+
+    Attributes:
+        arguments: the ring that `device.draw_many` puts its arrays of draws into.
+    """
+
+    __slots__ = ("_constants", "_core", "_indices", "_owner", "_owner_generation", "_vertex_arrays", "_vertices",
+                 "arguments")  # fmt: skip
+
+    def __init__(self, core: Core, capacity: int = 1 << 16) -> None:
+        self._core = core
+        self._constants = Ring(core.backend, core.timeline, core.new_id, capacity, "transient constants")
+        self._vertices = Ring(core.backend, core.timeline, core.new_id, capacity, "transient vertices")
+        self._indices = Ring(core.backend, core.timeline, core.new_id, capacity, "transient indices")
+        self.arguments = Ring(core.backend, core.timeline, core.new_id, capacity, "draw arguments")
+        core.frame_rings.extend((self._constants, self._vertices, self._indices, self.arguments))
+        self._owner = _RingOwner(core, "transient constants")
+        self._owner_generation = 0
+        self._vertex_arrays: dict[tuple[object, ...], Id] = {}
+
+    @property
+    def capacity(self) -> int:
+        """Bytes that the rings have room for."""
+        return sum(ring.capacity for ring in self._core.frame_rings if ring.buffer)
+
+    def uniform(self, value: S) -> UniformRange[S]:
+        """Constants for the draws of this frame."""
+        core = self._core
+        core.check_open()
+        data = value.to_bytes()
+        core.upload_bytes += len(data)
+        offset = self._constants.write(data, len(data), core.capabilities.uniform_alignment)
+        if self._constants.generation != self._owner_generation:
+            # The ring moved to a larger buffer. Ranges on the old one stay valid for this frame, but a new
+            # owner makes draws look at the new one.
+            self._owner = _RingOwner(core, "transient constants")
+            self._owner_generation = self._constants.generation
+        return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
+
+    def draw_arguments(
+        self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None
+    ) -> tuple[Id, int, int]:
+        """(vertex array, first, base vertex) of vertices and indices put into the rings.
+
+        `vertices` is of `vertex_dtype(program.descriptor.attributes)`.
+        """
+        core = self._core
+        stride = vertices.dtype.itemsize
+        core.upload_bytes += vertices.nbytes
+        start = self._vertices.write(vertices.view(np.uint8).data, vertices.nbytes, stride) // stride
+        first, base, index_buffer, index_format = start, 0, 0, IndexFormat.UINT32
+        if indices is not None:
+            size = indices.dtype.itemsize
+            core.upload_bytes += indices.nbytes
+            first = self._indices.write(indices.view(np.uint8).data, indices.nbytes, size) // size
+            base, index_buffer = start, self._indices.buffer
+            index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
+        key = (program.id, self._vertices.buffer, index_buffer, index_format)
+        vertex_array = self._vertex_arrays.get(key)
+        if vertex_array is None:
+            self._drop_outdated()
+            vertex_array = self._vertex_arrays[key] = core.new_id()
+            core.backend.create_vertex_array(
+                vertex_array,
+                VertexArrayDescriptor(
+                    program.id,
+                    (VertexStream(self._vertices.buffer, 0, stride, False,
+                                  vertex_attributes(program.descriptor.attributes)),),
+                    index_buffer,
+                    index_format,
+                ),
+            )  # fmt: skip
+        return vertex_array, first, base
+
+    def mesh(
+        self,
+        program: Program[Any],
+        vertices: NDArray[Any],
+        indices: NDArray[Any] | None = None,
+        primitive: Primitive = Primitive.TRIANGLES,
+    ) -> Mesh:
+        """A mesh of this frame for one program, from an array with the program's vertex fields."""
+        self._core.check_open()
+        array = match_vertices(program, vertices)
+        vertex_array, first, base = self.draw_arguments(program, array, indices)
+        count = len(array) if indices is None else len(indices)
+        return _TransientMesh({program: vertex_array}, primitive, first, count, base)
+
+    def _drop_outdated(self) -> None:
+        """Give back the vertex arrays on buffers that a ring has grown out of."""
+        current = (self._vertices.buffer, self._indices.buffer, 0)
+        for key in [k for k in self._vertex_arrays if k[1] != current[0] or k[2] not in current[1:]]:
+            self._core.timeline.retire(self._vertex_arrays.pop(key))
+
+
+class _NoData:
+    """A transient mesh has no buffers of its own to check."""
+
+    buffers: tuple[Any, ...] = ()
+    label = "transient"
+
+
+class _TransientMesh(Mesh):
+    __slots__ = ()
+
+    def __init__(
+        self, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int, base: int
+    ) -> None:
+        self.data = _NoData()  # type: ignore[assignment]
+        self.vertex_arrays = vertex_arrays
+        self.primitive = primitive
+        self.first = first
+        self.count = count
+        self.base_vertex = base
+        self.base_instance = 0
+
+
+class Immediate(Generic[S]):
+    """`with device.immediate(program, Primitive.QUADS, …) as quads: quads.vertex(position=…, color=…)`"""
+
+    __slots__ = ("_arrays", "_bindings", "_dtype", "_memory", "_open", "_primitive", "_program", "_rows")
+
+    def __init__(
+        self, memory: TransientMemory, program: Program[Any], primitive: Primitive, bindings: dict[str, Any]
+    ) -> None:
+        program.check_names(set(bindings))
+        if not program.descriptor.attributes:
+            refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
+                   "a program with vertex inputs")  # fmt: skip
+        self._memory = memory
+        self._program = program
+        self._primitive = primitive
+        self._bindings = bindings
+        self._dtype = vertex_dtype(program.descriptor.attributes)
+        self._rows: list[tuple[Any, ...]] = []
+        self._arrays: list[NDArray[Any]] = []
+        self._open = False
+
+    def vertex(self, **fields: Any) -> None:
+        """One vertex; a value per attribute of the program's vertex stage.
+
+        Raises:
+            ValidationError: `immediate-vertex` for a missing or unknown attribute.
+        """
+        names = self._dtype.names or ()
+        try:
+            row = tuple(fields[name] for name in names)
+        except KeyError:
+            row = ()
+        if len(row) != len(fields) or not self._open:
+            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", ", ".join(fields) if self._open else "a closed block",
+                   ", ".join(names) + " inside the `with` block")  # fmt: skip
+        self._rows.append(row)
+
+    def vertices(self, array: NDArray[Any]) -> None:
+        """Many vertices: a structured array with the program's vertex fields."""
+        if not self._open:
+            refuse(IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block")
+        self._arrays.append(self._pending())
+        self._arrays.append(match_vertices(self._program, array))
+
+    def __enter__(self) -> Self:
+        self._program.core.check_open()
+        self._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open = False
+        if kind is not None:
+            self._rows.clear()
+            self._arrays.clear()
+            return
+        self._arrays.append(self._pending())
+        array = np.concatenate(self._arrays)
+        self._arrays.clear()
+        if not len(array):
+            return
+        # Everything is checked before the vertices go into the ring.
+        self._program.bind(self._program.ready_to_draw, EMPTY_MESH, **self._bindings)
+        self._program.draw(
+            self._memory.mesh(self._program, array, None, self._primitive), 1, **self._bindings
+        )
+
+    def _pending(self) -> NDArray[Any]:
+        rows, self._rows = self._rows, []
+        try:
+            return np.array(rows, self._dtype)
+        except (TypeError, ValueError) as error:
+            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
+
+
+EMPTY_MESH = _TransientMesh({}, Primitive.TRIANGLES, 0, 0, 0)
+"""For checks that want a mesh where there is none yet."""
+
+
+def vertex_attributes(attributes: tuple[Attribute, ...]) -> tuple[VertexAttribute, ...]:
+    """Where tightly packed vertices of these attributes have them."""
+    packed, offset = [], 0
+    for attribute in attributes:
+        components, scalar = _shape(attribute)
+        packed.append(VertexAttribute(attribute.location, _BY_SCALAR[scalar][components], offset))
+        offset += 4 * components
+    return tuple(packed)
+
+
+def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
+    """The same as a NumPy dtype."""
+    codes = {"float": "<f4", "int": "<i4", "uint": "<u4"}
+    fields: list[Any] = []
+    for attribute in attributes:
+        components, scalar = _shape(attribute)
+        fields.append((attribute.name, codes[scalar], (components,)) if components > 1
+                      else (attribute.name, codes[scalar]))  # fmt: skip
+    return np.dtype(fields)
+
+
+def match_vertices(program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
+    """The array's fields as tightly packed vertices of the program.
+
+    Raises:
+        ValidationError: `immediate-vertex` when a field is missing or has another shape.
+    """
+    if program.destroyed:
+        refuse(RESOURCE_DESTROYED, "vertices", repr(program))
+    dtype = vertex_dtype(program.descriptor.attributes)
+    given = np.asarray(array)
+    if given.dtype == dtype and given.ndim == 1:
+        return np.ascontiguousarray(given)
+    names = dtype.names or ()
+    if given.ndim != 1 or not given.dtype.names or any(
+        name not in given.dtype.names or given.dtype[name].shape != dtype[name].shape for name in names
+    ):  # fmt: skip
+        refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
+    packed = np.empty(len(given), dtype)
+    for name in names:
+        packed[name] = given[name]
+    return packed
+
+
+def _shape(attribute: Attribute) -> tuple[int, str]:
+    vector = attribute.type
+    if isinstance(vector, VectorType):
+        return vector.size, str(vector.scalar)
+    return 1, str(vector)
+
+
+__all__ = ["Immediate", "TransientMemory", "match_vertices", "vertex_attributes", "vertex_dtype"]

@@ -1,0 +1,343 @@
+"""Types that CPU and device share, and where their parts lie in memory.
+
+- A type says what a value is (`VectorType(FLOAT, 3)`); a `Layout` says how it lies in memory: std140 for
+  uniform blocks, std430 for storage and vertices, PACKED for neither. `place` gives offsets and strides
+  (OpenGL 4.3, section 7.6.2.2), `dtype_of` the same as a NumPy dtype, padding included.
+- Matrices lie row by row, as in NumPy, so `M` uploaded as it is gives `M @ v` in a shader. A row is padded
+  like a vector: a `mat3` is float32 (3, 4), with a column that nobody reads.
+- `matches` decides whether an array may be uploaded as it is; `compare_layouts` prints why not.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+__rhi_internal__ = True
+
+
+class Layout(enum.Enum):
+    """How a type lies in memory."""
+
+    STD140 = "std140"
+    STD430 = "std430"
+    PACKED = "packed"
+
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class ScalarType:
+    """A bool, int, uint or float of 32 bits. A bool has no size: memory can't be shared through it."""
+
+    name: str
+    code: str = ""
+
+    def __str__(self) -> str:
+        return self.name
+
+
+BOOL: Final = ScalarType("bool")
+INT: Final = ScalarType("int", "i4")
+UINT: Final = ScalarType("uint", "u4")
+FLOAT: Final = ScalarType("float", "f4")
+
+_VECTOR_PREFIX: Final = {BOOL: "bvec", INT: "ivec", UINT: "uvec", FLOAT: "vec"}
+
+
+@dataclass(frozen=True, slots=True)
+class VectorType:
+    """2 to 4 components of one scalar type."""
+
+    scalar: ScalarType
+    size: int
+
+    def __str__(self) -> str:
+        return f"{_VECTOR_PREFIX[self.scalar]}{self.size}"
+
+
+@dataclass(frozen=True, slots=True)
+class MatrixType:
+    """A square matrix of floats with 2 to 4 rows."""
+
+    size: int
+
+    def __str__(self) -> str:
+        return f"mat{self.size}"
+
+
+@dataclass(frozen=True, slots=True)
+class ArrayType:
+    """`length` elements of one type."""
+
+    element: HostType
+    length: int
+
+    def __str__(self) -> str:
+        return f"{self.element}[{self.length}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """A named part of a struct."""
+
+    name: str
+    type: HostType
+
+
+@dataclass(frozen=True, slots=True)
+class StructType:
+    """Named fields in order."""
+
+    name: str
+    fields: tuple[Field, ...]
+
+    def field(self, name: str) -> Field | None:
+        """The field of that name, or None."""
+        return next((field for field in self.fields if field.name == name), None)
+
+    def __str__(self) -> str:
+        return self.name
+
+
+HostType: TypeAlias = ScalarType | VectorType | MatrixType | ArrayType | StructType
+
+
+@dataclass(frozen=True, slots=True)
+class Placement:
+    """Where a type lies: all in bytes.
+
+    `stride` is the distance between the elements of an array or the rows of a matrix, 0 for others;
+    `offsets` are those of a struct's fields.
+    """
+
+    size: int
+    alignment: int
+    stride: int = 0
+    offsets: tuple[int, ...] = ()
+
+
+def round_up(value: int, alignment: int) -> int:
+    """The smallest multiple of `alignment` that is not below `value`."""
+    return -(-value // alignment) * alignment
+
+
+def is_host_shareable(type: HostType) -> bool:
+    """Whether the type has a layout: whether no bool is in it."""
+    match type:
+        case ScalarType():
+            return type is not BOOL
+        case VectorType(scalar=scalar):
+            return scalar is not BOOL
+        case MatrixType():
+            return True
+        case ArrayType(element=element):
+            return is_host_shareable(element)
+        case StructType(fields=fields):
+            return all(is_host_shareable(field.type) for field in fields)
+
+
+@lru_cache(maxsize=4096)
+def place(type: HostType, layout: Layout) -> Placement:
+    """Size, alignment, stride and offsets of `type` in `layout`.
+
+    Raises:
+        TypeError: a bool is in it; sizes of bools differ between devices.
+    """
+    packed, rounded = layout is Layout.PACKED, layout is Layout.STD140
+    match type:
+        case ScalarType():
+            if type is BOOL:
+                raise TypeError("a bool has no layout in memory; use a uint")
+            return Placement(4, 4)
+        case VectorType(scalar=scalar, size=size):
+            if scalar is BOOL:
+                raise TypeError("a vector of bools has no layout in memory; use a vector of uint")
+            return Placement(4 * size, 4 if packed else 8 if size == 2 else 16)
+        case MatrixType(size=size):
+            rows = place(ArrayType(VectorType(FLOAT, size), size), layout)
+            return Placement(rows.size, rows.alignment, rows.stride)
+        case ArrayType(element=element, length=length):
+            part = place(element, layout)
+            alignment = round_up(part.alignment, 16) if rounded else part.alignment
+            stride = round_up(part.size, alignment)
+            return Placement(stride * length, alignment, stride)
+        case StructType(fields=fields):
+            end, alignment, offsets = 0, 16 if rounded else 4, []
+            for field in fields:
+                part = place(field.type, layout)
+                offset = round_up(end, part.alignment)
+                offsets.append(offset)
+                end, alignment = offset + part.size, max(alignment, part.alignment)
+            return Placement(round_up(end, alignment), alignment, 0, tuple(offsets))
+
+
+def stride_of(type: HostType, layout: Layout) -> int:
+    """Bytes from one element to the next where `type` is an array's element (a storage buffer's, say)."""
+    return place(ArrayType(type, 1), layout).stride
+
+
+def shape_of(type: HostType) -> tuple[int, ...]:
+    """The natural shape of a value, without padding: () for a scalar or struct, (3, 3) for a `mat3`."""
+    match type:
+        case VectorType(size=size):
+            return (size,)
+        case MatrixType(size=size):
+            return (size, size)
+        case ArrayType(element=element, length=length):
+            return (length, *shape_of(element))
+        case _:
+            return ()
+
+
+@lru_cache(maxsize=4096)
+def dtype_of(type: HostType, layout: Layout) -> np.dtype[Any]:
+    """The NumPy dtype of one value, padding included.
+
+    A struct gives a structured dtype with its offsets and size; a vector or matrix a subarray, where a
+    padded row or element has more columns than the natural shape (`mat3`: float32 (3, 4); a std140 array
+    of n floats: float32 (n, 4)).
+    """
+    placement = place(type, layout)
+    match type:
+        case ScalarType(code=code):
+            return np.dtype("<" + code)
+        case VectorType(scalar=scalar, size=size):
+            return np.dtype(("<" + scalar.code, (size,)))
+        case MatrixType(size=size):
+            return np.dtype(("<f4", (size, placement.stride // 4)))
+        case ArrayType(element=element, length=length):
+            part = _padded_dtype(element, layout, placement.stride)
+            base, shape = part.subdtype if part.subdtype is not None else (part, ())
+            return np.dtype((base, (length, *shape)))
+        case StructType(fields=fields):
+            return np.dtype(
+                {
+                    "names": [field.name for field in fields],
+                    "formats": [dtype_of(field.type, layout) for field in fields],
+                    "offsets": list(placement.offsets),
+                    "itemsize": placement.size,
+                }
+            )
+
+
+def element_dtype(type: HostType, layout: Layout) -> np.dtype[Any]:
+    """The NumPy dtype of one element of an array of `type`: `dtype_of`, padded to the stride."""
+    return _padded_dtype(type, layout, stride_of(type, layout))
+
+
+def _padded_dtype(element: HostType, layout: Layout, stride: int) -> np.dtype[Any]:
+    dtype = dtype_of(element, layout)
+    if dtype.itemsize == stride:
+        return dtype
+    scalar = element if isinstance(element, ScalarType) else getattr(element, "scalar", FLOAT)
+    return np.dtype(("<" + scalar.code, (stride // 4,)))
+
+
+def store(target: npt.NDArray[Any], type: HostType, value: object) -> None:
+    """Write a value of natural shape into `target`, an array of `dtype_of(type, …)`, skipping padding.
+
+    `target` may have leading dimensions; `value` then broadcasts along them. Struct values are written
+    field by field by their owner.
+
+    Raises:
+        ValueError: the value's shape isn't the type's, or its components don't convert.
+    """
+    given, shape = np.asarray(value), shape_of(type)
+    if given.shape[max(0, given.ndim - len(shape)) :] != shape:
+        raise ValueError(f"{type} has shape {shape}, the value {given.shape}")
+    if not shape:
+        target[...] = given
+    elif target.ndim - given.ndim == 1 and target.shape[:-1] == given.shape:
+        target[..., 0] = given
+    else:
+        target[..., : shape[-1]] = given
+
+
+# -- comparing ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """A line of a layout table: one field, its byte offset and NumPy type."""
+
+    name: str
+    offset: int
+    type: str
+
+
+def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> Iterator[Row]:
+    """The fields of a dtype with their offsets from the start, those of nested structs by dotted name."""
+    base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, dtype.shape)
+    if base.names is None:
+        yield Row(prefix or "(element)", start, base.name + (str(list(shape)) if shape else ""))
+        return
+    if shape:
+        prefix += str(list(shape))
+    for name in base.names:
+        field, offset = base.fields[name][:2] if base.fields is not None else (base, 0)
+        yield from describe_layout(field, f"{prefix}.{name}" if prefix else name, start + offset)
+
+
+def matches(array: npt.NDArray[Any], type: HostType, layout: Layout) -> bool:
+    """Whether the array's bytes are elements of `type` as they are.
+
+    Fields are compared by name, offset and type, and the size of an element; more fields than the type
+    has are padding. Vectors and matrices may be the last dimensions of a plain array.
+    """
+    return _same(element_dtype(type, layout), _whole_dtype(array, type, layout))
+
+
+def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
+    """Two layouts side by side: field, offset and type of each, with a mark where they differ."""
+    left = {row.name: row for row in describe_layout(wanted)}
+    right = {row.name: row for row in describe_layout(given)}
+    table = [("field", "offset", "wanted", "offset", "given", "")]
+    for name in [*left, *(name for name in right if name not in left)]:
+        a, b = left.get(name), right.get(name)
+        differs = [
+            what
+            for what, wrong in (
+                ("missing", b is None),
+                ("not wanted", a is None),
+                ("offset", a is not None and b is not None and a.offset != b.offset),
+                ("type", a is not None and b is not None and a.type != b.type),
+            )
+            if wrong
+        ]
+        cells = [(str(row.offset), row.type) if row is not None else ("-", "-") for row in (a, b)]
+        table.append((name, *cells[0], *cells[1], "<- " + ", ".join(differs) if differs else ""))
+    size = "<- size" if wanted.itemsize != given.itemsize else ""
+    table.append(("(bytes)", str(wanted.itemsize), "", str(given.itemsize), "", size))
+    widths = [max(len(row[column]) for row in table) for column in range(6)]
+    return "\n".join(
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in table
+    )
+
+
+def compare_array(array: npt.NDArray[Any], type: HostType, layout: Layout) -> str:
+    """`compare_layouts` of what `type` wants and what the array has."""
+    return compare_layouts(element_dtype(type, layout), _whole_dtype(array, type, layout))
+
+
+def _whole_dtype(array: npt.NDArray[Any], type: HostType, layout: Layout) -> np.dtype[Any]:
+    """The array's dtype with as many last dimensions as the type's own taken for part of the element."""
+    wanted = element_dtype(type, layout)
+    taken = len(wanted.subdtype[1]) if wanted.subdtype is not None else 0
+    if not taken or array.ndim <= taken or array.dtype.names is not None:
+        return array.dtype
+    return np.dtype((array.dtype, array.shape[-taken:]))
+
+
+def _same(wanted: np.dtype[Any], given: np.dtype[Any]) -> bool:
+    if wanted.itemsize != given.itemsize:
+        return False
+    rows = set(describe_layout(given))
+    return all(row in rows for row in describe_layout(wanted))

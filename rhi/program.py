@@ -1,0 +1,404 @@
+"""Programs, and the draw function generated for each.
+
+- A draw checks everything first and applies after: what is refused leaves no trace.
+- It compares by identity what is bound with what is given, per binding; only a change is checked and sent.
+  What isn't current any more (another program drew, a pass ended, something was destroyed or locked) clears
+  `core.program`, and the next draw starts from nothing.
+- The function is generated from the program's bindings because a loop over them costs more than the draw:
+  with two bindings per draw 1.15× of the bare OpenGL calls against 1.5× (`benchmarks/draw_cost.py`).
+- Of a range (uniform or storage) that changed within a resource already checked, only the type is compared.
+"""
+
+from __future__ import annotations
+
+import keyword
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Generic, NoReturn
+
+from typing_extensions import ParamSpec
+
+from rhi.core import Core, describe
+from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, TextureKind
+from rhi.errors import refuse
+from rhi.formats import Format, Kind
+from rhi.mesh import Mesh
+from rhi.rules import (
+    BINDING_MISSING,
+    BINDING_NAME,
+    BINDING_SIZE,
+    BINDING_TYPE,
+    BINDING_UNKNOWN,
+    DEVICE_ARGUMENT,
+    DEVICE_CAPABILITY,
+    DRAW_COUNT,
+    DRAW_OUTSIDE_PASS,
+    PASS_FEEDBACK,
+    PASS_OPEN,
+    PROGRAM_OUTPUT,
+    PROGRAM_STAGE,
+)
+from rhi.shading.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
+from rhi.textures import Texture
+
+__rhi_internal__ = True
+
+P = ParamSpec("P")
+_RESERVED = frozenset(
+    {"program", "mesh", "instances", "groups", "draws", "arguments", "buffer", "offset", "self"}
+)
+_MISSING = object()
+_RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
+
+
+class Program(Generic[P]):
+    """A shader on the device; made by `device.program`.
+
+    Attributes:
+        id: its name in the command stream.
+        descriptor: stages, bindings, vertex inputs and outputs.
+        name: the shader class's name.
+    """
+
+    __slots__ = ("_output_formats", "bind", "core", "descriptor", "destroyed", "draw", "id", "name")
+
+    bind: Callable[..., None]
+    """Check and apply bindings for anything but a plain draw: `bind(ready, subject, **bindings)`."""
+
+    if TYPE_CHECKING:
+
+        def draw(self, mesh: Mesh, instances: int = 1, *args: P.args, **bindings: P.kwargs) -> None:
+            """Draw `mesh`; the same as `device.draw(program, mesh, …)` with one call less."""
+
+    def __init__(self, core: Core, descriptor: ProgramDescriptor) -> None:
+        _check_limits(core, descriptor)
+        self.core = core
+        self.descriptor = descriptor
+        self.name = descriptor.name
+        self.destroyed = False
+        self.id = core.create_id()
+        core.backend.create_program(self.id, descriptor)
+        generated = _generate(self)
+        self.draw = generated["draw"]  # type: ignore[method-assign]
+        self.bind = generated["bind"]
+        self._output_formats: object = None
+
+    @property
+    def label(self) -> str:
+        return self.name
+
+    def __repr__(self) -> str:
+        return f"Program({self.name!r})"
+
+    def destroy(self) -> None:
+        """Give the program back once the GPU is done with it."""
+        if not self.destroyed:
+            self.destroyed = True
+            self.core.program = None
+            self.core.timeline.retire(self.id)
+
+    # -- checks, off the fast path -----------------------------------------------------------------------
+
+    def ready_to_draw(self, mesh: Mesh) -> None:
+        """What must hold before any draw of this program."""
+        core = self.core
+        call = f"draw of program {self.name!r}"
+        core.check_open()
+        core.check_usable(self, call)
+        if Stage.VERTEX not in self.descriptor.stages:
+            refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
+        if core.render_pass is None:
+            refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+        for buffer in mesh.data.buffers:
+            core.check_usable(buffer, call)
+        for output, kind in zip(self.descriptor.outputs, core.target_kinds, strict=False):
+            if output.kind != kind:
+                refuse(
+                    PROGRAM_OUTPUT,
+                    call,
+                    f"{output.name}: {output.kind}",
+                    f"{kind}, as target {output.location} is",
+                )
+
+    def ready_to_dispatch(self, subject: object = None) -> None:
+        """What must hold before any dispatch of this program."""
+        core = self.core
+        call = f"dispatch of program {self.name!r}"
+        core.check_open()
+        core.check_usable(self, call)
+        if Stage.COMPUTE not in self.descriptor.stages:
+            refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
+        if core.render_pass is not None:
+            refuse(PASS_OPEN, call, "an open render pass")
+
+    def enter(self) -> None:
+        """Make this program the current one; while something is locked none is, so that all is checked."""
+        core = self.core
+        core.backend.bind_program(self.id)
+        core.program = None if core.locked else self
+
+    def attach(self, mesh: Mesh) -> int:
+        """The vertex array of a mesh that this program hasn't drawn yet."""
+        self.ready_to_draw(mesh)
+        return mesh.data.attach(self, self.id, self.name, self.descriptor.attributes)
+
+    def check(self, index: int, value: Any) -> None:
+        """Refuse `value` for the binding at `index` unless it is of the right kind, alive and unlocked."""
+        binding = self.descriptor.bindings[index]
+        call = f"{binding.name}= of program {self.name!r}"
+        if value is _MISSING or value is None:
+            refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
+        match binding.kind:
+            case BindingKind.UNIFORM | BindingKind.STORAGE:
+                self._check_range(binding, value, call)
+            case BindingKind.TEXTURE:
+                self._check_texture(binding, value, call)
+            case BindingKind.IMAGE:
+                self._check_image(binding, value, call)
+
+    def _check_range(self, binding: Binding, value: Any, call: str) -> None:
+        fits = isinstance(value, _RANGES[binding.kind])
+        if not fits or value.type is not binding.type:
+            refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
+        self.core.check_usable(value.owner, call)
+        limits = self.core.capabilities
+        uniform = binding.kind is BindingKind.UNIFORM
+        most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
+        alignment = limits.uniform_alignment if uniform else limits.storage_alignment
+        if not binding.size <= value.size <= most or value.offset % alignment:
+            allowed = f"{binding.size} to {most} bytes at a multiple of {alignment}"
+            refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
+
+    def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
+        if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
+            refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
+        texture = value.owner
+        self.core.check_usable(texture, call)
+        self._check_feedback(texture, call)
+        wanted: Any = binding.type
+        if texture.samples != 1:
+            refuse(BINDING_TYPE, call, f"{texture!r} of {texture.samples} samples", "a single-sampled texture",
+                   "resolve it first: texture.resolve_to(…)")  # fmt: skip
+        if texture.kind is not wanted.kind:
+            refuse(BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
+        compares = self.core.sampler_descriptors[value.sampler].compare is not None
+        if wanted.compare != compares:
+            tip = "use texture.sampled(SamplerDescriptor(compare=…))" if wanted.compare else ""
+            refuse(BINDING_TYPE, call, "a sampler that compares" if compares else "a sampler that does not compare",
+                   _wanted(binding), tip)  # fmt: skip
+        if wanted.compare and not texture.format.is_depth:
+            refuse(BINDING_TYPE, call, texture.format.name, "a depth format")
+        if shader_kind(texture.format) != str(wanted.scalar):
+            refuse(
+                BINDING_TYPE,
+                call,
+                f"{texture.format.name}, read as {shader_kind(texture.format)}",
+                _wanted(binding),
+            )
+
+    def _check_image(self, binding: Binding, value: Any, call: str) -> None:
+        if not isinstance(value, ImageBinding) or not isinstance(value.owner, Texture):
+            refuse(BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
+        texture = value.owner
+        self.core.check_usable(texture, call)
+        self._check_feedback(texture, call)
+        wanted: Any = binding.type
+        if texture.format is not wanted.format or texture.samples != 1:
+            refuse(BINDING_TYPE, call, repr(texture), _wanted(binding))
+        kind = TextureKind.D2 if value.layer is not None else texture.kind
+        if kind is not wanted.kind:
+            refuse(BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
+
+    def _check_feedback(self, texture: Texture, call: str) -> None:
+        if texture.id in self.core.targets:
+            refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
+
+    def explain(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
+        """Turn a Python error of the generated functions into the rule that was broken."""
+        if mesh is not _MISSING and not isinstance(mesh, Mesh):
+            refuse(
+                DEVICE_ARGUMENT,
+                f"draw of program {self.name!r}",
+                repr(mesh),
+                "a Mesh, as device.mesh(…) makes it",
+            )
+        for index, value in enumerate(values):
+            self.check(index, value)
+        raise error
+
+    def check_names(self, names: set[str]) -> None:
+        """Refuse bindings that the program doesn't have or that are missing."""
+        wanted = {binding.name for binding in self.descriptor.bindings}
+        call = f"draw of program {self.name!r}"
+        shown = ", ".join(sorted(wanted)) or "no bindings"
+        if names - wanted:
+            refuse(BINDING_UNKNOWN, call, ", ".join(sorted(names - wanted)), shown)
+        if wanted - names:
+            refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
+
+    def check_instances(self, instances: Any) -> None:
+        if not isinstance(instances, int) or instances < 0:
+            refuse(DRAW_COUNT, f"draw of program {self.name!r}", f"instances={instances!r}", "0 or more")
+
+
+def shader_kind(form: Format) -> str:
+    """How a shader sees a format's channels: "float", "int" or "uint"."""
+    return {Kind.UINT: "uint", Kind.INT: "int"}.get(form.kind, "float")
+
+
+def _given(value: object) -> str:
+    element = getattr(value, "type", None)
+    shown = getattr(element, "__name__", None)
+    return f"{describe(value)}{f' of {shown}' if shown else ''}"
+
+
+def _wanted(binding: Binding) -> str:
+    shown = getattr(binding.type, "__name__", None) or str(binding.type)
+    return f"{binding.kind.name.lower()} of {shown}"
+
+
+def _stages(descriptor: ProgramDescriptor) -> str:
+    return "a program with " + ", ".join(sorted(stage.value for stage in descriptor.stages))
+
+
+def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
+    call = f"device.program({descriptor.name})"
+    core.check_open()
+    limits = core.capabilities
+    room = {
+        BindingKind.UNIFORM: limits.max_uniform_slots,
+        BindingKind.STORAGE: limits.max_storage_slots,
+        BindingKind.TEXTURE: limits.max_texture_slots,
+        BindingKind.IMAGE: limits.max_image_slots,
+    }
+    for kind, most in room.items():
+        used = sum(binding.kind is kind for binding in descriptor.bindings)
+        if used > most:
+            refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
+    if len(descriptor.attributes) > limits.max_vertex_attributes:
+        refuse(
+            DEVICE_CAPABILITY,
+            call,
+            f"{len(descriptor.attributes)} attributes",
+            f"at most {limits.max_vertex_attributes}",
+        )
+    if Stage.COMPUTE in descriptor.stages:
+        x, y, z = descriptor.work_group
+        most_x, most_y, most_z = limits.max_work_group
+        total = limits.max_work_group_invocations
+        if not limits.compute or x > most_x or y > most_y or z > most_z or x * y * z > total:
+            refuse(
+                DEVICE_CAPABILITY, call, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
+            )
+    for binding in descriptor.bindings:
+        if binding.name in _RESERVED or keyword.iskeyword(binding.name):
+            refuse(BINDING_NAME, call, binding.name, f"none of {', '.join(sorted(_RESERVED))}")
+
+
+# -- the generated functions -----------------------------------------------------------------------------
+
+
+def _generate(program: Program[Any]) -> dict[str, Callable[..., None]]:
+    """`draw` and `bind` for a program's bindings."""
+    core = program.core
+    source = "\n".join(_source(program.descriptor.bindings))
+    backend = core.backend
+    scope: dict[str, Any] = {"__rhi_internal__": True, "__name__": __name__}
+    exec(compile(source, f"<draw of {program.name}>", "exec"), scope)
+    draw, bind, take_draws = scope["make"](
+        core=core,
+        states=core.states,
+        program=program,
+        types=tuple(binding.type for binding in program.descriptor.bindings),
+        bind_uniform=backend.bind_uniform,
+        bind_storage=backend.bind_storage,
+        bind_texture=backend.bind_texture,
+        bind_image=backend.bind_image,
+        set_states=backend.set_states,
+        backend_draw=backend.draw,
+        missing=_MISSING,
+        unbound=object(),
+    )
+    core.draw_counters.append(take_draws)
+    return {"draw": draw, "bind": bind}
+
+
+_APPLY = {
+    BindingKind.UNIFORM: "_bind_uniform({slot}, {name}.buffer, {name}.offset, {name}.size)",
+    BindingKind.STORAGE: "_bind_storage({slot}, {name}.buffer, {name}.offset, {name}.size)",
+    BindingKind.TEXTURE: "_bind_texture({slot}, {name}.texture, {name}.sampler)",
+    BindingKind.IMAGE: (
+        "_bind_image({slot}, {name}.texture, {name}.level, -1 if {name}.layer is None else {name}.layer)"
+    ),
+}
+
+
+def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
+    """The text of `make`, which returns `draw` and `bind`; internal names start with an underscore and a
+    digit-free word, which binding names (checked) and Python's own attribute names keep clear of."""
+    given = ("core", "states", "program", "types", "bind_uniform", "bind_storage", "bind_texture",
+             "bind_image", "set_states", "backend_draw", "missing", "unbound")  # fmt: skip
+    yield f"def make({', '.join(given)}):"
+    for name in given:
+        yield f"    _{name} = {name}"
+    bound = [f"_bound_{i}" for i in range(len(bindings))]
+    owners = [f"_owner_{i}" for i in range(len(bindings))]
+    for variable in bound + owners:
+        yield f"    {variable} = _unbound"
+    yield "    _draws = 0  # counted in a cell of the function, at half the price of an attribute"
+    for i in range(len(bindings)):
+        yield f"    _type_{i} = types[{i}]"
+    parameters = "".join(f", {binding.name}=_missing" for binding in bindings)
+    keywords = f", *{parameters}" if bindings else ""
+    arguments = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
+
+    def body(ready: str) -> Iterator[str]:
+        yield f"        nonlocal {', '.join(['_draws', *bound, *owners])}"
+        yield "        try:"
+        yield from ("            " + line for line in check(ready))
+        yield "        except AttributeError as _error:"
+        yield f"            _program.explain({'mesh' if ready == 'draw' else '_missing'}, {arguments}, _error)"
+        yield "        if _fresh:"
+        yield "            _program.enter()"
+        for i, binding in enumerate(bindings):
+            yield f"        if {binding.name} is not _bound_{i}:"
+            yield "            " + _APPLY[binding.kind].format(slot=binding.slot, name=binding.name)
+            yield f"            _bound_{i} = {binding.name}"
+
+    def check(ready: str) -> Iterator[str]:
+        if ready == "draw":
+            yield "try:"
+            yield "    _vertex_array = mesh.vertex_arrays[_program]"
+            yield "except KeyError:"
+            yield "    _vertex_array = _program.attach(mesh)"
+            yield "if instances != 1: _program.check_instances(instances)"
+        yield "_fresh = _core.program is not _program"
+        yield "if _fresh:"
+        yield "    _program.ready_to_draw(mesh)" if ready == "draw" else "    _ready(_subject)"
+        if bindings:
+            yield f"    {' = '.join(bound + owners)} = _unbound"
+        for i, binding in enumerate(bindings):
+            name = binding.name
+            if binding.kind in _RANGES:
+                changed = f"{name}.owner is not _owner_{i} or {name}.type is not _type_{i}"
+                yield f"if {name} is not _bound_{i} and ({changed}):"
+                yield f"    _program.check({i}, {name})"
+                yield f"    _owner_{i} = {name}.owner"
+            else:
+                yield f"if {name} is not _bound_{i}: _program.check({i}, {name})"
+
+    yield f"    def draw(mesh, instances=1{keywords}):"
+    yield from body("draw")
+    yield "        if _states.wanted is not _states.hardware:"
+    yield "            _set_states(_states.flush())"
+    yield (
+        "        _backend_draw(_vertex_array, mesh.primitive, mesh.first, mesh.count, instances, "
+        "mesh.base_vertex, mesh.base_instance)"
+    )
+    yield "        _draws += 1"
+    yield f"    def bind(_ready, _subject{keywords}):"
+    yield from body("bind")
+    yield "    def take_draws():"
+    yield "        nonlocal _draws"
+    yield "        taken, _draws = _draws, 0"
+    yield "        return taken"
+    yield "    return draw, bind, take_draws"

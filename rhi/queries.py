@@ -1,0 +1,346 @@
+"""Occlusion queries and the timer tree (thesis 4.4, Listing 4.11).
+
+- A query is native where the backend has them. Elsewhere, or when asked for, it is emulated as in the
+  thesis (4.4.2): the GPU takes its running samples-passed counter at two fence values, the difference is the
+  answer, and it is final once the second fence has completed.
+- `is_finished` never blocks. `visible_samples` gives the answer of a finished query and refuses an
+  unfinished one; `wait` blocks.
+- Timers: each `device.event` takes two timestamps when timing is on. A frame's tree is read when all of its
+  timestamps are there, without waiting; `device.timers` is the tree of the latest such frame.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from types import TracebackType
+from typing import Final, Self
+
+from rhi.core import Core
+from rhi.descriptors import Id, QueryKind
+from rhi.errors import refuse
+from rhi.rules import (
+    DEVICE_CAPABILITY,
+    DRAW_OUTSIDE_PASS,
+    QUERY_NESTED,
+    QUERY_STATE,
+    QUERY_UNFINISHED,
+    RESOURCE_DESTROYED,
+    SCOPE_ORDER,
+)
+
+__rhi_internal__ = True
+
+_IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
+
+
+class QueryDesk:
+    """Knows which occlusion query is open: there can be one."""
+
+    __slots__ = ("open",)
+
+    def __init__(self) -> None:
+        self.open: OcclusionQuery | None = None
+
+    def abandon(self) -> bool:
+        """End a query that is still open as its pass ends; whether there was one."""
+        query, self.open = self.open, None
+        if query is None:
+            return False
+        query._finish()
+        query._state = _IDLE
+        return True
+
+
+class OcclusionQuery:
+    """How many samples of the draws between begin and end passed all tests.
+
+    One object may be used again and again; begin forgets the earlier answer. `with query:` is begin and end.
+    """
+
+    __slots__ = ("_answer", "_core", "_desk", "_fence", "_ids", "_state", "destroyed", "emulated")
+
+    def __init__(self, core: Core, desk: QueryDesk, emulated: bool) -> None:
+        capabilities = core.capabilities
+        self.emulated = emulated or not capabilities.occlusion_queries
+        if self.emulated and not capabilities.sample_counter:
+            refuse(DEVICE_CAPABILITY, "device.occlusion_query", "an emulated query",
+                   "needs capabilities.sample_counter")  # fmt: skip
+        self._core = core
+        self._desk = desk
+        kind, count = (QueryKind.COUNTER, 2) if self.emulated else (QueryKind.OCCLUSION, 1)
+        self._ids = [core.create_id() for _ in range(count)]
+        for query in self._ids:
+            core.backend.create_query(query, kind)
+        self._state = _IDLE
+        self._answer: int | None = None
+        self._fence = 0
+        self.destroyed = False
+
+    @property
+    def id(self) -> Id:
+        """Its name in the command stream (of an emulated query, the second counter's)."""
+        return self._ids[-1]
+
+    def begin(self) -> None:
+        """Count from here; inside a render pass, one query at a time."""
+        core = self._core
+        core.check_open()
+        if self.destroyed:
+            refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
+        if self._desk.open is not None:
+            refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
+        if core.render_pass is None:
+            refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+        if self.emulated:
+            core.backend.write_query(self._ids[0])
+            core.signal()
+        else:
+            core.backend.begin_query(self._ids[0])
+        self._answer = None
+        self._state = _OPEN
+        self._desk.open = self
+        core.counters.queries += 1
+
+    def end(self) -> None:
+        """Stop counting and let the GPU start on what was submitted, so that the answer can come."""
+        if self._state is not _OPEN:
+            refuse(QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
+        self._desk.open = None
+        self._finish()
+        self._state = _ENDED
+
+    def _finish(self) -> None:
+        core = self._core
+        if core.closed:
+            return
+        if self.emulated:
+            core.backend.write_query(self._ids[1])
+            self._fence = core.signal()
+        else:
+            core.backend.end_query(self._ids[0])
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the answer is there; never blocks. False for a query never ended."""
+        if self._answer is None and self._state is _ENDED and not self.destroyed:
+            self._poll()
+        return self._answer is not None
+
+    @property
+    def visible_samples(self) -> int:
+        """The answer of a finished query.
+
+        Raises:
+            ValidationError: `query-unfinished` while it isn't there, `query-state` if there is none to come.
+        """
+        if not self.is_finished:
+            self._check_ended("OcclusionQuery.visible_samples")
+            refuse(QUERY_UNFINISHED, "OcclusionQuery.visible_samples", "an unfinished query")
+        assert self._answer is not None
+        return self._answer
+
+    def wait(self) -> int:
+        """Block until the answer is there."""
+        self._check_ended("OcclusionQuery.wait")
+        if not self.is_finished:
+            self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
+            while not self.is_finished:  # a driver may publish the result a moment after the fence
+                time.sleep(0)
+        assert self._answer is not None
+        return self._answer
+
+    def destroy(self) -> None:
+        """Give it back; an open query can't be destroyed."""
+        if self._state is _OPEN:
+            refuse(QUERY_STATE, "OcclusionQuery.destroy", "an open query", "a query that was ended")
+        if not self.destroyed:
+            self.destroyed = True
+            for query in self._ids:
+                self._core.timeline.retire(query)
+
+    def __enter__(self) -> Self:
+        self.begin()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._state is _OPEN:
+            self.end()
+
+    def _check_ended(self, call: str) -> None:
+        if self._state is not _ENDED or self.destroyed:
+            state = "destroyed" if self.destroyed else self._state
+            refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
+
+    def _poll(self) -> None:
+        core = self._core
+        core.check_open()
+        if not self.emulated:
+            self._answer = core.backend.read_query(self._ids[0])
+        elif core.timeline.completed >= self._fence:
+            first, second = (core.backend.read_query(query) for query in self._ids)
+            if first is not None and second is not None:
+                self._answer = second - first
+
+
+@dataclass(slots=True)
+class TimerNode:
+    """One event of a frame: its label, GPU and CPU time, and the events inside it."""
+
+    name: str
+    gpu_milliseconds: float = 0.0
+    cpu_milliseconds: float = 0.0
+    children: list[TimerNode] = field(default_factory=list)
+
+    def format(self, indent: int = 0) -> str:
+        """The tree as text, one event a line."""
+        line = f"{'  ' * indent}{self.name:<{max(1, 32 - 2 * indent)}} gpu {self.gpu_milliseconds:8.3f} ms"
+        lines = [f"{line}  cpu {self.cpu_milliseconds:8.3f} ms"]
+        return "\n".join(lines + [child.format(indent + 1) for child in self.children])
+
+
+@dataclass(slots=True)
+class _Running:
+    """An event whose time isn't known yet."""
+
+    node: TimerNode
+    started: float
+    begin: Id = 0
+    end: Id = 0
+
+
+MAX_FRAMES: Final = 8
+"""How many frames may wait for their timestamps before the oldest is given up."""
+
+
+class Timers:
+    """The events of the current frame and the tree of the latest finished one."""
+
+    __slots__ = ("_core", "_frames", "_free", "_open", "_roots", "_running", "enabled", "latest")
+
+    def __init__(self, core: Core, enabled: bool) -> None:
+        self._core = core
+        self.enabled = enabled
+        self.latest: list[TimerNode] = []
+        self._open: list[_Running] = []
+        self._roots: list[TimerNode] = []
+        self._running: list[_Running] = []
+        self._frames: deque[tuple[list[TimerNode], list[_Running]]] = deque()
+        self._free: list[Id] = []
+
+    @property
+    def depth(self) -> int:
+        return len(self._open)
+
+    def begin(self, label: str) -> _Running:
+        event = _Running(TimerNode(label), time.perf_counter())
+        self._core.backend.push_label(label)
+        if self.enabled:
+            event.begin = self._timestamp()
+        (self._open[-1].node.children if self._open else self._roots).append(event.node)
+        self._open.append(event)
+        return event
+
+    def end(self, event: _Running) -> None:
+        if not self._open or self._open[-1] is not event:
+            refuse(SCOPE_ORDER, "device.event", f"the end of {event.node.name!r}", "the innermost open event")
+        self._open.pop()
+        if self.enabled:
+            event.end = self._timestamp()
+            self._running.append(event)
+        event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
+        self._core.backend.pop_label()
+
+    def end_frame(self) -> None:
+        """Close the frame's tree and take in the frames whose timestamps have come."""
+        if not self._open and self._roots:
+            self._frames.append((self._roots, self._running))
+            self._roots, self._running = [], []
+        self.collect()
+        while len(self._frames) > MAX_FRAMES:
+            self._release(self._frames.popleft()[1])
+
+    def collect(self) -> None:
+        """Read finished frames, oldest first; never waits."""
+        while self._frames:
+            roots, running = self._frames[0]
+            times = [(self._read(e.begin), self._read(e.end)) for e in reversed(running)]
+            if any(begin is None or end is None for begin, end in times):
+                return
+            for event, (begin, end) in zip(reversed(running), times, strict=True):
+                assert begin is not None
+                assert end is not None
+                event.node.gpu_milliseconds = (end - begin) / 1e6
+            self._frames.popleft()
+            self._release(running)
+            self.latest = roots
+
+    def _timestamp(self) -> Id:
+        query = self._free.pop() if self._free else self._create()
+        self._core.backend.write_query(query)
+        return query
+
+    def _create(self) -> Id:
+        query = self._core.new_id()
+        self._core.backend.create_query(query, QueryKind.TIMESTAMP)
+        return query
+
+    def _read(self, query: Id) -> int | None:
+        return self._core.backend.read_query(query) if query else 0
+
+    def _release(self, running: list[_Running]) -> None:
+        self._free.extend(query for event in running for query in (event.begin, event.end) if query)
+
+
+class Event:
+    """`with device.event(label):` a label on the commands inside and, with timing on, a timer."""
+
+    __slots__ = ("_core", "_label", "_running", "_timers")
+
+    def __init__(self, core: Core, timers: Timers, label: str) -> None:
+        self._core = core
+        self._timers = timers
+        self._label = label
+        self._running: list[_Running] = []
+
+    def __enter__(self) -> None:
+        self._core.check_open()
+        self._running.append(self._timers.begin(self._label))
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._core.closed:
+            self._timers.end(self._running.pop())
+
+
+class Conditional:
+    """`with device.conditional(query):` draws happen only if the query counted samples."""
+
+    __slots__ = ("_core", "_inverted", "_query")
+
+    def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
+        call = "device.conditional"
+        if not core.capabilities.conditional_rendering:
+            refuse(
+                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
+            )
+        if query.emulated:
+            refuse(DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
+        self._core = core
+        self._query = query
+        self._inverted = inverted
+
+    def __enter__(self) -> None:
+        self._core.check_open()
+        self._query._check_ended("device.conditional")
+        self._core.backend.begin_conditional(self._query.id, self._inverted)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if not self._core.closed:
+            self._core.backend.end_conditional()

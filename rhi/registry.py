@@ -1,0 +1,119 @@
+"""Which backends there are, and the way to a device.
+
+- A backend is an entry point of the group `rhi.backends`: a name and a function
+  `create(*, validation: bool) -> Backend`. A port registers itself by its own package's entry point; nothing
+  here knows it.
+- This is the one place that may treat backends differently: the order in which they are tried, and that
+  the null device records.
+"""
+
+from __future__ import annotations
+
+import difflib
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from typing import Final
+
+from rhi.backend import Backend, Capabilities
+from rhi.device import Device
+from rhi.errors import DeviceError, RhiError
+from rhi.recorder import Recorder
+from rhi.rules import DEVICE_DRIVER, DEVICE_UNKNOWN
+
+__rhi_internal__ = True
+
+GROUP: Final = "rhi.backends"
+PREFERENCE: Final = ("gl",)
+"""Tried in this order when no name is given; then any other backend but `null`, which must be asked for."""
+
+
+@cache
+def _entry_points() -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=GROUP)}
+
+
+def backend_names() -> list[str]:
+    """The names of the installed backends, in the order in which they are tried."""
+    names = list(_entry_points())
+    first = [name for name in PREFERENCE if name in names]
+    return first + sorted(set(names) - set(first) - {"null"}) + [name for name in names if name == "null"]
+
+
+def create_device(
+    name: str | None = None,
+    *,
+    validation: bool = False,
+    record: bool | None = None,
+    timing: bool = False,
+    frames_in_flight: int = 2,
+) -> Device:
+    """A device on the backend `name`.
+
+    Args:
+        name: a backend's name; None takes `RHI_BACKEND` from the environment, else the first that works.
+        validation: also turn the driver's own error messages into exceptions (slower).
+        record: keep every command with the line it came from (`device.stream`); None: the null device does.
+        timing: take timestamps in `device.event` blocks.
+        frames_in_flight: how many frames the CPU may be ahead of the GPU.
+
+    Raises:
+        DeviceError: `device-unknown` for a name there is no backend of, `device-driver` if its driver
+            can't be used, with what to install.
+    """
+    name = name or os.environ.get("RHI_BACKEND") or None
+    backend = _create_named(name, validation) if name else _create_first(validation)
+    if record is None:
+        record = backend.capabilities.backend == "null"
+    return Device(Recorder(backend) if record else backend, timing=timing, frames_in_flight=frames_in_flight)
+
+
+def _create_named(name: str, validation: bool) -> Backend:
+    point = _entry_points().get(name)
+    if point is None:
+        names = backend_names()
+        close = difflib.get_close_matches(name, names, 1)
+        tip = f"did you mean {close[0]!r}?" if close else ""
+        raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
+    create: Callable[..., Backend] = point.load()
+    return create(validation=validation)
+
+
+def _create_first(validation: bool) -> Backend:
+    reasons = []
+    for name in backend_names():
+        if name == "null":
+            continue
+        try:
+            return _create_named(name, validation)
+        except RhiError as error:
+            reasons.append(f"{name}: {error.given or error.rule.sentence}")
+    tip = 'install a driver (see python -m rhi), or ask for the null device: rhi.create_device("null")'
+    raise DeviceError(DEVICE_DRIVER, "rhi.create_device()", "\n".join(reasons) or "no backends", "", tip)
+
+
+@dataclass(frozen=True, slots=True)
+class BackendReport:
+    """One backend as found on this machine: its capabilities, or why it can't be used."""
+
+    name: str
+    usable: bool
+    reason: str
+    tip: str
+    capabilities: Capabilities | None
+
+
+def report() -> list[BackendReport]:
+    """Try every backend and say what came of it."""
+    reports = []
+    for name in backend_names():
+        try:
+            backend = _create_named(name, False)
+        except RhiError as error:
+            reports.append(BackendReport(name, False, error.given or error.rule.sentence, error.tip, None))
+        else:
+            reports.append(BackendReport(name, True, "", "", backend.capabilities))
+            backend.close()
+    return reports

@@ -1,0 +1,337 @@
+"""The built-in functions: one table, one row each.
+
+- A row gives a name, its signatures and its spelling in GLSL; typing, the stubs, the emitters and the
+  documentation all read this table. Another language is another spelling in the row.
+- In a signature, letters stand for types of one common size: F float or vec, V vec, I and U int and uint or
+  their vectors, B bool or bvec, M mat, IV/UV/BV vectors only. `F(F,F,float)` is four overloads. `int&` is a
+  place in memory that the function changes.
+- A spelling is a function's name, or a template with `{0}` for the first argument.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, NoReturn
+
+from rhi.descriptors import Stage
+from rhi.errors import refuse
+from rhi.layout import BOOL, FLOAT, INT, UINT
+from rhi.shading import rules
+from rhi.shading.types import MATRICES, VECTORS, VOID, Type, converts
+
+__rhi_internal__ = True
+
+
+class Effect(enum.Enum):
+    """What a built-in does besides giving a value."""
+
+    NONE = "none"
+    WRITE = "write"
+    BARRIER = "barrier"
+    DISCARD = "discard"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of an overload; `memory`: a place in storage or shared memory, changed in place."""
+
+    type: Type
+    name: str = ""
+    memory: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Overload:
+    """One signature with concrete types."""
+
+    parameters: tuple[Parameter, ...]
+    result: Type
+    glsl: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Builtin:
+    """A row of the table."""
+
+    name: str
+    overloads: tuple[Overload, ...]
+    doc: str
+    effect: Effect = Effect.NONE
+    stages: frozenset[Stage] = frozenset(Stage)
+    extension: str = ""
+    _chosen: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
+
+    def choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
+        """The overload for arguments of these types: an exact one, else the first that they convert to."""
+        key = (*types, *literals)
+        if key not in self._chosen:
+            self._chosen[key] = self._choose(types, literals)
+        return self._chosen[key]
+
+    def _choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
+        fitting = [o for o in self.overloads if len(o.parameters) == len(types)]
+        for overload in fitting:
+            if all(p.type == t for p, t in zip(overload.parameters, types, strict=True)):
+                return overload
+        for overload in fitting:
+            if all(
+                p.type == t or (not p.memory and converts(t, p.type, literal))
+                for p, t, literal in zip(overload.parameters, types, literals, strict=True)
+            ):
+                return overload
+        return None
+
+    def signatures(self) -> str:
+        """All overloads as text, a line each."""
+        return "\n".join(
+            f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}"
+            for o in self.overloads
+        )
+
+    def __call__(self, *arguments: object, **named: object) -> NoReturn:
+        refuse(rules.DEVICE_ONLY, f"rhi.shading.{self.name}(…)")
+
+
+def _sizes(scalar: Any, smallest: int) -> dict[int, Type]:
+    all_sizes: dict[int, Type] = {1: scalar} | {size: VECTORS[scalar, size] for size in (2, 3, 4)}
+    return {size: type for size, type in all_sizes.items() if size >= smallest}
+
+
+_LETTERS: Final[dict[str, dict[int, Type]]] = {
+    "F": _sizes(FLOAT, 1),
+    "I": _sizes(INT, 1),
+    "U": _sizes(UINT, 1),
+    "B": _sizes(BOOL, 1),
+    "V": _sizes(FLOAT, 2),
+    "IV": _sizes(INT, 2),
+    "UV": _sizes(UINT, 2),
+    "BV": _sizes(BOOL, 2),
+    "M": {**MATRICES},
+}
+_NAMED: Final[dict[str, Type]] = {
+    "None": VOID,
+    **{str(type): type for type in (BOOL, INT, UINT, FLOAT)},
+    **{str(type): type for type in VECTORS.values()},
+    **{str(type): type for type in MATRICES.values()},
+}
+
+
+def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> Iterator[Overload]:
+    """The overloads of `signatures`, separated by semicolons; `names` adds type names of its own."""
+    known = _NAMED | (names or {})
+    for signature in signatures.split(";"):
+        result, _, rest = signature.strip().partition("(")
+        parameters = []
+        for part in filter(None, (text.strip() for text in rest.rstrip(")").split(","))):
+            name, _, type_name = part.rpartition(":")
+            parameters.append((name.strip(), type_name.strip().rstrip("&"), part.endswith("&")))
+        used = [_LETTERS[n] for n in (result, *(p[1] for p in parameters)) if n in _LETTERS]
+        for size in (1, 2, 3, 4) if used else (0,):
+            if all(size in letter for letter in used):
+                sized: dict[str, Type] = {n: letter[size] for n, letter in _LETTERS.items() if size in letter}
+                scope = known | sized
+                concrete = tuple(Parameter(scope[type], name, memory) for name, type, memory in parameters)
+                yield Overload(concrete, scope[result], glsl)
+
+
+def _row(name: str, signatures: str, glsl: str = "", doc: str = "", **more: Any) -> Builtin:
+    return Builtin(name, tuple(dict.fromkeys(expand(signatures, glsl or name))), doc, **more)
+
+
+_VERTEX: Final = frozenset({Stage.VERTEX})
+_FRAGMENT: Final = frozenset({Stage.FRAGMENT})
+_COMPUTE: Final = frozenset({Stage.COMPUTE})
+_DRAW_PARAMETERS: Final = "GL_ARB_shader_draw_parameters"
+_F: Final = "F(F)"
+_ATOMIC: Final = "int(int&,int);uint(uint&,uint)"
+_WRITE: Final = Effect.WRITE
+
+_ROWS: Final = (
+    # angles
+    _row("radians", _F, doc="degrees to radians"),
+    _row("degrees", _F, doc="radians to degrees"),
+    _row("sin", _F, doc="sine"),
+    _row("cos", _F, doc="cosine"),
+    _row("tan", _F, doc="tangent"),
+    _row("asin", _F, doc="arc sine, -π/2…π/2"),
+    _row("acos", _F, doc="arc cosine, 0…π"),
+    _row("atan", _F, doc="arc tangent, -π/2…π/2"),
+    _row("atan2", "F(F,F)", "atan", "angle of (y, x), -π…π; y first"),
+    _row("sinh", _F, doc="hyperbolic sine"),
+    _row("cosh", _F, doc="hyperbolic cosine"),
+    _row("tanh", _F, doc="hyperbolic tangent"),
+    _row("asinh", _F, doc="inverse hyperbolic sine"),
+    _row("acosh", _F, doc="inverse hyperbolic cosine"),
+    _row("atanh", _F, doc="inverse hyperbolic tangent"),
+    # exponentials
+    _row("pow", "F(F,F)", doc="x to the power y; undefined for x < 0"),
+    _row("exp", _F, doc="e to the power x"),
+    _row("log", _F, doc="natural logarithm"),
+    _row("exp2", _F, doc="2 to the power x"),
+    _row("log2", _F, doc="logarithm to base 2"),
+    _row("sqrt", _F, doc="square root"),
+    _row("inversesqrt", _F, doc="1 / sqrt(x)"),
+    # common
+    _row("abs", "I(I);F(F)", doc="absolute value"),
+    _row("sign", "I(I);F(F)", doc="-1, 0 or 1"),
+    _row("floor", _F, doc="largest whole number not above x"),
+    _row("ceil", _F, doc="smallest whole number not below x"),
+    _row("trunc", _F, doc="whole number towards zero"),
+    _row("round", _F, "roundEven", "nearest whole number, halves to even, as in Python"),
+    _row("fract", _F, doc="x - floor(x)"),
+    _row("min", "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)", doc="the smaller, by component"),
+    _row("max", "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)", doc="the larger, by component"),
+    _row(
+        "clamp",
+        "I(I,I,I);I(I,int,int);U(U,U,U);U(U,uint,uint);F(F,F,F);F(F,float,float)",
+        doc="min(max(x, low), high)",
+    ),
+    _row("saturate", _F, "clamp({0}, 0.0, 1.0)", "clamp(x, 0, 1)"),
+    _row("mix", "F(F,F,F);V(V,V,float);V(V,V,BV)", doc="x (1 - a) + y a; with a bvec, y where it is true"),
+    _row("step", "F(F,F);V(float,V)", doc="0 where x < edge (the first argument), else 1"),
+    _row("smoothstep", "F(F,F,F);V(float,float,V)", doc="Hermite step from edge0 to edge1, x last"),
+    _row("fma", "F(F,F,F)", doc="a b + c"),
+    _row("isnan", "B(F)", doc="whether not a number"),
+    _row("isinf", "B(F)", doc="whether infinite"),
+    # geometry
+    _row("length", "float(F)", doc="Euclidean length"),
+    _row("distance", "float(F,F)", doc="length(a - b)"),
+    _row("dot", "float(V,V)", doc="scalar product"),
+    _row("cross", "vec3(vec3,vec3)", doc="vector product"),
+    _row("normalize", "V(V)", doc="v / length(v); undefined for a zero vector"),
+    _row(
+        "faceforward",
+        "V(V,V,V)",
+        doc="n where dot(reference, incident) < 0, else -n: (n, incident, reference)",
+    ),
+    _row("reflect", "V(V,V)", doc="incident reflected at a plane with unit normal n"),
+    _row("refract", "V(V,V,float)", doc="incident refracted at a plane; eta is the ratio of indices"),
+    # matrices
+    _row("transpose", "M(M)", doc="rows become columns"),
+    _row("determinant", "float(M)", doc="determinant"),
+    _row("inverse", "M(M)", doc="inverse; undefined for a singular matrix"),
+    # comparisons by component
+    _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b by component"),
+    _row("less_than_equal", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThanEqual", "a <= b by component"),
+    _row("greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b by component"),
+    _row("greater_than_equal", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThanEqual", "a >= b by component"),
+    _row("equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "equal", "a == b by component"),
+    _row("not_equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "notEqual", "a != b by component"),
+    _row("any", "bool(BV)", doc="whether one component is true"),
+    _row("all", "bool(BV)", doc="whether all components are true"),
+    _row("invert", "BV(BV)", "not", "not, by component"),
+    # bits
+    _row("float_bits_to_int", "I(F)", "floatBitsToInt", "the same 32 bits as an int"),
+    _row("float_bits_to_uint", "U(F)", "floatBitsToUint", "the same 32 bits as a uint"),
+    _row("int_bits_to_float", "F(I)", "intBitsToFloat", "the same 32 bits as a float"),
+    _row("uint_bits_to_float", "F(U)", "uintBitsToFloat", "the same 32 bits as a float"),
+    _row("bit_count", "I(I);I(U)", "bitCount", "number of bits that are 1"),
+    _row("find_lsb", "I(I);I(U)", "findLSB", "place of the lowest 1, -1 if none"),
+    _row("find_msb", "I(I);I(U)", "findMSB", "place of the highest significant bit, -1 if none"),
+    _row("bitfield_reverse", "I(I);U(U)", "bitfieldReverse", "bits in reverse order"),
+    _row(
+        "bitfield_extract", "I(I,int,int);U(U,int,int)", "bitfieldExtract", "bits from offset, count of them"
+    ),
+    _row(
+        "bitfield_insert",
+        "I(I,I,int,int);U(U,U,int,int)",
+        "bitfieldInsert",
+        "base with count bits at offset replaced",
+    ),
+    # packing
+    _row("pack_half_2x16", "uint(vec2)", "packHalf2x16", "two half floats in a uint, x in the low bits"),
+    _row("unpack_half_2x16", "vec2(uint)", "unpackHalf2x16", "inverse of pack_half_2x16"),
+    _row("pack_unorm_2x16", "uint(vec2)", "packUnorm2x16", "0…1 in 16 bits each"),
+    _row("unpack_unorm_2x16", "vec2(uint)", "unpackUnorm2x16", "inverse of pack_unorm_2x16"),
+    _row("pack_snorm_2x16", "uint(vec2)", "packSnorm2x16", "-1…1 in 16 bits each"),
+    _row("unpack_snorm_2x16", "vec2(uint)", "unpackSnorm2x16", "inverse of pack_snorm_2x16"),
+    _row("pack_unorm_4x8", "uint(vec4)", "packUnorm4x8", "0…1 in 8 bits each"),
+    _row("unpack_unorm_4x8", "vec4(uint)", "unpackUnorm4x8", "inverse of pack_unorm_4x8"),
+    _row("pack_snorm_4x8", "uint(vec4)", "packSnorm4x8", "-1…1 in 8 bits each"),
+    _row("unpack_snorm_4x8", "vec4(uint)", "unpackSnorm4x8", "inverse of pack_snorm_4x8"),
+    # fragments
+    _row("ddx", _F, "dFdx", "change to the next pixel to the right", stages=_FRAGMENT),
+    _row("ddy", _F, "dFdy", "change to the next pixel below", stages=_FRAGMENT),
+    _row("fwidth", _F, "fwidth", "abs(ddx(x)) + abs(ddy(x))", stages=_FRAGMENT),
+    _row(
+        "discard",
+        "None()",
+        "discard",
+        "ends the fragment: no output",
+        stages=_FRAGMENT,
+        effect=Effect.DISCARD,
+    ),
+    # memory
+    _row("atomic_add", _ATOMIC, "atomicAdd", "adds, gives the old value", effect=_WRITE),
+    _row("atomic_min", _ATOMIC, "atomicMin", "keeps the smaller, gives the old value", effect=_WRITE),
+    _row("atomic_max", _ATOMIC, "atomicMax", "keeps the larger, gives the old value", effect=_WRITE),
+    _row("atomic_and", _ATOMIC, "atomicAnd", "bitwise and, gives the old value", effect=_WRITE),
+    _row("atomic_or", _ATOMIC, "atomicOr", "bitwise or, gives the old value", effect=_WRITE),
+    _row("atomic_xor", _ATOMIC, "atomicXor", "bitwise exclusive or, gives the old value", effect=_WRITE),
+    _row("atomic_exchange", _ATOMIC, "atomicExchange", "stores, gives the old value", effect=_WRITE),
+    _row(
+        "atomic_compare_exchange",
+        "int(int&,int,int);uint(uint&,uint,uint)",
+        "atomicCompSwap",
+        "(place, expected, value): stores where the old value is the expected one; gives the old value",
+        effect=_WRITE,
+    ),
+    _row(
+        "barrier",
+        "None()",
+        "groupMemoryBarrier(); barrier()",
+        "waits for the whole work-group, which then sees all that it wrote",
+        stages=_COMPUTE,
+        effect=Effect.BARRIER,
+    ),
+    _row(
+        "memory_barrier",
+        "None()",
+        "memoryBarrier()",
+        "orders this invocation's writes before what it does next, for all to see",
+        effect=Effect.BARRIER,
+    ),
+    # stage inputs
+    _row("vertex_index", "int()", "gl_VertexID", "index of the vertex, base vertex included", stages=_VERTEX),
+    _row(
+        "instance_index",
+        "int()",
+        "(gl_BaseInstanceARB + gl_InstanceID)",
+        "index of the instance, base instance included",
+        stages=_VERTEX,
+        extension=_DRAW_PARAMETERS,
+    ),
+    _row(
+        "draw_index",
+        "int()",
+        "gl_DrawIDARB",
+        "index of the draw within a multi-draw",
+        stages=_VERTEX,
+        extension=_DRAW_PARAMETERS,
+    ),
+    _row(
+        "fragment_coordinate",
+        "vec4()",
+        "gl_FragCoord",
+        "x, y in pixels (row 0 on top, centres at .5), depth, 1 / clip w",
+        stages=_FRAGMENT,
+    ),
+    _row(
+        "front_facing", "bool()", "gl_FrontFacing", "whether the primitive faces the camera", stages=_FRAGMENT
+    ),
+    _row(
+        "primitive_index", "int()", "gl_PrimitiveID", "index of the primitive in the draw", stages=_FRAGMENT
+    ),
+    _row(
+        "global_id", "ivec3()", "ivec3(gl_GlobalInvocationID)", "place in the whole dispatch", stages=_COMPUTE
+    ),
+    _row("local_id", "ivec3()", "ivec3(gl_LocalInvocationID)", "place in the work-group", stages=_COMPUTE),
+    _row("local_index", "int()", "int(gl_LocalInvocationIndex)", "local_id as one number", stages=_COMPUTE),
+    _row("group_id", "ivec3()", "ivec3(gl_WorkGroupID)", "place of the work-group", stages=_COMPUTE),
+    _row("group_count", "ivec3()", "ivec3(gl_NumWorkGroups)", "number of work-groups", stages=_COMPUTE),
+)
+
+BUILTINS: Final[dict[str, Builtin]] = {row.name: row for row in _ROWS}
+"""Every built-in function by name."""

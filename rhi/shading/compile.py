@@ -1,0 +1,188 @@
+"""From a shader class to the `ProgramDescriptor` that a backend makes a program from."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Iterator, Mapping
+
+from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage
+from rhi.errors import ShaderError, find_call_site
+from rhi.layout import Layout, place, stride_of
+from rhi.shading import rules, tree
+from rhi.shading.expressions import Callee
+from rhi.shading.glsl_stage import StageOptions, StageText, write_stage
+from rhi.shading.interface import (
+    Interface,
+    check_fragment_input,
+    fragment_outputs,
+    varyings_of,
+    vertex_inputs,
+)
+from rhi.shading.program import StageParser, find_method, signature
+from rhi.shading.shader import Declaration, Memory, Shader
+from rhi.shading.types import VOID, ImageType, StorageType
+
+__rhi_internal__ = True
+
+_compiled: weakref.WeakKeyDictionary[type[Shader], ProgramDescriptor] = weakref.WeakKeyDictionary()
+
+
+def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
+    """Parse and type-check a shader's stages; memoised for each class. Text is written when asked for.
+
+    Raises:
+        ShaderError: the shader breaks a rule of `rhi.shading.rules`; the error shows the line.
+    """
+    known = _compiled.get(shader)
+    if known is None:
+        known = _compiled[shader] = _compile(shader)
+    return known
+
+
+def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
+    """The typed trees of a shader's stages."""
+    return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
+
+
+def _compile(shader: type[Shader]) -> ProgramDescriptor:
+    entries = _entries(shader)
+    interface = _interface(entries)
+    stages = {stage: StageParser(shader, stage).parse(entry) for stage, entry in entries.items()}
+    stored = frozenset().union(*(stage.stored for stage in stages.values()))
+    bindings = tuple(_bindings(shader, stored))
+    fragment = stages.get(Stage.FRAGMENT)
+    if shader.early_depth and interface.depth:
+        source = entries[Stage.FRAGMENT].source
+        source.refuse(
+            rules.INTERFACE, source.node, "a FragmentDepth with early_depth = True", "one of the two"
+        )
+    options = StageOptions(
+        shader.__qualname__.replace("<locals>.", ""),
+        interface,
+        {binding.name: binding for binding in bindings},
+        _work_group(shader),
+        shader.early_depth,
+    )
+    texts = _Texts(stages, options)
+    return ProgramDescriptor(
+        name=options.name,
+        stages=frozenset(stages),
+        bindings=bindings,
+        attributes=interface.attributes,
+        outputs=interface.outputs,
+        work_group=options.work_group if Stage.COMPUTE in stages else (1, 1, 1),
+        emit=texts.emit,
+        writes_memory=any(binding.writes for binding in bindings),
+        discards=fragment is not None and fragment.discards,
+        early_depth=shader.early_depth,
+        writes_depth=bool(interface.depth),
+        lines=texts,
+    )
+
+
+class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
+    """Writes stages when they are asked for; as a mapping, the origins of each stage's lines."""
+
+    def __init__(self, stages: dict[Stage, tree.StageTree], options: StageOptions) -> None:
+        self._stages = stages
+        self._options = options
+        self._texts: dict[Stage, StageText] = {}
+
+    def emit(self, language: str, stage: Stage) -> str:
+        """The stage's text in `language`, of which there is "glsl"."""
+        if language != "glsl":
+            raise ShaderError(rules.NATIVE, f"{self._options.name}: emit({language!r}, …)", language, "glsl")
+        return self._text(stage).text
+
+    def _text(self, stage: Stage) -> StageText:
+        if stage not in self._texts:
+            self._texts[stage] = write_stage(self._stages[stage], self._options)
+        return self._texts[stage]
+
+    def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
+        return self._text(stage).origins
+
+    def __iter__(self) -> Iterator[Stage]:
+        return iter(self._stages)
+
+    def __len__(self) -> int:
+        return len(self._stages)
+
+
+def _entries(shader: type[Shader]) -> dict[Stage, Callee]:
+    found = {stage: find_method(shader, stage.value) for stage in Stage}
+    entries = {stage: callee for stage, callee in found.items() if callee is not None}
+    allowed = "`vertex`, `vertex` and `fragment`, or `compute`"
+    if not entries or (Stage.COMPUTE in entries and len(entries) > 1) or list(entries) == [Stage.FRAGMENT]:
+        given = ", ".join(stage.value for stage in entries) or "no stage"
+        raise ShaderError(rules.STAGES, f"class {shader.__name__}", given, allowed, site=find_call_site())
+    return entries
+
+
+def _interface(entries: dict[Stage, Callee]) -> Interface:
+    compute = entries.get(Stage.COMPUTE)
+    if compute is not None:
+        described = signature(compute)
+        if described.parameters or described.result != VOID:
+            compute.source.refuse(
+                rules.INTERFACE,
+                compute.source.node,
+                "parameters or a result",
+                "compute(self) -> None",
+                "read global_id() and bindings, write StorageRW and images",
+            )
+        return Interface()
+    vertex, fragment = entries[Stage.VERTEX], entries.get(Stage.FRAGMENT)
+    attributes = vertex_inputs(vertex)
+    position, varyings = varyings_of(vertex)
+    if fragment is None:
+        return Interface(attributes, varyings, position)
+    check_fragment_input(fragment, varyings)
+    depth, outputs = fragment_outputs(fragment)
+    return Interface(attributes, varyings, position, outputs, depth)
+
+
+_KINDS = {
+    Memory.UNIFORM: BindingKind.UNIFORM,
+    Memory.STORAGE: BindingKind.STORAGE,
+    Memory.TEXTURE: BindingKind.TEXTURE,
+    Memory.IMAGE: BindingKind.IMAGE,
+}
+
+
+def _bindings(shader: type[Shader], stored: frozenset[str]) -> Iterator[Binding]:
+    slots = dict.fromkeys(BindingKind, 0)
+    for declaration in shader._declared.values():
+        if declaration.memory is not Memory.SHARED:
+            kind = _KINDS[declaration.memory]
+            yield _binding(declaration, kind, slots[kind], declaration.name in stored)
+            slots[kind] += 1
+
+
+def _binding(declaration: Declaration, kind: BindingKind, slot: int, stored: bool) -> Binding:
+    name, type = declaration.name, declaration.type
+    match type:
+        case StorageType(element=element, writable=writable):
+            return Binding(name, kind, slot, writable, declaration.host, stride_of(element, Layout.STD430))
+        case ImageType():
+            return Binding(name, kind, slot, stored, type)
+    if kind is BindingKind.TEXTURE:
+        return Binding(name, kind, slot, False, type)
+    return Binding(name, kind, slot, False, declaration.host, place(type, Layout.STD140).size)
+
+
+def _work_group(shader: type[Shader]) -> tuple[int, int, int]:
+    given = shader.work_group
+    valid = (
+        isinstance(given, tuple) and 1 <= len(given) <= 3 and all(isinstance(n, int) and n > 0 for n in given)
+    )
+    if not valid or given[0] * (given[1:] or (1,))[0] * (given[2:] or (1,))[0] > 1024:
+        raise ShaderError(
+            rules.OUT_OF_RANGE,
+            f"class {shader.__name__}: work_group",
+            repr(given),
+            "1 to 3 positive numbers whose product is at most 1024",
+            site=find_call_site(),
+        )
+    x, y, z = (*given, 1, 1)[:3]
+    return x, y, z

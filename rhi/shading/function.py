@@ -1,0 +1,82 @@
+"""Functions outside shader classes, and functions whose body is native code.
+
+- `@function` marks a module-level function as part of the shading language: shaders may call it.
+- `@native("glsl", body)` gives a stage, helper or function a body in one device language. Its signature
+  stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared as ever; the
+  Python body, if there is one, serves the other languages.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any, NoReturn, ParamSpec, TypeVar, cast
+
+from rhi.errors import refuse
+from rhi.shading import rules
+from rhi.shading.source import Source, locals_of
+
+__rhi_internal__ = True
+
+P = ParamSpec("P")
+R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
+
+NATIVE = "_rhi_native"
+
+
+@dataclass(frozen=True, slots=True)
+class Native:
+    """A function's body in a device language, and what must stand at file level before it.
+
+    `line` is that of the text's first line in the Python file, 0 where it isn't written there as it is.
+    """
+
+    body: str
+    declarations: str = ""
+    line: int = 0
+
+
+class Function:
+    """A module-level function of the shading language."""
+
+    def __init__(self, function: FunctionType, names: Any) -> None:
+        self.python = function
+        self._names = names
+        self._source: Source | None = None
+        self.__name__ = function.__name__
+        self.__doc__ = function.__doc__
+        self.__wrapped__ = function
+
+    @property
+    def source(self) -> Source:
+        """Syntax tree and scope; read when first asked for."""
+        if self._source is None:
+            self._source = Source(self.python, self._names)
+        return self._source
+
+    def __call__(self, *arguments: object, **named: object) -> NoReturn:
+        refuse(rules.DEVICE_ONLY, f"{self.__name__}(…)")
+
+
+def function(python: Callable[P, R]) -> Callable[P, R]:
+    """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
+    return cast(Callable[P, R], Function(cast(FunctionType, python), locals_of(sys._getframe(1))))
+
+
+def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:
+    """Give a function its body in `language` ("glsl").
+
+    `body` is the text between the braces and may use the parameters, bindings and struct types by their
+    Python names; `declarations` is put at file level before it (`#extension` lines go to the top).
+    """
+
+    def attach(python: F) -> F:
+        bodies = dict(getattr(python, NATIVE, {}))
+        bodies[language] = Native(body, declarations)
+        setattr(python, NATIVE, bodies)
+        return python
+
+    return attach

@@ -1,0 +1,148 @@
+"""What flows between a shader's stages: vertex inputs, varyings, outputs.
+
+- The vertex stage takes structs of attributes and returns a `vec4`, the clip position, or a struct whose
+  first field is it; the other fields are varyings.
+- The fragment stage takes nothing, or a struct whose fields are among the vertex stage's by name and type; it
+  returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rhi.descriptors import Attribute, FragmentOutput
+from rhi.layout import BOOL, FLOAT, ArrayType, HostType, MatrixType, ScalarType, StructType, VectorType
+from rhi.shading import rules
+from rhi.shading.annotations import Role
+from rhi.shading.expressions import Callee
+from rhi.shading.program import signature
+from rhi.shading.signatures import struct_class
+from rhi.shading.source import suggest
+from rhi.shading.types import VEC4, VOID, Type, scalar_of
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class Varying:
+    """A value that the vertex stage gives to the fragment stage."""
+
+    name: str
+    type: HostType
+    role: Role | None
+    location: int
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """All that flows in and out of a shader's graphics stages.
+
+    `position` is the name of the vertex stage's position field, "" where it returns a plain vec4; `depth`
+    that of the fragment stage's depth field, "" if it has none.
+    """
+
+    attributes: tuple[Attribute, ...] = ()
+    varyings: tuple[Varying, ...] = ()
+    position: str = ""
+    outputs: tuple[FragmentOutput, ...] = ()
+    depth: str = ""
+
+
+def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
+    """The attributes of the vertex stage's parameters, in order."""
+    attributes: list[Attribute] = []
+    source = vertex.source
+    for parameter in signature(vertex).parameters:
+        if not isinstance(parameter.type, StructType):
+            source.refuse(
+                rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes"
+            )
+        for field in parameter.type.fields:
+            if not isinstance(field.type, ScalarType | VectorType) or scalar_of(field.type) is BOOL:
+                source.refuse(
+                    rules.INTERFACE,
+                    source.node,
+                    f"vertex input {field.name}: {field.type}",
+                    "float, int, uint and their vectors",
+                    "a matrix per instance can be read from storage by instance_index()",
+                )
+            if any(attribute.name == field.name for attribute in attributes):
+                source.refuse(rules.INTERFACE, source.node, f"two vertex inputs named {field.name!r}")
+            attributes.append(Attribute(field.name, len(attributes), field.type))
+    return tuple(attributes)
+
+
+def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
+    """The name of the position field and all varyings of the vertex stage, the position as the last."""
+    described, source = signature(vertex), vertex.source
+    if described.result == VEC4:
+        return "", ()
+    cls = struct_class(described.result_host)
+    fields = cls.shading_type.fields if cls is not None else ()
+    if cls is None or not fields or fields[0].type != VEC4:
+        given = str(described.result)
+        if fields:
+            given += f" with {fields[0].name}: {fields[0].type} first"
+        source.refuse(
+            rules.INTERFACE,
+            source.node.returns or source.node,
+            given,
+            "a vec4, or a Struct whose first field is one",
+        )
+    varyings, location = [], 0
+    for field in (*fields[1:], fields[0]):
+        role = cls._roles.get(field.name)
+        if isinstance(field.type, StructType | ArrayType) or scalar_of(field.type) is BOOL:
+            given = f"varying {field.name}: {field.type}"
+            source.refuse(rules.INTERFACE, source.node, given, "numbers, vectors, matrices")
+        if scalar_of(field.type) not in (FLOAT, None):
+            role = Role.FLAT
+        varyings.append(Varying(field.name, field.type, role, location))
+        location += field.type.size if isinstance(field.type, MatrixType) else 1
+    return fields[0].name, tuple(varyings)
+
+
+def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> None:
+    """Refuse a fragment stage that wants what the vertex stage doesn't give."""
+    described, source = signature(fragment), fragment.source
+    if len(described.parameters) > 1:
+        source.refuse(
+            rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct"
+        )
+    for parameter in described.parameters:
+        if not isinstance(parameter.type, StructType):
+            source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "a struct")
+        known = {varying.name: varying.type for varying in varyings}
+        for field in parameter.type.fields:
+            if known.get(field.name) != field.type:
+                given = f"{parameter.type}.{field.name}: {field.type}"
+                allowed = ", ".join(f"{name}: {type}" for name, type in known.items()) or "no varyings"
+                source.refuse(rules.STAGES, source.node, given, allowed, suggest(field.name, known))
+
+
+def fragment_outputs(fragment: Callee) -> tuple[str, tuple[FragmentOutput, ...]]:
+    """The name of the depth field and the colour outputs by location."""
+    described, source = signature(fragment), fragment.source
+    if described.result == VOID:
+        return "", ()
+    cls = struct_class(described.result_host)
+    roles = cls._roles if cls is not None else {}
+    fields: list[tuple[str, Type]] = [("color", described.result)]
+    if cls is not None:
+        fields = [(field.name, field.type) for field in cls.shading_type.fields]
+    outputs: list[FragmentOutput] = []
+    depth = ""
+    for name, type in fields:
+        if roles.get(name) is Role.FRAGMENT_DEPTH:
+            depth = name
+            continue
+        scalar = scalar_of(type)
+        if scalar is None or scalar is BOOL:
+            source.refuse(
+                rules.INTERFACE,
+                source.node.returns or source.node,
+                f"output {name}: {type}",
+                "float, int, uint and their vectors, FragmentDepth",
+            )
+        outputs.append(FragmentOutput(name, len(outputs), scalar.name, getattr(type, "size", 1)))
+    return depth, tuple(outputs)

@@ -1,0 +1,63 @@
+"""The shading language's rules: one table, in the order in which a shader meets them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.errors import Rule
+
+__rhi_internal__ = True
+
+NO_SOURCE: Final = Rule(
+    "shading-no-source",
+    "the source of a shader can't be read",
+    "shaders are compiled from their Python source: define them in a file or a notebook cell",
+)
+SYNTAX: Final = Rule("shading-unsupported", "this form of Python is not part of the shading language")
+UNKNOWN_NAME: Final = Rule("shading-unknown-name", "a name is not defined")
+UNKNOWN_MEMBER: Final = Rule("shading-unknown-member", "a value has no such field, component or method")
+NOT_SHADING: Final = Rule(
+    "shading-not-shading", "a Python object that the shading language doesn't know is used in a shader"
+)
+ANNOTATION: Final = Rule("shading-annotation", "an annotation is missing or names no shading type")
+WRONG_TYPE: Final = Rule("shading-type", "an expression has the wrong type")
+WRONG_ARGUMENTS: Final = Rule("shading-arguments", "a call's arguments don't fit")
+TYPE_CHANGED: Final = Rule(
+    "shading-type-changed",
+    "a variable keeps the type of its first value",
+    "use a second variable, or convert the value",
+)
+UNASSIGNED: Final = Rule(
+    "shading-unassigned",
+    "a variable is read where it may not have a value",
+    "give it a value on every path that leads here",
+)
+NOT_WRITABLE: Final = Rule("shading-not-writable", "this can't be assigned to")
+RECURSION: Final = Rule(
+    "shading-recursion",
+    "a function calls itself, directly or through others",
+    "use a loop; devices have no stack",
+)
+MISSING_RETURN: Final = Rule(
+    "shading-missing-return",
+    "a function may end without returning a value",
+    "return a value on every path",
+)
+OUT_OF_RANGE: Final = Rule("shading-out-of-range", "a constant lies outside what is allowed")
+EVALUATED_TWICE: Final = Rule(
+    "shading-evaluated-twice",
+    "an operand with a side effect would be evaluated twice",
+    "give it a name on a line of its own first",
+)
+STAGE: Final = Rule("shading-stage", "this is not available in this stage")
+STAGES: Final = Rule("shading-stages", "a shader's stages don't fit together")
+INTERFACE: Final = Rule("shading-interface", "a stage's inputs or outputs can't have this form")
+BINDING: Final = Rule("shading-binding", "a binding can't have this form")
+NATIVE: Final = Rule("shading-native", "a native function can't be used here")
+STRUCT: Final = Rule("shading-struct", "a struct can't have this form")
+STRUCT_VALUE: Final = Rule("shading-struct-value", "a struct's field got a value that doesn't fit")
+DEVICE_ONLY: Final = Rule(
+    "shading-device-only",
+    "shading functions run on the device, inside shaders",
+    "use math or NumPy on the CPU",
+)

@@ -1,0 +1,60 @@
+"""A small program made by hand, so that these tests stand on the interface alone, not on the language."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import rhi
+from rhi.descriptors import (
+    Attribute,
+    Binding,
+    BindingKind,
+    FragmentOutput,
+    ProgramDescriptor,
+    Stage,
+)
+from rhi.layout import FLOAT, VectorType
+from rhi.shading import Struct
+from rhi.shading.vectors import vec4
+
+
+class Camera(Struct):
+    tint: vec4
+
+
+class Object(Struct):
+    offset: vec4
+
+
+def hand_made_program(name: str = "flat", *bindings: Binding) -> ProgramDescriptor:
+    """Two uniforms and a vertex position; for the null device, which never looks at the source."""
+    return ProgramDescriptor(
+        name,
+        frozenset({Stage.VERTEX, Stage.FRAGMENT}),
+        bindings
+        or (
+            Binding("camera", BindingKind.UNIFORM, 0, False, Camera, 16),
+            Binding("object", BindingKind.UNIFORM, 1, False, Object, 16),
+        ),
+        (Attribute("position", 0, VectorType(FLOAT, 2)),),
+        (FragmentOutput("color", 0, "float", 4),),
+        (1, 1, 1),
+        lambda language, stage: f"// {language} {stage.value}",
+    )
+
+
+@dataclass
+class Kit:
+    """A null device with what a draw needs."""
+
+    device: rhi.Device
+    program: Any
+    mesh: rhi.Mesh
+    image: rhi.Texture
+    camera: Any
+    objects: Any
+
+    def ops(self, *ops: rhi.Op) -> list[rhi.Command]:
+        """The recorded commands of these kinds."""
+        return [command for command in self.device.stream if command.op in ops]

@@ -1,0 +1,78 @@
+"""Runs compute shaders on a bare OpenGL context: no part of rhi but the shading language is involved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import moderngl
+import numpy as np
+import pytest
+
+from rhi.descriptors import BindingKind, ProgramDescriptor, Stage
+from rhi.layout import Layout, element_dtype
+from rhi.shading import Shader, Struct, compile_shader, value_type_of
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[moderngl.Context]:
+    try:
+        context = moderngl.create_context(standalone=True, backend="egl", require=430)
+    except Exception as error:
+        pytest.skip(f"no OpenGL 4.3 through EGL: {error}")
+    yield context
+    context.release()
+
+
+Run = Callable[..., dict[str, Any]]
+
+
+@pytest.fixture
+def run(context: moderngl.Context) -> Run:
+    """`run(shader, groups=1, name=array_or_count_or_struct…)` gives each storage buffer's contents after."""
+
+    def run(shader: type[Shader], groups: Any = 1, **values: Any) -> dict[str, Any]:
+        program = compile_shader(shader)
+        compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
+        buffers = {}
+        for binding in program.bindings:
+            value = values[binding.name]
+            if binding.kind is BindingKind.UNIFORM:
+                data = value.to_bytes() if isinstance(value, Struct) else value.tobytes()
+                buffer = context.buffer(data)
+                buffer.bind_to_uniform_block(binding.slot)
+                buffers[binding.name] = (buffer, None)
+            elif binding.kind is BindingKind.STORAGE:
+                dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
+                array = np.zeros(value, dtype) if isinstance(value, int) else np.asarray(value)
+                buffer = context.buffer(array.tobytes())
+                buffer.bind_to_storage_buffer(binding.slot)
+                buffers[binding.name] = (buffer, array)
+            elif binding.kind is BindingKind.TEXTURE:
+                value.use(binding.slot)
+            else:
+                value.bind_to_image(binding.slot)
+        compute.run(*(groups if isinstance(groups, tuple) else (groups,)))
+        context.finish()
+        results = {}
+        for name, (buffer, array) in buffers.items():
+            if array is not None:
+                results[name] = np.frombuffer(buffer.read(), array.dtype).reshape(array.shape)
+            buffer.release()
+        compute.release()
+        return results
+
+    return run
+
+
+@pytest.fixture
+def link(context: moderngl.Context) -> Callable[[type[Shader]], ProgramDescriptor]:
+    """Compile a shader's graphics stages on the driver; gives the descriptor."""
+
+    def link(shader: type[Shader]) -> ProgramDescriptor:
+        program = compile_shader(shader)
+        texts = {f"{stage.value}_shader": program.emit("glsl", stage) for stage in program.stages}
+        context.program(**texts).release()
+        return program
+
+    return link

@@ -1,0 +1,622 @@
+"""What compute shaders compute, against Python's own answer."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    array,
+    atomic_add,
+    atomic_and,
+    atomic_compare_exchange,
+    atomic_exchange,
+    atomic_max,
+    atomic_min,
+    atomic_or,
+    atomic_xor,
+    barrier,
+    bit_count,
+    clamp,
+    dot,
+    find_msb,
+    float_bits_to_uint,
+    function,
+    global_id,
+    group_count,
+    group_id,
+    ivec2,
+    ivec3,
+    local_id,
+    local_index,
+    mat2,
+    mat3,
+    mat4,
+    max,
+    memory_barrier,
+    pack_half_2x16,
+    round,
+    shared,
+    transpose,
+    uint,
+    uint_bits_to_float,
+    unpack_half_2x16,
+    vec2,
+    vec3,
+    vec4,
+)
+
+N = 64
+
+
+class Integers(Shader):
+    work_group = (64,)
+    a: Storage[int]
+    b: Storage[int]
+    quotient: StorageRW[int]
+    remainder: StorageRW[int]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.quotient[i] = self.a[i] // self.b[i]
+        self.remainder[i] = self.a[i] % self.b[i]
+
+
+def test_integer_division_and_remainder_floor_as_in_python(run):
+    pairs = [(a, b) for a, b in itertools.product(range(-5, 6), (-3, -2, -1, 1, 2, 3))][:64]
+    a, b = np.array(pairs, "i4").T
+    out = run(Integers, a=a, b=b, quotient=64, remainder=64)
+    assert out["quotient"].tolist() == [x // y for x, y in pairs]
+    assert out["remainder"].tolist() == [x % y for x, y in pairs]
+
+
+class ByPowerOfTwo(Shader):
+    work_group = (16,)
+    a: Storage[int]
+    out: StorageRW[int]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.out[i] = self.a[i] // 8 * 100 + self.a[i] % 8
+
+
+def test_division_by_a_power_of_two_floors_too(run):
+    a = np.arange(-8, 8, dtype="i4") * 5
+    assert run(ByPowerOfTwo, a=a, out=16)["out"].tolist() == [x // 8 * 100 + x % 8 for x in a.tolist()]
+
+
+class VectorDivision(Shader):
+    out: StorageRW[ivec3]
+
+    def compute(self) -> None:
+        v = ivec3(-7, 7, -6)
+        self.out[0] = v // 3
+        self.out[1] = v % 3
+        self.out[2] = v // ivec3(-2, -2, 2)
+        self.out[3] = 7 % ivec3(-3, 3, -7)
+
+
+def test_vector_division_floors_by_component(run):
+    out = run(VectorDivision, out=4)["out"][:, :3]
+    v = np.array([-7, 7, -6])
+    expected = [v // 3, v % 3, v // np.array([-2, -2, 2]), 7 % np.array([-3, 3, -7])]
+    assert out.tolist() == np.array(expected).tolist()
+
+
+class Floats(Shader):
+    out: StorageRW[float]
+    a: Storage[float]
+
+    def compute(self) -> None:
+        x = self.a[0]
+        y = self.a[1]
+        self.out[0] = x // y
+        self.out[1] = x % y
+        self.out[2] = x**2
+        self.out[3] = x**3
+        self.out[4] = x**-2
+        self.out[5] = abs(x) ** 0.5
+        self.out[6] = 7 / 2
+        n = int(x)
+        self.out[7] = n / 2
+        self.out[8] = round(y)
+        self.out[9] = x**0
+
+
+def test_float_operators_have_pythons_meaning(run):
+    x, y = -3.25, 2.5
+    out = run(Floats, a=np.array([x, y], "f4"), out=10)["out"]
+    expected = [x // y, x % y, x**2, x**3, x**-2, abs(x) ** 0.5, 3.5, -1.5, 2.0, 1.0]
+    np.testing.assert_allclose(out, expected, rtol=1e-6)
+
+
+class BoundsOnce(Shader):
+    out: StorageRW[int]
+
+    def compute(self) -> None:
+        n = 3
+        turns = 0
+        for _i in range(n):
+            n = n + 1
+            turns += 1
+            if turns > 50:
+                break
+        self.out[0] = turns
+        total = 0
+        for i in range(4):
+            total += i
+            i = i + 10
+        self.out[1] = total
+        count = 0
+        for i in range(10, 0, -3):
+            count = count * 100 + i
+        self.out[2] = count
+        step = n - 8
+        last = 0
+        for i in range(5, -1, step):
+            last = last * 10 + i
+        self.out[3] = last
+        for _ in range(len(self.out), 2):
+            self.out[4] = 1
+        k = 7
+        for k in range(2):
+            pass
+        self.out[5] = k
+
+
+def test_loop_bounds_are_evaluated_once_and_the_body_cannot_change_the_count(run):
+    out = run(BoundsOnce, out=np.full(8, -1, "i4"))["out"]
+    assert out[:6].tolist() == [3, 0 + 1 + 2 + 3, 10070401, 531, -1, 1]
+
+
+class Control(Shader):
+    work_group = (16,)
+    out: StorageRW[int]
+
+    def classify(self, n: int) -> int:
+        if n < 2:
+            return 0
+        elif n == 2:
+            return 1
+        k = 2
+        while k * k <= n:
+            if n % k == 0:
+                return 0
+            k += 1
+        return 1
+
+    def collatz(self, n: int) -> int:
+        steps = 0
+        while True:
+            if n == 1:
+                break
+            if n % 2 == 0:
+                n //= 2
+                steps += 1
+                continue
+            n = 3 * n + 1
+            steps += 1
+        return steps
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.out[i] = self.classify(i) * 1000 + self.collatz(i + 1)
+
+
+def test_early_return_break_and_continue(run):
+    def collatz(n):
+        steps = 0
+        while n != 1:
+            n = n // 2 if n % 2 == 0 else 3 * n + 1
+            steps += 1
+        return steps
+
+    primes = {2, 3, 5, 7, 11, 13}
+    expected = [1000 * (i in primes) + collatz(i + 1) for i in range(16)]
+    assert run(Control, out=16)["out"].tolist() == expected
+
+
+class Swizzles(Shader):
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        v = vec4(1, 2, 3, 4)
+        v.xy = v.yx
+        self.out[0] = v
+        v.wzyx = v
+        self.out[1] = v
+        v.g += 10.0
+        self.out[2] = v.bgra
+        self.out[3].zw = v.xy
+        self.out[3][0] = v[-1]
+        v[1] = 0.5
+        self.out[4] = v.yyyy
+
+
+def test_swizzles_are_read_and_written_by_component(run):
+    out = run(Swizzles, out=5)["out"]
+    assert out.tolist() == [
+        [2, 1, 3, 4],
+        [4, 3, 1, 2],
+        [1, 13, 4, 2],
+        [2, 0, 4, 13],
+        [0.5, 0.5, 0.5, 0.5],
+    ]
+
+
+class ShortCircuit(Shader):
+    calls: StorageRW[int]
+    out: StorageRW[int]
+
+    def touch(self, value: int) -> bool:
+        atomic_add(self.calls[0], 1)
+        return value > 0
+
+    def compute(self) -> None:
+        a = False and self.touch(1)
+        n = len(self.out)
+        b = n == 0 and self.touch(1)
+        c = n > 0 or self.touch(1)
+        d = n > 0 and self.touch(1)
+        self.out[0] = 1 if self.touch(0) else 2
+        self.out[1] = 1 if 0 < n <= 4 and not (a or b) and c and d else 0
+
+
+def test_and_or_and_conditional_expressions_evaluate_only_what_they_need(run):
+    out = run(ShortCircuit, calls=1, out=4)
+    assert out["calls"].tolist() == [2]
+    assert out["out"].tolist() == [2, 1, 0, 0]
+
+
+WEIGHTS = (0.25, 0.5, 1)
+OFFSETS = (vec2(1, 2), vec2(3, 4))
+SKY = vec3(0.5, 0.25, 0.125)
+LIMIT = 3
+BIG = 0xFFFFFFFF
+
+
+class Constants(Shader):
+    scale = 2.0
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        total = 0.0
+        for i in range(LIMIT):
+            total += WEIGHTS[i]
+        self.out[0] = total * self.scale
+        self.out[1] = OFFSETS[1].y + SKY.z
+        self.out[2] = math.pi
+        mask: uint = BIG
+        self.out[3] = float(bit_count(mask & 0xF0))
+        self.out[4] = WEIGHTS[-1]
+
+
+class Scaled(Constants):
+    scale = 4.0
+
+
+def test_module_and_class_constants_are_usable_and_overridable(run):
+    out = run(Constants, out=5)["out"]
+    np.testing.assert_allclose(out, [3.5, 4.125, math.pi, 4, 1], rtol=1e-6)
+    assert run(Scaled, out=5)["out"][0] == 7.0
+
+
+class Switched(Shader):
+    fancy = False
+    out: StorageRW[int]
+
+    def compute(self) -> None:
+        if self.fancy:
+            self.out[0] = 1
+        else:
+            self.out[0] = 2
+        x = 5 if self.fancy else 6
+        self.out[1] = x
+
+
+class Fancy(Switched):
+    fancy = True
+
+
+@pytest.mark.parametrize(("shader", "expected"), [(Switched, [2, 6]), (Fancy, [1, 5])])
+def test_a_condition_known_now_keeps_one_branch(run, shader, expected):
+    assert run(shader, out=2)["out"].tolist() == expected
+
+
+class Arrays(Shader):
+    out: StorageRW[int]
+
+    def total(self, values: "Array[int]") -> int:
+        result = 0
+        for i in range(len(values)):
+            result += values[i]
+        return result
+
+    def compute(self) -> None:
+        stack = array(int, 8)
+        top = 0
+        for i in range(5):
+            stack[top] = i * i
+            top += 1
+        while top > 0:
+            top -= 1
+            self.out[top] = stack[top]
+        big = array(int, 100)
+        big[99] = 7
+        self.out[5] = self.total(big)
+        self.out[6] = self.total(stack)
+        copy = stack
+        copy[0] = 100
+        self.out[7] = stack[0]
+
+
+from rhi.shading import Array  # noqa: E402 (annotations may name what comes later)
+
+
+def test_local_arrays_start_as_zeros_and_are_values(run):
+    assert run(Arrays, out=8)["out"].tolist() == [0, 1, 4, 9, 16, 7, 30, 0]
+
+
+class Inner(Struct):
+    direction: vec3
+    weight: float
+
+
+class Outer(Struct):
+    inner: Inner
+    turn: mat2
+    count: int
+
+
+class Structs(Shader):
+    items: StorageRW[Outer]
+
+    def moved(self, item: Outer) -> Outer:
+        item.count += 1
+        item.inner.direction.y = 9.0
+        return item
+
+    def compute(self) -> None:
+        item = self.items[0]
+        other = self.moved(item)
+        self.items[1] = other
+        self.items[2] = Outer(inner=Inner(weight=2.0, direction=(1, 2, 3)), turn=item.turn, count=item.count)
+        self.items[2].turn[1][0] = 5.0
+
+
+def test_structs_are_values_and_their_fields_can_be_written(run):
+    items = np.zeros(3, Outer.dtype)
+    items[0]["turn"] = [[1, 2], [3, 4]]
+    items[0]["count"] = 41
+    out = run(Structs, items=items)["items"]
+    assert out["count"].tolist() == [41, 42, 41]
+    assert out["inner"]["direction"][:, :3].tolist() == [[0, 0, 0], [0, 9, 0], [1, 2, 3]]
+    assert out[2]["inner"]["weight"] == 2
+    assert out[2]["turn"].tolist() == [[1, 2], [5, 4]]
+
+
+class Matrices(Shader):
+    m: Uniform[mat3]
+    m4: Storage[mat4]
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        v = vec3(1, 2, 3)
+        self.out[0] = vec4(self.m @ v, self.m[1][2])
+        self.out[1] = vec4(v @ self.m, self.m[2][0])
+        self.out[2] = vec4(self.m[1], 0)
+        self.out[3] = vec4(transpose(self.m)[1], 0)
+        self.out[4] = self.m4[0] @ vec4(v, 1)
+        rows = mat2(1, 2, 3, 4)
+        self.out[5] = vec4(rows @ vec2(1, 10), rows[0])
+        basis = transpose(mat2(vec2(1, 2), vec2(3, 4)))
+        self.out[6] = vec4(basis @ vec2(1, 10), basis[0])
+        product = mat3(2.0) @ self.m
+        self.out[7] = vec4(product[2], (self.m * self.m)[2][1])
+        i = len(self.out) - 9
+        self.out[8] = vec4(self.m[i], mat3(self.m4[0])[2][1])
+
+
+def test_a_numpy_matrix_means_the_same_in_a_shader(run):
+    m = np.arange(1, 10, dtype="f4").reshape(3, 3)
+    m4 = np.arange(1, 17, dtype="f4").reshape(4, 4)
+    padded = np.zeros((3, 4), "f4")
+    padded[:, :3] = m
+    out = run(Matrices, m=padded, m4=m4[None], out=10)["out"]
+    v, w = np.array([1, 2, 3]), np.array([1, 10])
+    square = np.array([[1, 2], [3, 4]])
+    expected = [
+        [*(m @ v), m[1, 2]],
+        [*(v @ m), m[2, 0]],
+        [*m[1], 0],
+        [*m[:, 1], 0],
+        m4 @ [1, 2, 3, 1],
+        [*(square @ w), *square[0]],
+        [*(square.T @ w), *square.T[0]],
+        [*(2 * m)[2], m[2, 1] ** 2],
+        [*m[1], m4[2, 1]],
+    ]
+    np.testing.assert_array_equal(out[:9], expected)
+
+
+class Atomics(Shader):
+    work_group = (32,)
+    out: StorageRW[int]
+    bits: StorageRW[uint]
+    order: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        atomic_add(self.out[0], i)
+        atomic_min(self.out[1], i - 5)
+        atomic_max(self.out[2], i)
+        atomic_or(self.bits[0], uint(1) << i)
+        atomic_and(self.bits[1], ~(uint(1) << i))
+        atomic_xor(self.bits[2], uint(i))
+        slot = atomic_add(self.bits[3], 1)
+        self.order[slot] = uint(i)
+        if atomic_compare_exchange(self.out[3], 0, 7) == 0:
+            atomic_add(self.out[4], 1)
+        atomic_exchange(self.out[5], 3)
+
+
+def test_atomics_see_every_invocation(run):
+    bits = np.array([0, 0xFFFFFFFF, 0, 0], "u4")
+    out = run(Atomics, 2, out=6, bits=bits, order=64)
+    assert out["out"].tolist() == [sum(range(64)), -5, 63, 7, 1, 3]
+    xor = 0
+    for i in range(64):
+        xor ^= i
+    assert out["bits"].tolist()[:2] == [0xFFFFFFFF, 0]
+    assert out["bits"].tolist()[2:] == [xor, 64]
+    assert sorted(out["order"].tolist()) == list(range(64))
+
+
+class Scan(Shader):
+    work_group = (N,)
+    partial = shared(float, N)
+    total = shared(int)
+    values: Storage[float]
+    sums: StorageRW[float]
+    counts: StorageRW[int]
+
+    def compute(self) -> None:
+        i = local_index()
+        if i == 0:
+            self.total = 0
+        self.partial[i] = self.values[global_id().x]
+        barrier()
+        offset = 1
+        while offset < N:
+            value = self.partial[i]
+            if i >= offset:
+                value += self.partial[i - offset]
+            barrier()
+            self.partial[i] = value
+            barrier()
+            offset *= 2
+        atomic_add(self.total, 1)
+        barrier()
+        self.sums[global_id().x] = self.partial[i]
+        if i == N - 1:
+            self.counts[group_id().x] = self.total
+
+
+def test_shared_memory_and_barriers_give_a_prefix_sum(run):
+    values = np.arange(1, 2 * N + 1, dtype="f4")
+    out = run(Scan, 2, values=values, sums=2 * N, counts=2)
+    np.testing.assert_array_equal(out["sums"].reshape(2, N), np.cumsum(values.reshape(2, N), axis=1))
+    assert out["counts"].tolist() == [N, N]
+
+
+class Ids(Shader):
+    work_group = (2, 3, 4)
+    out: StorageRW[ivec3]
+
+    def compute(self) -> None:
+        size = ivec3(2, 3, 4)
+        g = global_id()
+        if g == group_id() * size + local_id():
+            self.out[0] = max(self.out[0], g)
+        if local_index() == local_id().x + local_id().y * 2 + local_id().z * 6:
+            memory_barrier()
+            self.out[1] = group_count()
+
+
+def test_ids_count_in_three_dimensions(run):
+    out = run(Ids, (2, 1, 1), out=2)["out"]
+    assert out[1, :3].tolist() == [2, 1, 1]
+
+
+@function
+def halved(x: float, *, by: int = 2) -> float:
+    return x / by
+
+
+@function
+def twice_halved(x: float) -> float:
+    return halved(halved(x), by=4)
+
+
+class Calls(Shader):
+    out: StorageRW[float]
+
+    @staticmethod
+    def plain(x: float) -> float:
+        return x + 1
+
+    def virtual(self, x: float) -> float:
+        return x
+
+    def compute(self) -> None:
+        self.out[0] = twice_halved(16)
+        self.out[1] = self.virtual(3.0)
+        self.out[2] = self.plain(x=3)
+        self.out[3] = clamp(dot(vec3(1), vec3(2)), 0.0, 5.0)
+
+
+class Overridden(Calls):
+    def virtual(self, x: float) -> float:
+        return super().virtual(x) * 10
+
+
+def test_functions_helpers_defaults_and_overrides(run):
+    assert run(Calls, out=4)["out"].tolist() == [2, 3, 4, 5]
+    assert run(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
+
+
+class Bits(Shader):
+    out: StorageRW[uint]
+
+    def compute(self) -> None:
+        self.out[0] = float_bits_to_uint(1.0)
+        self.out[1] = pack_half_2x16(vec2(1.0, -2.0))
+        self.out[2] = uint(unpack_half_2x16(self.out[1]).x)
+        self.out[3] = uint(find_msb(uint(1) << 20))
+        self.out[4] = uint(int(-1))
+        self.out[5] = float_bits_to_uint(uint_bits_to_float(self.out[0]))
+        n = -9
+        self.out[6] = uint(n >> 1)
+        self.out[7] = uint(0xF0) ^ 0xFF & ~uint(1) | 0x100
+
+
+def test_bit_operations(run):
+    out = run(Bits, out=8)["out"]
+    expected = [0x3F800000, 0xC0003C00, 1, 20, 0xFFFFFFFF, 0x3F800000, 2**32 - 5, 0xF0 ^ 0xFF & ~1 | 0x100]
+    assert out.tolist() == expected
+
+
+class Reserved(Struct):
+    out: float
+    sample: ivec2
+    flat: uint
+
+
+class Mangled(Shader):
+    buffer: StorageRW[Reserved]
+
+    def input(self, half: float) -> float:
+        gl_Position = half
+        a__b = gl_Position * 2
+        _texture = a__b
+        return _texture
+
+    def compute(self) -> None:
+        output = self.input(2.0)
+        filter = ivec2(3, 4)
+        self.buffer[0] = Reserved(out=output, sample=filter, flat=7)
+        rhi_power_2 = output**2
+        self.buffer[1].out = rhi_power_2
+
+
+def test_names_that_glsl_reserves_can_be_used(run):
+    out = run(Mangled, buffer=2)["buffer"]
+    assert out["out"].tolist() == [4, 16]
+    assert out["sample"][0].tolist() == [3, 4]
+    assert out["flat"][0] == 7

@@ -1,0 +1,79 @@
+"""Finding a backend, and what is said when there is none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import rhi
+from rhi.__main__ import main
+
+
+def test_the_null_device_is_never_chosen_by_itself() -> None:
+    assert rhi.backend_names()[-1] == "null"
+
+
+def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
+    with pytest.raises(rhi.DeviceError, match="did you mean 'null'") as caught:
+        rhi.create_device("nul")
+    assert caught.value.rule.id == "device-unknown"
+
+
+def test_the_environment_names_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "null")
+    with rhi.create_device() as device:
+        assert device.backend_name == "null"
+
+
+def test_an_argument_wins_over_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "nothing-of-the-kind")
+    with rhi.create_device("null") as device:
+        assert device.backend_name == "null"
+
+
+def test_the_null_device_records_unless_told_not_to() -> None:
+    with rhi.create_device("null") as device:
+        assert len(device.stream) == 0
+    with rhi.create_device("null", record=False) as device, pytest.raises(rhi.ValidationError) as caught:
+        _ = device.stream
+    assert caught.value.rule.id == "device-not-recording"
+
+
+def test_a_closed_device_refuses_work_by_name() -> None:
+    with rhi.create_device("null") as device:
+        pass
+    with pytest.raises(rhi.ValidationError) as caught:
+        device.buffer(16)
+    assert caught.value.rule.id == "device-closed"
+
+
+def test_a_lock_never_released_is_reported_when_the_device_closes() -> None:
+    device = rhi.create_device("null")
+    device.buffer(16).lock(rhi.Access.WRITE).__enter__()
+    with pytest.raises(rhi.ValidationError) as caught:
+        device.close()
+    assert caught.value.rule.id == "lock-open"
+    assert device.closed
+
+
+def test_the_report_names_every_backend(capsys: pytest.CaptureFixture[str]) -> None:
+    main([])
+    text = capsys.readouterr().out
+    assert all(name in text for name in rhi.backend_names())
+
+
+def test_the_report_as_json_has_capabilities(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--json"])
+    report = json.loads(capsys.readouterr().out)
+    null = next(b for b in report["backends"] if b["name"] == "null")
+    assert null["usable"]
+    assert null["capabilities"]["shading"] is False
+
+
+def test_importing_the_package_loads_no_driver() -> None:
+    code = "import sys, rhi; print([m for m in ('moderngl', 'pyopencl', 'glcontext') if m in sys.modules])"
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert output.strip() == "[]"
