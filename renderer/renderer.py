@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from renderer.frame import Frame, SceneResources, Targets
 from renderer.scene import Camera, Scene
 from renderer.techniques import Forward, Technique
-from renderer.visibility import NoCulling, Visibility
+from renderer.visibility import FrustumCulling, VisibilityAlgorithm
 from rhi import Device, Texture
 
 
@@ -56,14 +56,15 @@ class Renderer:
         scene: Scene,
         *,
         technique: Technique | None = None,
-        visibility: Visibility | None = None,
+        visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
     ) -> None:
-        """`size` is (width, height) in pixels; without more, all objects are drawn by forward shading."""
+        """`size` is (width, height) in pixels. Without more, shading is forward, and what is outside the view
+        frustum is culled. `visibility` must have been made for `scene`."""
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
-        self.visibility: Visibility = visibility or NoCulling()
+        self.visibility: VisibilityAlgorithm = visibility or FrustumCulling(scene)
         self._targets = Targets(device, size)
         self._resources = SceneResources(device, scene)
 
@@ -86,10 +87,11 @@ class Renderer:
         camera = camera.with_aspect(width / height)
         before = device.statistics
         self.scene.update(seconds)
-        visible = self.visibility.find_visible(self.scene, camera)
         self._resources.update(camera)
-        self.technique.render(device, Frame(camera, visible, self._resources, self._targets))
+        frame = Frame(camera, self._resources, self._targets, self.visibility)
+        self.technique.render(device, frame)
         device.present(self._targets.color)
+        visible = frame.visible
         after = device.statistics
         statistics = FrameStatistics(
             triangles=self.scene.count_triangles(visible),

@@ -14,7 +14,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -86,6 +86,29 @@ class Capabilities:
     """Formats of which no texture can be made."""
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that can't be a color target."""
+
+
+class PreparesDraws(Protocol):
+    """What a backend may offer besides its contract: calls whose arguments are given in advance.
+
+    A draw and the binding of its object's constants are what happens most; where they come down to one call of
+    the platform's own, a Python frame for each is saved. A backend without these methods has nothing to do.
+    """
+
+    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
+        """A function of (slot, offset, size) that does what `Backend.bind_uniform` would. It is called only
+        while a program is bound."""
+
+    def prepare_draw(
+        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:  # fmt: skip
+        """A function of the number of instances that does what `Backend.draw` would. It is called only while
+        `program` is bound and `AlphaTest` is off."""
+
+    def on_interruption(self, call: Callable[[], None]) -> None:
+        """Remember to call this when what is bound isn't any more, through nobody's fault: another context
+        of the process became current."""
 
 
 class Backend(Protocol):

@@ -45,10 +45,11 @@ class Buffer:
     Attributes:
         id: its name in the command stream.
         size: bytes.
+        bind_uniform: what binds a range of it, as a function of slot, offset and size.
         dependents: what to call when it is destroyed.
     """
 
-    __slots__ = ("core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
+    __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
 
     def __init__(
         self,
@@ -74,6 +75,7 @@ class Buffer:
         self.dependents: list[Callable[[], None]] = []
         self.id = core.create_id()
         core.backend.create_buffer(self.id, BufferDescriptor(size, usage, label))
+        self.bind_uniform = core.prepare_uniform(self.id)
 
     def __len__(self) -> int:
         return self.count

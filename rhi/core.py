@@ -9,13 +9,14 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, cast
 
-from rhi.backend import Backend
-from rhi.descriptors import Id, PassDescriptor, SamplerDescriptor
+from rhi.backend import Backend, PreparesDraws
+from rhi.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.errors import refuse
 from rhi.rules import DEVICE_CLOSED, LOCK_OPEN, RESOURCE_DESTROYED, RESOURCE_FOREIGN
 from rhi.state_cache import StateCache
+from rhi.states import AlphaTest
 from rhi.timeline import Timeline
 
 if TYPE_CHECKING:
@@ -60,13 +61,34 @@ class Core:
         render_pass: the open pass, if any.
         targets: ids of the open pass's textures.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
+        tests_alpha: whether the alpha test is on and prepared draws can't be used.
         draw_counters: each program's, to be taken from when someone looks at the statistics.
         locked: resources with an open lock; while there are any, every draw checks everything.
     """
 
-    __slots__ = ("_next_id", "_samplers", "backend", "capabilities", "closed", "counters", "dispatches", "draw_counters", "draws",
-                 "frame_rings", "locked", "program", "render_pass", "sampler_descriptors", "states", "target_kinds",
-                 "targets", "timeline", "upload_bytes")  # fmt: skip
+    __slots__ = (
+        "_next_id",
+        "_prepares",
+        "_samplers",
+        "backend",
+        "capabilities",
+        "closed",
+        "counters",
+        "dispatches",
+        "draw_counters",
+        "draws",
+        "frame_rings",
+        "locked",
+        "program",
+        "render_pass",
+        "sampler_descriptors",
+        "states",
+        "target_kinds",
+        "targets",
+        "tests_alpha",
+        "timeline",
+        "upload_bytes",
+    )
 
     def __init__(self, backend: Backend, states: StateCache) -> None:
         self.backend = backend
@@ -85,6 +107,11 @@ class Core:
         self.locked: list[Owner] = []
         self.draw_counters: list[Callable[[], int]] = []
         self.frame_rings: list[Ring] = []
+        self.tests_alpha = False
+        self._prepares: PreparesDraws | None = None
+        if hasattr(backend, "prepare_draw"):
+            self._prepares = cast("PreparesDraws", backend)
+            self._prepares.on_interruption(self.forget_program)
         self._next_id = 0
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
@@ -112,6 +139,43 @@ class Core:
             refuse(RESOURCE_DESTROYED, call, describe(owner))
         if owner in self.locked:
             refuse(LOCK_OPEN, call, f"{describe(owner)}, which has an open lock")
+
+    def forget_program(self) -> None:
+        """Nothing that a program has bound is in place any more."""
+        self.program = None
+
+    def flush_states(self) -> None:
+        """Tell the backend of the states that have changed."""
+        self.backend.set_states(self.states.flush())
+        if self._prepares is not None:
+            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+
+    def prepare_draw(
+        self,
+        program: Id,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:
+        """A draw as a function of its number of instances; the backend's own if it has such."""
+        if self._prepares is not None:
+            return self._prepares.prepare_draw(
+                program, vertex_array, primitive, first, count, base_vertex, base_instance
+            )
+        draw = self.backend.draw
+        return lambda instances: draw(
+            vertex_array, primitive, first, count, instances, base_vertex, base_instance
+        )
+
+    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
+        """The binding of a buffer's ranges as a function of slot, offset and size."""
+        if self._prepares is not None:
+            return self._prepares.prepare_uniform(buffer)
+        bind = self.backend.bind_uniform
+        return lambda slot, offset, size: bind(slot, buffer, offset, size)
 
     def sampler(self, descriptor: SamplerDescriptor) -> Id:
         """The id of a sampler; equal descriptors share one."""

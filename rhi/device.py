@@ -602,11 +602,11 @@ class Device:
         program.check_names(set(bindings))
         core = self._core
         core.program = None  # many draws at once are worth a full check
-        vertex_array = mesh.vertex_arrays.get(program) or program.attach(mesh)
+        program.ready_to_draw(mesh)
+        vertex_array = program.find_vertex_array(mesh)
         program.bind(program.ready_to_draw, mesh, **bindings)
-        states = core.states
-        if states.wanted is not states.hardware:
-            core.backend.set_states(states.flush())
+        if core.states.wanted is not core.states.hardware:
+            core.flush_states()
         return vertex_array
 
 

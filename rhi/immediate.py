@@ -50,10 +50,11 @@ _BY_SCALAR = {"float": _FLOAT_FORMATS, "int": _INT_FORMATS, "uint": _UINT_FORMAT
 class _RingOwner:
     """Stands for a ring's buffer where bindings look at their owner; destroyed when the ring has grown."""
 
-    __slots__ = ("core", "destroyed", "label")
+    __slots__ = ("bind_uniform", "core", "destroyed", "label")
 
-    def __init__(self, core: Core, label: str) -> None:
+    def __init__(self, core: Core, label: str, buffer: Id) -> None:
         self.core = core
+        self.bind_uniform = core.prepare_uniform(buffer)
         self.destroyed = False
         self.label = label
 
@@ -75,7 +76,7 @@ class TransientMemory:
         self._indices = Ring(core.backend, core.timeline, core.new_id, capacity, "transient indices")
         self.arguments = Ring(core.backend, core.timeline, core.new_id, capacity, "draw arguments")
         core.frame_rings.extend((self._constants, self._vertices, self._indices, self.arguments))
-        self._owner = _RingOwner(core, "transient constants")
+        self._owner: _RingOwner | None = None
         self._owner_generation = 0
         self._vertex_arrays: dict[tuple[object, ...], Id] = {}
 
@@ -91,10 +92,10 @@ class TransientMemory:
         data = value.to_bytes()
         core.upload_bytes += len(data)
         offset = self._constants.write(data, len(data), core.capabilities.uniform_alignment)
-        if self._constants.generation != self._owner_generation:
+        if self._owner is None or self._constants.generation != self._owner_generation:
             # The ring moved to a larger buffer. Ranges on the old one stay valid for this frame, but a new
             # owner makes draws look at the new one.
-            self._owner = _RingOwner(core, "transient constants")
+            self._owner = _RingOwner(core, "transient constants", self._constants.buffer)
             self._owner_generation = self._constants.generation
         return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
 
@@ -155,20 +156,25 @@ class TransientMemory:
 
 
 class _NoData:
-    """A transient mesh has no buffers of its own to check."""
+    """A transient mesh has no buffers of its own to check; its vertex arrays, by program, are the rings'."""
 
     buffers: tuple[Any, ...] = ()
     label = "transient"
 
+    def __init__(self, vertex_arrays: dict[object, Id]) -> None:
+        self.vertex_arrays = vertex_arrays
+
 
 class _TransientMesh(Mesh):
+    """A part of the rings, for one program."""
+
     __slots__ = ()
 
     def __init__(
         self, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int, base: int
     ) -> None:
-        self.data = _NoData()  # type: ignore[assignment]
-        self.vertex_arrays = vertex_arrays
+        self.data = _NoData(vertex_arrays)  # type: ignore[assignment]
+        self.calls = {}
         self.primitive = primitive
         self.first = first
         self.count = count

@@ -3,13 +3,15 @@
 - A mesh's arrays are structured: one field per attribute. A program takes the fields that it names, in
   whatever order, type width and padding they lie; a missing one is refused with both lists.
 - `view` gives a part of a mesh (first, count, base vertex, base instance) that shares everything else.
-- What a program reads from a mesh is resolved once per pair and kept in `vertex_arrays`; views share that.
+- What a program reads from a mesh is resolved once per pair, and views share that; each view keeps its own
+  draw per program (`calls`). So a view isn't changed: another part is another view.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, Final, Self, TypeAlias
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,7 +61,7 @@ class MeshData:
     """The buffers of a mesh; shared by its views."""
 
     __slots__ = ("core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
-                 "vertex_arrays", "vertex_count", "vertices")  # fmt: skip
+                 "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
         self, core: Core, vertices: VertexSource | int, indices: NDArray[Any] | Buffer | None,
@@ -90,6 +92,7 @@ class MeshData:
             )
             self.index_count = self.index_buffer.count
         self.vertex_arrays: dict[object, Id] = {}
+        self.views: WeakSet[Mesh] = WeakSet()
         for buffer in self.buffers:
             buffer.dependents.append(self._forget)
 
@@ -167,6 +170,8 @@ class MeshData:
         return form
 
     def _forget(self) -> None:
+        for view in self.views:
+            view.calls.clear()
         for vertex_array in self.vertex_arrays.values():
             self.core.timeline.retire(vertex_array)
         self.vertex_arrays.clear()
@@ -186,10 +191,20 @@ class Mesh:
 
     Attributes:
         primitive, first, count, base_vertex, base_instance: what a draw of it draws. `first` and `count`
-            are in indices for an indexed mesh, in vertices otherwise.
+            are in indices for an indexed mesh, in vertices otherwise. Not to be changed.
+        calls: the draws that programs have prepared, as functions of the number of instances.
     """
 
-    __slots__ = ("base_instance", "base_vertex", "count", "data", "first", "primitive", "vertex_arrays")
+    __slots__ = (
+        "__weakref__",
+        "base_instance",
+        "base_vertex",
+        "calls",
+        "count",
+        "data",
+        "first",
+        "primitive",
+    )
 
     def __init__(
         self,
@@ -201,7 +216,8 @@ class Mesh:
         base_instance: int = 0,
     ) -> None:
         self.data = data
-        self.vertex_arrays = data.vertex_arrays
+        self.calls: dict[object, Callable[[int], object]] = {}
+        data.views.add(self)
         self.primitive = primitive
         self.first = first
         self.count = count

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Generic, NoReturn
 from typing_extensions import ParamSpec
 
 from rhi.core import Core, describe
-from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, TextureKind
+from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.errors import refuse
 from rhi.formats import Format, Kind
 from rhi.mesh import Mesh
@@ -136,10 +136,37 @@ class Program(Generic[P]):
         core.backend.bind_program(self.id)
         core.program = None if core.locked else self
 
-    def attach(self, mesh: Mesh) -> int:
-        """The vertex array of a mesh that this program hasn't drawn yet."""
+    def attach(self, mesh: Mesh) -> Callable[[int], object]:
+        """The draw of a mesh that this program hasn't drawn yet, kept with the mesh."""
         self.ready_to_draw(mesh)
-        return mesh.data.attach(self, self.id, self.name, self.descriptor.attributes)
+        vertex_array = self.find_vertex_array(mesh)
+        call = mesh.calls[self] = self.core.prepare_draw(
+            self.id,
+            vertex_array,
+            mesh.primitive,
+            mesh.first,
+            mesh.count,
+            mesh.base_vertex,
+            mesh.base_instance,
+        )
+        return call
+
+    def find_vertex_array(self, mesh: Mesh) -> Id:
+        """What this program reads its vertices through, made when a mesh is first drawn."""
+        made = mesh.data.vertex_arrays.get(self)
+        return made or mesh.data.attach(self, self.id, self.name, self.descriptor.attributes)
+
+    def draw_unprepared(self, mesh: Mesh, instances: int) -> None:
+        """The draw itself, all of its arguments given now."""
+        self.core.backend.draw(
+            self.find_vertex_array(mesh),
+            mesh.primitive,
+            mesh.first,
+            mesh.count,
+            instances,
+            mesh.base_vertex,
+            mesh.base_instance,
+        )
 
     def check(self, index: int, value: Any) -> None:
         """Refuse `value` for the binding at `index` unless it is of the right kind, alive and unlocked."""
@@ -309,12 +336,9 @@ def _generate(program: Program[Any]) -> dict[str, Callable[..., None]]:
         states=core.states,
         program=program,
         types=tuple(binding.type for binding in program.descriptor.bindings),
-        bind_uniform=backend.bind_uniform,
         bind_storage=backend.bind_storage,
         bind_texture=backend.bind_texture,
         bind_image=backend.bind_image,
-        set_states=backend.set_states,
-        backend_draw=backend.draw,
         missing=_MISSING,
         unbound=object(),
     )
@@ -323,7 +347,7 @@ def _generate(program: Program[Any]) -> dict[str, Callable[..., None]]:
 
 
 _APPLY = {
-    BindingKind.UNIFORM: "_bind_uniform({slot}, {name}.buffer, {name}.offset, {name}.size)",
+    BindingKind.UNIFORM: "{name}.owner.bind_uniform({slot}, {name}.offset, {name}.size)",
     BindingKind.STORAGE: "_bind_storage({slot}, {name}.buffer, {name}.offset, {name}.size)",
     BindingKind.TEXTURE: "_bind_texture({slot}, {name}.texture, {name}.sampler)",
     BindingKind.IMAGE: (
@@ -335,8 +359,8 @@ _APPLY = {
 def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
     """The text of `make`, which returns `draw` and `bind`; internal names start with an underscore and a
     digit-free word, which binding names (checked) and Python's own attribute names keep clear of."""
-    given = ("core", "states", "program", "types", "bind_uniform", "bind_storage", "bind_texture",
-             "bind_image", "set_states", "backend_draw", "missing", "unbound")  # fmt: skip
+    given = ("core", "states", "program", "types", "bind_storage", "bind_texture",
+             "bind_image", "missing", "unbound")  # fmt: skip
     yield f"def make({', '.join(given)}):"
     for name in given:
         yield f"    _{name} = {name}"
@@ -367,9 +391,9 @@ def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
     def check(ready: str) -> Iterator[str]:
         if ready == "draw":
             yield "try:"
-            yield "    _vertex_array = mesh.vertex_arrays[_program]"
+            yield "    _draw = mesh.calls[_program]"
             yield "except KeyError:"
-            yield "    _vertex_array = _program.attach(mesh)"
+            yield "    _draw = _program.attach(mesh)"
             yield "if instances != 1: _program.check_instances(instances)"
         yield "_fresh = _core.program is not _program"
         yield "if _fresh:"
@@ -389,11 +413,11 @@ def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
     yield f"    def draw(mesh, instances=1{keywords}):"
     yield from body("draw")
     yield "        if _states.wanted is not _states.hardware:"
-    yield "            _set_states(_states.flush())"
-    yield (
-        "        _backend_draw(_vertex_array, mesh.primitive, mesh.first, mesh.count, instances, "
-        "mesh.base_vertex, mesh.base_instance)"
-    )
+    yield "            _core.flush_states()"
+    yield "        if _core.tests_alpha:"
+    yield "            _program.draw_unprepared(mesh, instances)"
+    yield "        else:"
+    yield "            _draw(instances)"
     yield "        _draws += 1"
     yield f"    def bind(_ready, _subject{keywords}):"
     yield from body("bind")

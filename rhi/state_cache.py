@@ -1,7 +1,8 @@
 """State vectors and scopes: what is wanted, what the hardware has, and the difference (thesis 4.2).
 
 - Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. A scope
-  finds the vector it leads to in a memo (`vector.after[scope]`), pushes the current one on the fixed stack and pops it at its end, always.
+  finds the vector it leads to in a memo (`vector.after[scope]`), pushes the current one on the fixed stack and
+  pops it at its end, always.
 - A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
   per scope.

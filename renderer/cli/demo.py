@@ -14,7 +14,7 @@ from renderer.cli.output import name_of, note, prepare_image, show_progress, wri
 from renderer.measure import alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND, load_scene
-from renderer.visibility import VISIBILITY
+from renderer.visibility import ALGORITHMS
 
 _EXAMPLES = """\
   python -m renderer demo
@@ -59,7 +59,7 @@ class Way:
 
     def mean(self, name: str) -> int:
         """The mean of a counter over the frames, in whole numbers."""
-        counts = [getattr(one, name) for one in self.statistics.values()]
+        counts: list[int] = [getattr(one, name) for one in self.statistics.values()]
         return round(sum(counts) / len(counts))
 
 
@@ -97,15 +97,15 @@ def run(given: argparse.Namespace) -> None:
         devices = [stack.enter_context(rhi.create_device())]
         if devices[0].backend_name != "null":
             devices.append(stack.enter_context(rhi.create_device("null")))
-        renderers = {
-            (device, name): stack.enter_context(
-                Renderer(device, scene, visibility=VISIBILITY[name](), size=given.size)
-            )
-            for device in devices
-            for name in VISIBILITY
-        }
         ways = [
-            Way(path, name, renderer) for path in scene.paths for (_, name), renderer in renderers.items()
+            Way(
+                path,
+                name,
+                stack.enter_context(Renderer(device, scene, visibility=make(scene), size=given.size)),
+            )
+            for path in scene.paths
+            for device in devices
+            for name, make in ALGORITHMS.items()
         ]
         for path in scene.paths:
             write_picture(next(way for way in ways if way.path == path), given.output)

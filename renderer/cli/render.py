@@ -23,7 +23,7 @@ from renderer.scene import (
     parse_camera,
 )
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import VISIBILITY
+from renderer.visibility import ALGORITHMS
 
 _EXAMPLES = """\
   python -m renderer render city --output city.png
@@ -51,7 +51,7 @@ def add_to(commands: Any) -> None:
         "--technique", choices=TECHNIQUES, default="forward", help="how to draw (default: %(default)s)"
     )
     parser.add_argument(
-        "--visibility", choices=VISIBILITY, default="frustum", help="what to draw (default: %(default)s)"
+        "--visibility", choices=ALGORITHMS, default="frustum", help="what to draw (default: %(default)s)"
     )
     parser.add_argument(
         "--camera",
@@ -93,7 +93,7 @@ def run(given: argparse.Namespace) -> None:
             device,
             scene,
             technique=TECHNIQUES[given.technique](),
-            visibility=VISIBILITY[given.visibility](),
+            visibility=ALGORITHMS[given.visibility](scene),
             size=given.size,
         ) as renderer,
     ):

@@ -23,5 +23,7 @@ def run(given: argparse.Namespace) -> None:
     for generator in GENERATORS.values():
         print(f"{generator.name}: {generator.summary}")
         for option in generator.options:
-            print(f"  {option.name}={option.default!s:<8} {option.meaning} ({option.allowed})")
-    print("or a model file: .gltf, .glb, .obj, .ply, .stl")
+            default = f"{option.name}={option.default}"
+            allowed = "" if option.allowed == option.meaning else f" ({option.allowed})"
+            print(f"  {default:<16}{option.meaning}{allowed}")
+    print("or a model file: glTF (.gltf, .glb), OBJ, PLY or STL")

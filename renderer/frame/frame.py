@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera
+from renderer.visibility import DrawObjects, VisibilityAlgorithm
 from rhi import Device, Format, Texture
 
 
@@ -30,29 +30,41 @@ class Targets:
         self.depth.destroy()
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(eq=False, slots=True)
 class Frame:
-    """One frame to draw.
+    """One frame to draw, once.
 
     Attributes:
         camera: from where; its projection says which way depth runs.
-        visible: (k,) rows of the objects to draw, in any order.
         resources: the scene on the device, up to date for this camera.
         targets: what to draw to.
+        visibility: what decides which objects are drawn.
+        batches: rows of the objects drawn so far, as `visibility` found them.
     """
 
     camera: Camera
-    visible: NDArray[np.int64]
     resources: SceneResources
     targets: Targets
+    visibility: VisibilityAlgorithm
+    batches: list[NDArray[np.int64]] = field(default_factory=list)
 
-    def sort_front_to_back(self) -> NDArray[np.int64]:
-        """`visible` by the depth of the boxes' centres: what is near hides what is drawn after it."""
+    def draw_visible(self, draw: DrawObjects) -> None:
+        """Let `draw` have the visible objects, in as many batches as it takes to find them.
+
+        Within a batch objects are ordered front to back by the depth of their boxes' centres: what is near
+        hides what is drawn after it. Call it once, where the frame's depth is first drawn; queries of the
+        visibility algorithm take place there.
+        """
         objects = self.resources.scene.objects
-        centre = objects.lower[self.visible] + objects.upper[self.visible]
-        order = np.argsort(centre @ self.camera.forward, kind="stable")
-        return np.asarray(self.visible[order])
 
-    def make_draws(self, rows: NDArray[np.int64]) -> NDArray[Any]:
-        """The draws (k,) of `rhi.DRAW` of objects, whose rows are what `instance_index()` gives."""
-        return np.asarray(self.resources.draws[rows])
+        def draw_batch(rows: NDArray[np.int64]) -> None:
+            self.batches.append(rows)
+            centre = objects.lower[rows] + objects.upper[rows]
+            draw(rows[np.argsort(centre @ self.camera.forward, kind="stable")])
+
+        self.visibility.render(self.camera, draw_batch)
+
+    @property
+    def visible(self) -> NDArray[np.int64]:
+        """Rows of all objects drawn so far."""
+        return np.concatenate([np.zeros(0, np.int64), *self.batches])

@@ -17,8 +17,9 @@ from PIL import Image
 from renderer import shaders
 from renderer.scene import Camera, Scene, normal_matrices
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer
-from rhi.shading import vec4
+from rhi.shading import Struct, vec4
 
+S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
 LARGEST_IMAGE = 2048
@@ -71,6 +72,23 @@ class MirroredArray(Generic[T]):
         self._rows = np.zeros((0, 0), np.uint8)
 
 
+class MirroredValue(Generic[S]):
+    """A uniform buffer that follows a struct's value."""
+
+    def __init__(self, device: Device, value: S) -> None:
+        self.buffer: UniformBuffer[S] = device.uniform(value)
+        self._value = value
+
+    def write(self, value: S) -> None:
+        """Let the buffer hold `value`; uploads it if it differs."""
+        if value != self._value:
+            self.buffer.write(value)
+            self._value = value
+
+    def destroy(self) -> None:
+        self.buffer.destroy()
+
+
 class SceneResources:
     """One scene on one device; techniques share it.
 
@@ -79,7 +97,7 @@ class SceneResources:
         mirrored: (n,) bool, whether an object's transform turns its triangles round.
         images: the scene's images as layers, None without any.
         objects, positions, materials, directional, point, spot: what shaders read, row by row.
-        view, ambient: constants of the frame.
+        view, ambient, haze: constants of the frame.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
@@ -100,10 +118,9 @@ class SceneResources:
         self.directional = MirroredArray(device, shaders.DirectionalLight, "directional lights")
         self.point = MirroredArray(device, shaders.PointLight, "point lights")
         self.spot = MirroredArray(device, shaders.SpotLight, "spot lights")
-        self._view = shaders.View(relative_view_projection=np.eye(4))
-        self._ambient = shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)
-        self.view: UniformBuffer[shaders.View] = device.uniform(self._view)
-        self.ambient: UniformBuffer[shaders.Ambient] = device.uniform(self._ambient)
+        self.view = MirroredValue(device, shaders.View(relative_view_projection=np.eye(4)))
+        self.ambient = MirroredValue(device, _ambient(scene))
+        self.haze = MirroredValue(device, _haze(scene))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._rows["material"] = objects.material
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
@@ -124,14 +141,9 @@ class SceneResources:
         self.directional.write(lights.directional)
         self.point.write(lights.point)
         self.spot.write(lights.spot)
-        view = shaders.View(relative_view_projection=camera.relative_view_projection)
-        if view != self._view:
-            self.view.write(view)
-            self._view = view
-        ambient = shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)
-        if ambient != self._ambient:
-            self.ambient.write(ambient)
-            self._ambient = ambient
+        self.view.write(shaders.View(relative_view_projection=camera.relative_view_projection))
+        self.ambient.write(_ambient(scene))
+        self.haze.write(_haze(scene))
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
         """The parts of transforms that don't depend on the eye, of the objects `rows`."""
@@ -148,10 +160,18 @@ class SceneResources:
     def destroy(self) -> None:
         """Give everything back."""
         arrays = (self.objects, self.positions, self.materials, self.directional, self.point, self.spot)
-        for resource in (self.mesh, self.view, self.ambient, *arrays):
+        for resource in (self.mesh, self.view, self.ambient, self.haze, *arrays):
             resource.destroy()
         if self.images is not None:
             self.images.destroy()
+
+
+def _ambient(scene: Scene) -> shaders.Ambient:
+    return shaders.Ambient(sky=scene.lights.sky, ground=scene.lights.ground)
+
+
+def _haze(scene: Scene) -> shaders.Haze:
+    return shaders.Haze(color=scene.background, density=scene.haze)
 
 
 def _make_images(device: Device, scene: Scene) -> Texture | None:

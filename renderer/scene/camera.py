@@ -182,7 +182,8 @@ class Camera:
     @property
     def forward(self) -> Floats:
         """(3,) unit vector along which the camera looks."""
-        return np.negative(self.rotation[2])
+        x, y, z = self.rotation[2]
+        return np.array([-x, -y, -z])
 
     @property
     def view(self) -> Floats:

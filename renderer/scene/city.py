@@ -51,6 +51,7 @@ def make_city(blocks: int, detail: int, seed: int) -> Scene:
     rng = np.random.default_rng([seed, 44])
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     builder.background = (0.42, 0.60, 0.82)
+    builder.haze = 1.0 / 3200.0
     index = np.stack(np.meshgrid(np.arange(blocks), np.arange(blocks), indexing="ij"), -1).reshape(-1, 2)
     centre = np.asarray((index - 0.5 * (blocks - 1)) * PITCH, np.float64)
     half = 0.5 * blocks * PITCH

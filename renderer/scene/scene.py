@@ -62,6 +62,7 @@ class Scene:
         nodes, objects, meshes, lights: see their classes.
         materials: (k,) of `MATERIAL`; images: the textures that they index.
         background: linear colour where there is nothing.
+        haze: how much light air takes away, per metre (e^-haze is left after one), and replaces by background.
         views: named cameras, the first of which is the default; paths: named camera paths.
     """
 
@@ -78,9 +79,11 @@ class Scene:
         paths: Mapping[str, CameraPath],
         animations: tuple[Animation, ...] = (),
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
+        haze: float = 0.0,
     ) -> None:
         self.name = name
         self.background = background
+        self.haze = haze
         self.nodes = nodes
         self.objects = objects
         self.meshes = meshes
@@ -151,6 +154,7 @@ class SceneBuilder:
         self.name = name
         self.lights = Lights()
         self.background = (0.02, 0.02, 0.03)
+        self.haze = 0.0
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self._geometries: list[Geometry] = []
@@ -263,6 +267,7 @@ class SceneBuilder:
             self.paths,
             tuple(_follow(nodes.rows[ids], motion) for ids, motion in self._animations),
             self.background,
+            self.haze,
         )
 
 

@@ -1,6 +1,6 @@
 """Shaders of the renderer, in the shading language: shared structs, the lighting model, one class a technique."""
 
-from renderer.shaders.forward import ForwardShader, forward_variant
+from renderer.shaders.forward import PARTS, ForwardShader, forward_variant
 from renderer.shaders.lighting import (
     ambient_light,
     attenuation,
@@ -15,6 +15,7 @@ from renderer.shaders.lighting import (
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
+    Haze,
     Material,
     Object,
     PointLight,
@@ -26,9 +27,11 @@ from renderer.shaders.structs import (
 )
 
 __all__ = [
+    "PARTS",
     "Ambient",
     "DirectionalLight",
     "ForwardShader",
+    "Haze",
     "Material",
     "Object",
     "PointLight",

@@ -7,10 +7,12 @@ below adds one kind of them with its binding, and `forward_variant` combines wha
 from __future__ import annotations
 
 from functools import cache
+from typing import Final
 
 from renderer.shaders.lighting import (
     ambient_light,
     directional_light,
+    in_range,
     point_light,
     safe_normalize,
     spot_light,
@@ -19,6 +21,7 @@ from renderer.shaders.lighting import (
 from renderer.shaders.structs import (
     Ambient,
     DirectionalLight,
+    Haze,
     Material,
     Object,
     PointLight,
@@ -28,7 +31,19 @@ from renderer.shaders.structs import (
     Vertex,
     View,
 )
-from rhi.shading import Shader, Storage, Texture2DArray, Uniform, instance_index, vec2, vec3, vec4
+from rhi.shading import (
+    Shader,
+    Storage,
+    Texture2DArray,
+    Uniform,
+    exp,
+    instance_index,
+    length,
+    mix,
+    vec2,
+    vec3,
+    vec4,
+)
 
 
 class ForwardShader(Shader):
@@ -65,7 +80,7 @@ class ForwardShader(Shader):
         color = surface.base_color * material.emission
         color += ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
         color += self.sunlight(surface) + self.pointlight(surface) + self.spotlight(surface)
-        return vec4(tone_map(color), 1.0)
+        return vec4(self.through_air(tone_map(color), v.position), 1.0)
 
     def texel(self, image: int, uv: vec2) -> vec3:
         return vec3(1.0)
@@ -78,6 +93,9 @@ class ForwardShader(Shader):
 
     def spotlight(self, surface: Surface) -> vec3:
         return vec3(0.0)
+
+    def through_air(self, color: vec3, position: vec3) -> vec3:
+        return color
 
 
 class Textured(ForwardShader):
@@ -112,7 +130,8 @@ class WithPointLights(ForwardShader):
     def pointlight(self, surface: Surface) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.point_lights)):
-            color += point_light(surface, self.point_lights[i])
+            if in_range(surface, self.point_lights[i].position, self.point_lights[i].range):
+                color += point_light(surface, self.point_lights[i])
         return color
 
 
@@ -124,18 +143,32 @@ class WithSpotLights(ForwardShader):
     def spotlight(self, surface: Surface) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.spot_lights)):
-            color += spot_light(surface, self.spot_lights[i])
+            if in_range(surface, self.spot_lights[i].position, self.spot_lights[i].range):
+                color += spot_light(surface, self.spot_lights[i])
         return color
 
 
+class WithHaze(ForwardShader):
+    """Adds haze, which fades to the background: a colour as it is shown, so it is mixed in at the end."""
+
+    haze: Uniform[Haze]
+
+    def through_air(self, color: vec3, position: vec3) -> vec3:
+        return mix(self.haze.color, color, exp(-self.haze.density * length(position)))
+
+
+PARTS: Final[dict[str, type[ForwardShader]]] = {
+    "images": Textured,
+    "directional_lights": WithDirectionalLights,
+    "point_lights": WithPointLights,
+    "spot_lights": WithSpotLights,
+    "haze": WithHaze,
+}
+"""What can be added to the forward shader, by the name of its binding."""
+
+
 @cache
-def forward_variant(textures: bool, directional: bool, point: bool, spot: bool) -> type[ForwardShader]:
-    """The forward shader with what is asked for, and the bindings of that alone."""
-    parts = {
-        Textured: textures,
-        WithDirectionalLights: directional,
-        WithPointLights: point,
-        WithSpotLights: spot,
-    }
-    bases = tuple(part for part, wanted in parts.items() if wanted)
+def forward_variant(*parts: str) -> type[ForwardShader]:
+    """The forward shader with these of `PARTS`, and the bindings of those alone."""
+    bases = tuple(PARTS[part] for part in parts)
     return type("Forward", (*bases, ForwardShader), {"__module__": __name__})

@@ -48,12 +48,17 @@ def attenuation(distance_squared: float, range: float) -> float:
 
 
 @function
+def in_range(surface: Surface, position: vec3, range: float) -> bool:
+    """Whether the surface is within a light's range. Ask before reading the rest of the light."""
+    to_light = position - surface.position
+    return dot(to_light, to_light) < range * range
+
+
+@function
 def point_light(surface: Surface, light: PointLight) -> vec3:
     """Light from a point, 0 from its range on."""
     to_light = light.position - surface.position
     distance_squared = dot(to_light, to_light)
-    if distance_squared >= light.range * light.range:
-        return vec3(0.0)
     irradiance = light.color * (light.intensity * attenuation(distance_squared, light.range))
     return reflected_light(surface, safe_normalize(to_light), irradiance)
 
@@ -63,8 +68,6 @@ def spot_light(surface: Surface, light: SpotLight) -> vec3:
     """Light from a point within a cone: full inside the inner angle, 0 outside the outer, squared between."""
     to_light = light.position - surface.position
     distance_squared = dot(to_light, to_light)
-    if distance_squared >= light.range * light.range:
-        return vec3(0.0)
     direction = safe_normalize(to_light)
     away = -dot(direction, light.direction)
     if away <= light.cos_outer:

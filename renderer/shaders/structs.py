@@ -23,6 +23,13 @@ class Ambient(Struct):
     ground: vec3
 
 
+class Haze(Struct):
+    """Air that lets e^-density of light through a metre, and shows `color` instead."""
+
+    color: vec3
+    density: float
+
+
 class Object(Struct):
     """What changes when an object moves: all of its transform but the position, and its material.
 

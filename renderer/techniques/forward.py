@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from renderer.frame import Frame, SceneResources
 from renderer.scene import Depth
 from renderer.shaders import forward_variant
@@ -25,22 +28,25 @@ class Forward:
     def render(self, device: Device, frame: Frame) -> None:
         resources, targets = frame.resources, frame.targets
         far, nearer = _DEPTH[frame.camera.projection.depth]
-        rows = frame.sort_front_to_back()
-        mirrored = resources.mirrored[rows]
         background = (*resources.scene.background, 1.0)
-        with (
-            device.event("forward"),
-            device.render_pass(targets.color, targets.depth, clear=background, clear_depth=far),
-            device.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer),
-        ):
-            program, bindings = bind_forward(device, resources)
+        program, bindings = bind_forward(device, resources)
+
+        def draw(rows: NDArray[np.int64]) -> None:
+            mirrored = resources.mirrored[rows]
             for part, winding in (
                 (rows[~mirrored], FrontFace.COUNTER_CLOCKWISE),
                 (rows[mirrored], FrontFace.CLOCKWISE),
             ):
                 if part.size:
                     with device.states(winding):
-                        device.draw_many(program, resources.mesh, frame.make_draws(part), **bindings)
+                        device.draw_many(program, resources.mesh, resources.draws[part], **bindings)
+
+        with (
+            device.event("forward"),
+            device.render_pass(targets.color, targets.depth, clear=background, clear_depth=far),
+            device.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer),
+        ):
+            frame.draw_visible(draw)
 
 
 def bind_forward(device: Device, resources: SceneResources) -> tuple[Program[Any], dict[str, Any]]:
@@ -50,14 +56,14 @@ def bind_forward(device: Device, resources: SceneResources) -> tuple[Program[Any
         "directional_lights": resources.directional.buffer,
         "point_lights": resources.point.buffer,
         "spot_lights": resources.spot.buffer,
+        "haze": resources.haze.buffer if resources.scene.haze > 0.0 else None,
     }
-    textures, directional, point, spot = (resource is not None for resource in optional.values())
-    program: Program[Any] = device.program(forward_variant(textures, directional, point, spot))
-    required = {
-        "view": resources.view,
-        "ambient": resources.ambient,
+    present = {name: resource for name, resource in optional.items() if resource is not None}
+    program: Program[Any] = device.program(forward_variant(*present))
+    return program, present | {
+        "view": resources.view.buffer,
+        "ambient": resources.ambient.buffer,
         "objects": resources.objects.buffer,
         "positions": resources.positions.buffer,
         "materials": resources.materials.buffer,
     }
-    return program, required | {name: value for name, value in optional.items() if value is not None}

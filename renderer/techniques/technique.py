@@ -21,5 +21,5 @@ class Technique(Protocol):
         ...
 
     def render(self, device: Device, frame: Frame) -> None:
-        """Draw `frame.visible` into `frame.targets`, which hold nothing of use before."""
+        """Draw what `frame.draw_visible` finds into `frame.targets`, which hold nothing of use before."""
         ...

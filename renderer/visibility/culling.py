@@ -24,25 +24,27 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.visibility.hierarchy import Floats, Hierarchy, Rows
+from renderer.visibility.hierarchy import LARGEST, Floats, Hierarchy, Rows
 
 __rhi_internal__ = True
 
 Bits = NDArray[np.uint8]
 """A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
 
-_GROUP: Final = 64  # most boxes under a node of the last cut; also how much each cut widens the one above
-_WIDEST: Final = 8192  # most nodes in the first cut
+_GROUPS: Final = (8, 64)  # fewest and most boxes for a node of the last cut to hold
+_NODES: Final = 1024  # between these, as many as give so many nodes
+_WIDEST: Final = 8192  # nodes in the first cut beyond which a coarser one is put above it
+_WIDTH: Final = 64  # nodes of a cut for each of the cut above
 _STALE: Final = 16  # the first cut is sorted again when one node in this many is culled by another plane
 _MOST_PLANES: Final = 7
 _OUTSIDE: Final = np.uint8(1 << _MOST_PLANES)
 _BIT: Final = np.left_shift(1, np.arange(_MOST_PLANES)).astype(np.uint8)
+_WEIGHTS: Final = [np.append(np.full(p, _OUTSIDE), _BIT[:p])[:, None] for p in range(_MOST_PLANES + 1)]
 _LOWER: Final = np.arange(3)[:, None]  # rows of the lower corner among a box's six numbers
 _UPPER: Final = _LOWER + 3
 _MEMBERS: Final = (np.arange(1 << _MOST_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set as flags
 _SIZES: Final = _MEMBERS.sum(axis=1)
 _MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; each way rounds by 8 at most
-_BEYOND: Final = 1e300  # fills blocks up: boxes inside out that every plane culls
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,11 +77,11 @@ class Culler:
     """Culls the boxes of one hierarchy, again and again, and remembers what culled its nodes."""
 
     def __init__(self, hierarchy: Hierarchy, lower: Floats, upper: Floats) -> None:
-        self._order = hierarchy.order
+        self._order = hierarchy.order.astype(np.int32 if len(hierarchy.order) < 2**31 else np.int64)
         total = len(self._order)
-        sizes = [_GROUP]
+        sizes = [min(max(total // _NODES, _GROUPS[0]), _GROUPS[1])]
         while total > _WIDEST * sizes[0]:
-            sizes.insert(0, sizes[0] * _GROUP)
+            sizes.insert(0, sizes[0] * _WIDTH)
         cuts = [hierarchy.cut(size) for size in sizes]
         firsts = [*(hierarchy.first[cut] for cut in cuts), np.arange(total)]
         bounds = [*((hierarchy.lower[cut], hierarchy.upper[cut]) for cut in cuts)]
@@ -92,7 +94,7 @@ class Culler:
         ]
 
     def find_visible(self, planes: Floats) -> tuple[Rows, Counts]:
-        """Rows of the boxes that are not outside any of `planes` (p, 4), unit normals, p <= 7; in no order."""
+        """Rows, ascending, of the boxes that are not outside any of `planes` (p, 4), p <= 7, unit normals."""
         tables = _Tables(planes)
         nodes, across, tested, pairs = self._groups.test(tables)
         found: list[Rows] = []
@@ -103,11 +105,12 @@ class Culler:
             found.append(_expand(runs.take(inside), runs.take(inside + 1)))
             crossing = across.nonzero()[0]
             nodes, across = nodes.take(crossing), across.take(crossing)
-            objects = int(np.add.reduce(blocks.size.take(nodes)))
-            nodes, across, more = blocks.test(tables, nodes, across, blocks is self._blocks[-1])
+            nodes, across, objects, more = blocks.test(tables, nodes, across, blocks is self._blocks[-1])
             pairs += more
         found.append(nodes)
-        return self._order.take(np.concatenate(found)), Counts(tested, objects, pairs)
+        visible = self._order.take(np.concatenate(found))
+        visible.sort()  # half as long in 32 bits
+        return visible.astype(np.int64), Counts(tested, objects, pairs)
 
 
 class _Tables:
@@ -118,6 +121,7 @@ class _Tables:
         self.normals = planes.T[:3].copy()
         self.limits = -planes[:, 3]
         self.far = np.where(self.normals > 0.0, _UPPER, _LOWER)  # rows of the p-vertex, for each plane
+        self.weights = _WEIGHTS[len(planes)]
 
     @property
     def near(self) -> Rows:
@@ -157,25 +161,23 @@ class _Groups:
         columns = (distance >= 0.0).nonzero()[0]
 
         behind = np.matmul(matrix, self.corners.take(columns, axis=1)) < 0.0
-        culled = np.logical_or.reduce(behind[:count])
-        kept = np.logical_not(culled).nonzero()[0]
-        across = np.bitwise_or.reduce(behind[count:] * _BIT[:count, None])
+        bits = np.bitwise_or.reduce(behind * tables.weights)
+        kept = (bits < _OUTSIDE).nonzero()[0]
         nodes = self.nodes.take(columns.take(kept))
         if _STALE * (len(columns) - len(kept)) > len(self.nodes):
-            outside = culled.nonzero()[0]
+            outside = (bits >= _OUTSIDE).nonzero()[0]
             self._sort(columns.take(outside), behind[:count].take(outside, axis=1).argmax(axis=0))
-        return nodes, across.take(kept), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
+        return nodes, bits.take(kept), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
 
     def _make_matrix(self, planes: Floats) -> Floats:
         """(2 p, 7) for `corners`: the distance of each p-vertex plus the margin, then n-vertex minus it."""
-        count = len(planes)
-        normals, offsets = planes[:, :3], planes[:, 3]
+        count, offsets = len(planes), planes[:, 3]
         margin = np.abs(offsets)
         margin += self.reach
         margin *= _MARGIN
         matrix = np.empty((2 * count, 7))
-        up = np.maximum(normals, 0.0, out=matrix[:count, 3:6])
-        down = np.minimum(normals, 0.0, out=matrix[:count, :3])
+        up = np.maximum(planes[:, :3], 0.0, out=matrix[:count, 3:6])
+        down = np.minimum(planes[:, :3], 0.0, out=matrix[:count, :3])
         matrix[count:, :3], matrix[count:, 3:6] = up, down
         np.add(offsets, margin, out=matrix[:count, 6])
         np.subtract(offsets, margin, out=matrix[count:, 6])
@@ -197,8 +199,8 @@ class _Blocks:
     """A level below the first: the children of each node above, side by side in a row as wide as the widest.
 
     Attributes:
-        corners: (6 b, w) the children's lower x, then lower y, ... of each of b nodes, filled up with
-            boxes that every plane culls; w is a multiple of 8, for `_merge`.
+        corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, filled up
+            with boxes that every plane culls; w is a multiple of 8, for `_merge`.
         first: (b,) each node's first child; size: (b,) how many it has.
     """
 
@@ -208,15 +210,15 @@ class _Blocks:
         lane = np.arange(self.width)
         child = np.minimum(self.first[:, None] + lane, max(len(lower) - 1, 0))
         unused = (lane >= self.size[:, None])[..., None]
-        corners = np.where(unused, _BEYOND, lower[child]), np.where(unused, -_BEYOND, upper[child])
-        blocks = np.concatenate(corners, axis=2).transpose(2, 0, 1)
+        corners = np.where(unused, LARGEST, lower[child]), np.where(unused, -LARGEST, upper[child])
+        blocks = np.concatenate(corners, axis=2).transpose(0, 2, 1)
         self.corners = np.ascontiguousarray(blocks).reshape(6 * len(self.first), self.width)
 
-    def test(self, tables: _Tables, nodes: Rows, across: Bits, last: bool) -> tuple[Rows, Bits, int]:
+    def test(self, tables: _Tables, nodes: Rows, across: Bits, last: bool) -> tuple[Rows, Bits, int, int]:
         """Test the children of `nodes` (k,) against the planes `across` (k,) which these lie.
 
         Returns the children that are not outside, the planes that each lies across (not worked out for
-        the `last` level, where nothing is below), and the number of (child, plane) pairs.
+        the `last` level, where nothing is below), and the numbers of children and of pairs tested.
         """
         flat = _MEMBERS.take(across, axis=0).reshape(-1).nonzero()[0]
         above = flat // _MOST_PLANES
@@ -228,8 +230,8 @@ class _Blocks:
         if not last:
             bits = bits * _OUTSIDE
             bits |= self._find_behind(tables.near, normals, node, plane, limits) * _BIT.take(plane)[:, None]
+        pairs = _SIZES.take(across)
         if len(above) > len(nodes):
-            pairs = _SIZES.take(across)
             bits = _merge(bits, pairs.cumsum() - pairs)
         bits = bits.reshape(-1)
         kept = (bits < (1 if last else _OUTSIDE)).nonzero()[0]
@@ -237,15 +239,15 @@ class _Blocks:
         children = self.first.take(nodes.take(row))
         children += kept
         children -= row * self.width
-        return children, bits if last else bits.take(kept), int(np.add.reduce(self.size.take(node)))
+        size = self.size.take(nodes)
+        return children, bits if last else bits.take(kept), int(np.add.reduce(size)), int(size.dot(pairs))
 
     def _find_behind(
         self, columns: Rows, normals: Floats, node: Rows, plane: Rows, limits: Floats
     ) -> NDArray[np.bool_]:
         """(pairs, w) whether the children's corners that `columns` names lie behind the pairs' planes."""
         rows = columns.take(plane, axis=1)
-        rows *= len(self.first)
-        rows += node
+        rows += 6 * node
         products = self.corners.take(rows, axis=0)
         products *= normals
         total: Floats = products[0]

@@ -44,8 +44,8 @@ class FrustumCulling:
         visible = objects.static_rows.take(static)
         if len(objects.dynamic_rows):
             moving, more = self._find_moving(planes)
-            visible, counts = np.concatenate([visible, objects.dynamic_rows.take(moving)]), counts + more
-        visible.sort()
+            visible = np.sort(np.concatenate([visible, objects.dynamic_rows.take(moving)]))
+            counts = counts + more
         if len(visible):
             draw(visible)
         return Statistics(
@@ -60,4 +60,4 @@ class FrustumCulling:
     def _find_moving(self, planes: Floats) -> tuple[Rows, Counts]:
         rows = self._scene.objects.dynamic_rows
         lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
-        return Culler(build_by_median(lower, upper), lower, upper).find_visible(planes)
+        return Culler(build_by_median(lower, upper, leaf_size=16), lower, upper).find_visible(planes)

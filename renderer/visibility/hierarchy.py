@@ -25,6 +25,9 @@ __rhi_internal__ = True
 Floats = NDArray[np.float64]
 Rows = NDArray[np.int64]
 
+LARGEST: Final = 1e300
+"""Largest absolute coordinate of a box: distances to planes then never overflow."""
+
 _BINS: Final = 16
 
 
@@ -99,11 +102,11 @@ class Hierarchy:
 
 
 def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
-    """Refuse bounds that are not finite (n, 3) boxes."""
+    """Refuse bounds that are not (n, 3) boxes of finite size."""
     if lower.ndim != 2 or lower.shape[1] != 3 or upper.shape != lower.shape:
         refuse(rules.BAD_BOUNDS, call, f"shapes {lower.shape} and {upper.shape}", "(n, 3)")
-    if not (np.isfinite(lower).all() and np.isfinite(upper).all()):
-        refuse(rules.BAD_BOUNDS, call, "a value that is not finite", "finite numbers")
+    if not ((np.abs(lower) <= LARGEST).all() and (np.abs(upper) <= LARGEST).all()):
+        refuse(rules.BAD_BOUNDS, call, "a value that is not finite, or too large", f"at most {LARGEST:g}")
     if (lower > upper).any():
         refuse(rules.BAD_BOUNDS, call, f"box {int(np.flatnonzero((lower > upper).any(1))[0])} inside out")
 
@@ -196,19 +199,18 @@ class _Work:
         cell = self.owner * _BINS + bin_of
         order = np.argsort(cell, kind="stable")
         used, starts = np.unique(cell[order], return_index=True)
-        count = np.zeros(groups * _BINS, np.int64)
-        count[used] = np.diff(np.append(starts, len(cell)))
-        lower = np.full((groups * _BINS, 3), np.inf)
-        upper = np.full((groups * _BINS, 3), -np.inf)
+        filled = np.zeros(groups * _BINS, np.int64)
+        filled[used] = np.diff(np.append(starts, len(cell)))
+        lower: Floats = np.full((groups * _BINS, 3), np.inf)
+        upper: Floats = np.full((groups * _BINS, 3), -np.inf)
         lower[used] = np.minimum.reduceat(self.lower[order], starts)
         upper[used] = np.maximum.reduceat(self.upper[order], starts)
-        count = count.reshape(groups, _BINS)
         lower, upper = lower.reshape(groups, _BINS, 3), upper.reshape(groups, _BINS, 3)
         left = _areas(np.minimum.accumulate(lower, 1), np.maximum.accumulate(upper, 1))[:, :-1]
         right = _areas(np.minimum.accumulate(lower[:, ::-1], 1), np.maximum.accumulate(upper[:, ::-1], 1))[
             :, -2::-1
         ]
-        before = np.cumsum(count, 1)[:, :-1]
+        before = np.cumsum(filled.reshape(groups, _BINS), 1)[:, :-1]
         after = self.count[:, None] - before
         return np.where((before > 0) & (after > 0), left * before + right * after, np.inf)
 
@@ -218,8 +220,7 @@ class _Work:
 
 def _areas(lower: Floats, upper: Floats) -> Floats:
     """Half the surface of boxes; 0 for empty ones."""
-    with np.errstate(invalid="ignore"):
-        x, y, z = np.moveaxis(np.maximum(upper - lower, 0.0), -1, 0)
+    x, y, z = np.moveaxis(np.maximum(upper - lower, 0.0), -1, 0)
     return np.asarray(x * y + y * z + z * x)
 
 
@@ -230,10 +231,11 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work]
     parents = [np.full(min(total, 1), -1)]
     firsts, counts = [np.zeros(min(total, 1), np.int64)], [np.full(min(total, 1), total)]
     children: list[Rows] = []
-    level_first, level_count = firsts[0], counts[0]
+    level_first: Rows = firsts[0]
+    level_count: Rows = counts[0]
     base, end = 0, len(level_first)
     work = _Work(lower, upper) if total > leaf_size else None
-    while len(level_first):
+    while True:
         inner = np.flatnonzero(level_count > leaf_size)
         child = np.full(len(level_first), -1)
         child[inner] = end + 2 * np.arange(len(inner))
@@ -244,8 +246,8 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work]
         first, count = level_first[inner], level_count[inner]
         run = np.repeat(first - work.first, count) + np.arange(int(count.sum()))
         order[run] = work.order
-        level_first = np.ravel(np.stack([first, first + left], axis=1))
-        level_count = np.ravel(np.stack([left, count - left], axis=1))
+        level_first = np.stack([first, first + left], axis=1).reshape(-1)
+        level_count = np.stack([left, count - left], axis=1).reshape(-1)
         parents.append(np.repeat(base + inner, 2))
         firsts.append(level_first)
         counts.append(level_count)

@@ -16,7 +16,7 @@ from typing import Any, NoReturn, ParamSpec, TypeVar, cast
 
 from rhi.errors import refuse
 from rhi.shading import rules
-from rhi.shading.source import Source, locals_of
+from rhi.shading.source import locals_of, resolve_annotations
 
 __rhi_internal__ = True
 
@@ -42,20 +42,11 @@ class Native:
 class Function:
     """A module-level function of the shading language."""
 
-    def __init__(self, function: FunctionType, names: Any) -> None:
+    def __init__(self, function: FunctionType) -> None:
         self.python = function
-        self._names = names
-        self._source: Source | None = None
         self.__name__ = function.__name__
         self.__doc__ = function.__doc__
         self.__wrapped__ = function
-
-    @property
-    def source(self) -> Source:
-        """Syntax tree and scope; read when first asked for."""
-        if self._source is None:
-            self._source = Source(self.python, self._names)
-        return self._source
 
     def __call__(self, *arguments: object, **named: object) -> NoReturn:
         refuse(rules.DEVICE_ONLY, f"{self.__name__}(…)")
@@ -63,7 +54,9 @@ class Function:
 
 def function(python: Callable[P, R]) -> Callable[P, R]:
     """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
-    return cast(Callable[P, R], Function(cast(FunctionType, python), locals_of(sys._getframe(1))))
+    plain = cast(FunctionType, python)
+    resolve_annotations(plain, locals_of(sys._getframe(1)))
+    return cast(Callable[P, R], Function(plain))
 
 
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:

@@ -304,7 +304,13 @@ class Writer:
             case tree.Declare(local=local, value=value):
                 self.declare(local, value, place)
             case tree.Assign(target=target, value=value):
-                self.line(f"{self.expression(target)} = {self.expression(value)};", place)
+                text = self.expression(value)
+                if tree.has_effect(value) and tree.has_effect(target):
+                    # Python evaluates the value first; GLSL promises no order.
+                    name = self.names.get((node, "value"), "value")
+                    self.line(f"{self.type(value.type)} {name} = {text};", place)
+                    text = name
+                self.line(f"{self.expression(target)} = {text};", place)
             case tree.Evaluate(value=value):
                 self.line(f"{self.expression(value)};", place)
             case tree.If():

@@ -99,6 +99,8 @@ def binary(op: Operator, left: Expression, right: Expression, place: Place) -> E
     """
     node = _binary(op, left, right, place)
     if isinstance(node, Binary) and isinstance(node.left, Constant) and isinstance(node.right, Constant):
+        if op in SHIFTS and not 0 <= node.right.value < 32:
+            raise ValueError(f"a shift by {node.right.value}")
         value = _FOLD[op](node.left.value, node.right.value)
         literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
         if node.type is UINT:

@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import ast
-import weakref
 from collections.abc import Iterator
 from types import FunctionType
 
@@ -21,15 +20,12 @@ from rhi.shading.builtins import Builtin, Effect
 from rhi.shading.expressions import Callee
 from rhi.shading.shader import Memory, Shader
 from rhi.shading.signatures import AnyLength, Signature, signature_of
-from rhi.shading.source import Source, place_of, show
+from rhi.shading.source import Source, place_of, show, source_of
 from rhi.shading.statements import FunctionParser
 from rhi.shading.tree import Expression
 from rhi.shading.types import StorageType, Type
 
 __rhi_internal__ = True
-
-_sources: weakref.WeakKeyDictionary[FunctionType, Source] = weakref.WeakKeyDictionary()
-_signatures: weakref.WeakKeyDictionary[FunctionType, Signature] = weakref.WeakKeyDictionary()
 
 
 def find_method(shader: type[Shader], name: str, after: type | None = None) -> Callee | None:
@@ -41,19 +37,16 @@ def find_method(shader: type[Shader], name: str, after: type | None = None) -> C
         has_self = not isinstance(found, staticmethod)
         python = found.__func__ if isinstance(found, staticmethod) else found
         if isinstance(python, FunctionType) and cls is not Shader:
-            source = _sources.get(python)
-            if source is None:
-                source = _sources[python] = Source(python, getattr(cls, "_locals", {}))
-            return Callee(source, cls, has_self)
+            return Callee(source_of(python), cls, has_self)
     return None
 
 
 def signature(callee: Callee) -> Signature:
     """What a function takes and gives; read once."""
-    known = _signatures.get(callee.source.function)
-    if known is None:
-        known = signature_of(callee.source, callee.owner is not None and callee.has_self)
-        _signatures[callee.source.function] = known
+    source = callee.source
+    if source.signature is None:
+        source.signature = signature_of(source, callee.owner is not None and callee.has_self)
+    known: Signature = source.signature
     return known
 
 

@@ -15,6 +15,7 @@ import inspect
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import FunctionType
 from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, get_origin, overload
 
 from typing_extensions import dataclass_transform
@@ -25,7 +26,7 @@ from rhi.layout import ArrayType, HostType, is_host_shareable
 from rhi.shading import rules
 from rhi.shading.annotations import value_type
 from rhi.shading.bindings import Storage, StorageRW, Uniform
-from rhi.shading.source import locals_of, suggest
+from rhi.shading.source import locals_of, resolve_annotations, suggest
 from rhi.shading.textures import Image, ImageFormat, Texture, image
 from rhi.shading.types import ImageType, StorageType, Type
 from rhi.shading.vectors import Array
@@ -91,11 +92,9 @@ class Shader:
     work_group: ClassVar[tuple[int, ...]] = (1,)
     early_depth: ClassVar[bool] = False
     _declared: ClassVar[Mapping[str, Declaration]] = {}
-    _locals: ClassVar[Mapping[str, Any]] = {}
 
     def __init_subclass__(cls) -> None:
-        names = locals_of(sys._getframe(1))
-        cls._locals = {**names, cls.__name__: cls}
+        names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
         module = vars(sys.modules[cls.__module__])
         declared: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__[1:]):
@@ -105,7 +104,7 @@ class Shader:
                 if annotation.startswith(("ClassVar", "typing.ClassVar")):
                     continue
                 try:
-                    annotation = eval(annotation, module, dict(cls._locals))
+                    annotation = eval(annotation, module, dict(names))
                 except NameError as error:
                     _refuse(cls, name, annotation, suggest(error.name or "", [*names, *module]))
             origin: Any = get_origin(annotation)
@@ -115,7 +114,9 @@ class Shader:
                 _refuse(cls, name, "a name that Shader needs itself", "choose another name")
             declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
         for name, value in cls.__dict__.items():
-            if isinstance(value, SharedMemory):
+            if isinstance(value, FunctionType):
+                resolve_annotations(value, names)
+            elif isinstance(value, SharedMemory):
                 declared[name] = Declaration(name, Memory.SHARED, _shared_type(cls, name, value))
         cls._declared = declared
 

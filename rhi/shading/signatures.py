@@ -9,6 +9,7 @@ from typing import Any, Final, NoReturn, get_args, get_origin
 from rhi.layout import ArrayType
 from rhi.shading import rules
 from rhi.shading.annotations import value_type
+from rhi.shading.bindings import Storage, StorageRW, Uniform
 from rhi.shading.source import Source, suggest
 from rhi.shading.structs import Struct
 from rhi.shading.textures import Texture
@@ -117,6 +118,8 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
     tip = ""
     if get_origin(host) in (Array, ReadOnlyArray):
         tip = "arrays can't be returned; put one in a Struct"
+    elif get_origin(host) in (Uniform, Storage, StorageRW):
+        tip = "bindings are read through self: make the function a method, or pass an element"
     source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)
 
 

@@ -2,15 +2,16 @@
 
 - A file is read and parsed once; a function is found in it by its first line. Notebook cells and
   interpreters work wherever `linecache` knows their lines.
-- `Scope` resolves a name as the function itself would: enclosing functions' variables, globals, builtins;
-  and, since annotations may be strings that closures don't keep, the variables of the frame in which the
-  class or function was defined.
+- `Scope` resolves a name as the function itself would: enclosing functions' variables, globals, builtins.
+- Annotations may be strings whose names closures don't keep: `resolve_annotations` evaluates those when the
+  class or function is defined, where the names still exist.
 """
 
 from __future__ import annotations
 
 import ast
 import builtins
+import contextlib
 import difflib
 import linecache
 from collections.abc import Iterable, Mapping
@@ -24,6 +25,7 @@ from rhi.shading import rules
 __rhi_internal__ = True
 
 MISSING: Final = object()
+_SOURCE: Final = "_rhi_source"
 
 _files: dict[str, tuple[list[str], dict[int, ast.FunctionDef]]] = {}
 
@@ -47,13 +49,14 @@ def place_of(node: ast.AST) -> Place:
 class Source:
     """A Python function's syntax tree, file and scope."""
 
-    __slots__ = ("file", "function", "name", "node", "scope")
+    __slots__ = ("file", "function", "name", "node", "scope", "signature")
 
-    def __init__(self, function: FunctionType, locals: Mapping[str, Any]) -> None:
+    def __init__(self, function: FunctionType) -> None:
+        self.signature: Any = None  # kept here by rhi.shading.signatures
         self.function = function
         self.file = function.__code__.co_filename
         self.name = function.__qualname__.replace("<locals>.", "")
-        self.scope = Scope(function, locals)
+        self.scope = Scope(function)
         found = _functions_of(self.file).get(function.__code__.co_firstlineno)
         if found is None:
             raise ShaderError(rules.NO_SOURCE, self.name, given=self.file)
@@ -111,12 +114,11 @@ def _functions_of(file: str) -> dict[int, ast.FunctionDef]:
 class Scope:
     """The names that a function sees outside itself."""
 
-    __slots__ = ("closure", "globals", "locals")
+    __slots__ = ("closure", "globals")
 
-    def __init__(self, function: FunctionType, locals: Mapping[str, Any]) -> None:
+    def __init__(self, function: FunctionType) -> None:
         self.closure = dict(zip(function.__code__.co_freevars, function.__closure__ or (), strict=True))
         self.globals = function.__globals__
-        self.locals = locals
 
     def find(self, name: str) -> Any:
         """The object of that name, or `MISSING`."""
@@ -126,14 +128,14 @@ class Scope:
                 return cell.cell_contents
             except ValueError:  # not assigned yet
                 return MISSING
-        for names in (self.locals, self.globals, vars(builtins)):
+        for names in (self.globals, vars(builtins)):
             if name in names:
                 return names[name]
         return MISSING
 
     def names(self) -> list[str]:
         """All names that `find` knows, builtins aside."""
-        return [*self.closure, *self.locals, *self.globals]
+        return [*self.closure, *self.globals]
 
     def evaluate(self, annotation: str) -> Any:
         """The object that an annotation's text means.
@@ -141,8 +143,7 @@ class Scope:
         Raises:
             NameError and whatever else the text raises.
         """
-        names = {**self.locals, **{name: self.find(name) for name in self.closure}}
-        return eval(annotation, self.globals, names)
+        return eval(annotation, self.globals, {name: self.find(name) for name in self.closure})
 
 
 def locals_of(frame: FrameType | None) -> Mapping[str, Any]:
@@ -150,6 +151,23 @@ def locals_of(frame: FrameType | None) -> Mapping[str, Any]:
     if frame is None or frame.f_locals is frame.f_globals:
         return {}
     return dict(frame.f_locals)
+
+
+def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> None:
+    """Evaluate a function's annotations that are text, with the names around it; what fails stays text."""
+    for name, annotation in function.__annotations__.items():
+        if isinstance(annotation, str):
+            with contextlib.suppress(Exception):
+                function.__annotations__[name] = eval(annotation, function.__globals__, dict(names))
+
+
+def source_of(function: FunctionType) -> Source:
+    """A function's source, read once; it lives as long as the function."""
+    source: Source | None = getattr(function, _SOURCE, None)
+    if source is None:
+        source = Source(function)
+        setattr(function, _SOURCE, source)
+    return source
 
 
 def suggest(name: str, known: Iterable[str]) -> str:

@@ -19,7 +19,8 @@ from rhi.layout import INT, UINT, MatrixType
 from rhi.shading import rules, tree
 from rhi.shading.annotations import value_type
 from rhi.shading.builtins import Effect
-from rhi.shading.expressions import BINARY, Callee, ExpressionParser, Program
+from rhi.shading.calls import CallParser
+from rhi.shading.expressions import BINARY, Callee, Program
 from rhi.shading.function import NATIVE
 from rhi.shading.operators import convert
 from rhi.shading.shader import Memory
@@ -75,7 +76,7 @@ class Variable:
     loops: list[tree.For] = field(default_factory=list)
 
 
-class FunctionParser(ExpressionParser):
+class FunctionParser(CallParser):
     """Parses one function into a `tree.Function`."""
 
     def __init__(

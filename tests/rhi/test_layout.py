@@ -43,7 +43,9 @@ def structs(parts):
 
 
 types = st.recursive(
-    leaves, lambda parts: st.one_of(st.builds(ArrayType, parts, st.integers(1, 4)), structs(parts)), max_leaves=8
+    leaves,
+    lambda parts: st.one_of(st.builds(ArrayType, parts, st.integers(1, 4)), structs(parts)),
+    max_leaves=8,
 )
 
 
@@ -122,9 +124,9 @@ def test_a_packed_layout_has_no_padding(type):
     def count(t):
         if isinstance(t, StructType):
             return sum(count(field.type) for field in t.fields)
-        return int(np.prod(shape_of(t), dtype=int)) * (1 if not isinstance(t, ArrayType) else 1) if not isinstance(
-            t, ArrayType
-        ) else t.length * count(t.element)
+        if isinstance(t, ArrayType):
+            return t.length * count(t.element)
+        return int(np.prod(shape_of(t), dtype=int))
 
     assert dtype_of(type, Layout.PACKED).itemsize == 4 * count(type)
 
@@ -193,7 +195,7 @@ def test_an_array_of_the_right_dtype_matches():
     [
         dtype_of(LIGHT, Layout.PACKED),
         np.dtype([("range", "f4"), ("position", "f4", 3)]),
-        np.dtype({**{k: v for k, v in zip(("names", "formats", "offsets"), (["range"], ["f4"], [0]))}, "itemsize": 80}),
+        np.dtype({"names": ["range"], "formats": ["f4"], "offsets": [0], "itemsize": 80}),
     ],
 )
 def test_an_array_of_another_dtype_does_not_match(wrong):

@@ -2,8 +2,10 @@
 
 - moderngl makes the context, buffers, programs and vertex arrays, and its C functions do what happens
   thousands of times a frame: binding a range and drawing. All else goes through `entry_points`.
-- Conventions: clip control (upper left, zero to one) makes GL's window y, texel rows and gl_FragCoord.y count
-  from the top and depth run 0…1; winding stays as seen with +Y up.
+- Conventions: vertex stages end in a flip of y, so that texel rows, window y and gl_FragCoord.y count from the
+  top; for GL that is a mirrored image, so the names of the windings and the origin of point coordinates are
+  swapped. Clip control could flip too, but its flip turns Mesa's fill rule from top-left to bottom-left. It
+  gives us depth 0…1.
 - A context is current per thread, and a process may hold several: each method first looks whether its own is
   (5 ns). One thread at a time uses a backend.
 - The memory order of the contract: after each dispatch, and each draw of a program that writes memory, comes a
@@ -15,6 +17,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from typing import Final
 
 import moderngl
@@ -81,20 +84,22 @@ class GlBackend:
 
     def __init__(self, context: moderngl.Context) -> None:
         global _current
+        if _current is not None:
+            _current._interrupted()
         _current = self
         self.context = context
         gl = self.gl = EntryPoints(context.mglo._context.load)
         self._capabilities = query_capabilities(gl, context.version_code, context.extensions)
         if "llvmpipe" in self._capabilities.device:
             keep_freed_memory()
-        gl.ClipControl(enums.UPPER_LEFT, enums.ZERO_TO_ONE)
-        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # in the flipped window: the top
+        gl.ClipControl(enums.LOWER_LEFT, enums.ZERO_TO_ONE)
+        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, in this window
+        gl.ProvokingVertex(enums.FIRST_VERTEX_CONVENTION)
         gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl's, which restarts at 0xFFFFFFFF only
+        gl.Enable(enums.PRIMITIVE_RESTART_FIXED_INDEX)
+        gl.Enable(enums.PROGRAM_POINT_SIZE)
+        gl.Enable(enums.FRAMEBUFFER_SRGB)
         gl.Disable(enums.DITHER)
-        for capability in (
-            enums.PRIMITIVE_RESTART_FIXED_INDEX, enums.PROGRAM_POINT_SIZE, enums.FRAMEBUFFER_SRGB
-        ):  # fmt: skip
-            gl.Enable(capability)
 
         self._buffers = Buffers(context, gl)
         self._textures = Textures(gl)
@@ -107,6 +112,7 @@ class GlBackend:
         self._quads = QuadIndices(context)
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
 
+        self._interrupted: Callable[[], None] = lambda: None
         self._program: Id = 0
         self._pipeline: Pipeline = None  # type: ignore[assignment]  # nothing draws before bind_program
         self._tests_alpha = False
@@ -125,8 +131,13 @@ class GlBackend:
 
     def _activate(self) -> None:
         global _current
+        if _current is not None:
+            _current._interrupted()
         self.context.mglo.__enter__()
         _current = self
+
+    def on_interruption(self, call: Callable[[], None]) -> None:
+        self._interrupted = call
 
     def close(self) -> None:
         global _current
@@ -160,12 +171,13 @@ class GlBackend:
         if _current is not self:
             self._activate()
         self._programs.create(program, descriptor)
-        self._destroyers[program] = self._programs.destroy
+        self._destroyers[program] = self._destroy_program
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         if _current is not self:
             self._activate()
         self._arrays.descriptors[vertex_array] = descriptor
+        self._programs[descriptor.program].prepare(vertex_array)
         self._destroyers[vertex_array] = self._destroy_vertex_array
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
@@ -182,6 +194,11 @@ class GlBackend:
     def _destroy_texture(self, texture: Id) -> None:
         self._framebuffers.forget(texture)
         self._textures.destroy(texture)
+
+    def _destroy_program(self, program: Id) -> None:
+        if program == self._program:
+            self._program = 0
+        self._programs.destroy(program)
 
     def _destroy_vertex_array(self, vertex_array: Id) -> None:
         self._programs.forget_vertex_array(vertex_array)
@@ -320,7 +337,7 @@ class GlBackend:
             return
         if self._tests_alpha:
             function, reference = values[AlphaFunction], values[AlphaReference].value
-            self._pipeline = self._programs.find_alpha_tested(self._program, function, reference)
+            self._pipeline = self._programs.find_alpha_tested(self._program, function, float(reference))
         else:
             self._pipeline = self._programs[self._program]
 
@@ -361,6 +378,21 @@ class GlBackend:
         else:
             self._pipeline[vertex_array](_MODES[primitive], count, first, instances)
 
+    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
+        return self._bind_uniform[buffer]
+
+    def prepare_draw(
+        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:  # fmt: skip
+        if _current is not self:
+            self._activate()
+        if base_vertex or base_instance or primitive is _QUADS:
+            return lambda instances: self.draw(
+                vertex_array, primitive, first, count, instances, base_vertex, base_instance
+            )
+        return partial(self._programs[program][vertex_array], _MODES[primitive], count, first)
+
     def _draw_from_base(
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
@@ -370,31 +402,41 @@ class GlBackend:
         array = self._arrays.descriptors[vertex_array]
         name = pipeline.use(vertex_array)
         if primitive is _QUADS:
-            offset, base = 0, base_vertex
-            if array.index_buffer:
-                index_format, size = array.index_format, array.index_format.size
-                indices = self._buffers.read(array.index_buffer, first * size, count * size)
-                scratch = self.context.buffer(expand_indices(indices, index_format))
-                elements = scratch.glo
-            else:
-                index_format, base = IndexFormat.UINT32, first
-                elements = self._quads.reserve(count // 4)
-            gl.VertexArrayElementBuffer(name, elements)
-            gl.DrawElementsInstancedBaseVertexBaseInstance(
-                enums.TRIANGLES, count // 4 * 6, INDEX_TYPES[index_format], offset, instances, base, base_instance
-            )
-            if array.index_buffer:
-                gl.VertexArrayElementBuffer(name, self._buffers.objects[array.index_buffer].glo)
-                scratch.release()
+            self._draw_quads(name, array, first, count, instances, base_vertex, base_instance)
         elif array.index_buffer:
+            index_type, offset = INDEX_TYPES[array.index_format], first * array.index_format.size
             gl.DrawElementsInstancedBaseVertexBaseInstance(
-                _MODES[primitive], count, INDEX_TYPES[array.index_format], first * array.index_format.size,
-                instances, base_vertex, base_instance,
-            )  # fmt: skip
+                _MODES[primitive], count, index_type, offset, instances, base_vertex, base_instance
+            )
         else:
             gl.DrawArraysInstancedBaseInstance(_MODES[primitive], first, count, instances, base_instance)
         if pipeline.writes_memory:
             pipeline.publish()
+
+    def _draw_quads(
+        self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
+        base_instance: int,
+    ) -> None:  # fmt: skip
+        """As triangles. The indices of indexed quads are expanded by the CPU, which waits for them."""
+        gl, count = self.gl, count // 4 * 6
+
+        def draw(index_format: IndexFormat, base: int) -> None:
+            index_type = INDEX_TYPES[index_format]
+            gl.DrawElementsInstancedBaseVertexBaseInstance(
+                enums.TRIANGLES, count, index_type, 0, instances, base, base_instance
+            )
+
+        if not array.index_buffer:
+            gl.VertexArrayElementBuffer(name, self._quads.reserve(count // 6))
+            draw(IndexFormat.UINT32, first)
+            return
+        size = array.index_format.size
+        indices = self._buffers.read(array.index_buffer, first * size, count // 6 * 4 * size)
+        expanded = self.context.buffer(expand_indices(indices, array.index_format))
+        gl.VertexArrayElementBuffer(name, expanded.glo)
+        draw(array.index_format, base_vertex)
+        gl.VertexArrayElementBuffer(name, self._buffers.objects[array.index_buffer].glo)
+        expanded.release()
 
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
@@ -414,6 +456,8 @@ class GlBackend:
                 gl.MultiDrawElementsIndirectCountARB(mode, index_type, offset, count_offset, draws, stride)
             else:
                 gl.MultiDrawArraysIndirectCountARB(mode, offset, count_offset, draws, stride)
+            # Mesa takes the count from a bound parameter buffer in draws without a count, too.
+            gl.BindBuffer(enums.PARAMETER_BUFFER, 0)
         elif array.index_buffer:
             gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
         else:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from rhi.errors import DeviceError
 from rhi.rules import DEVICE_DRIVER
@@ -19,6 +19,9 @@ _VERSION: Final = 450
 _INSTALL_DRIVER: Final = "on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
 _INSTALL_MODERNGL: Final = "pip install moderngl"
 _EGL: Final = "libEGL.so.1"
+_MAX_EGL_DEVICES: Final = 16
+"""Tried in EGL's order, hardware before software: the first may be one that this user may not open."""
+_NO_SUCH_DEVICE: Final = "requested device index"
 
 
 def open_context() -> moderngl.Context:
@@ -31,12 +34,17 @@ def open_context() -> moderngl.Context:
         import moderngl
     except ImportError as error:
         raise DeviceError(DEVICE_DRIVER, _CALL, str(error), tip=_INSTALL_MODERNGL) from error
-    try:
-        # EGL finds GL's functions itself, so there is no need for libGL and its X libraries. Named outright
-        # because glcontext would look for the libraries by running ldconfig and a compiler.
-        return moderngl.create_context(
-            require=_VERSION, standalone=True, backend="egl", libgl=_EGL, libegl=_EGL  # type: ignore[arg-type]
-        )
-    except Exception as error:  # moderngl and glcontext raise plain Exceptions
-        given = f"no OpenGL {_VERSION / 100:.1f} context: {error}"
-        raise DeviceError(DEVICE_DRIVER, _CALL, given, "EGL and a driver for OpenGL 4.5", _INSTALL_DRIVER) from error
+    # EGL finds GL's functions itself, so there is no need for libGL and its X libraries. Named outright because
+    # glcontext would look for the libraries by running ldconfig and a compiler.
+    settings: Any = {"backend": "egl", "libgl": _EGL, "libegl": _EGL}
+    obstacles = []
+    for device in range(_MAX_EGL_DEVICES):
+        try:
+            settings["device_index"] = device
+            return moderngl.create_context(_VERSION, standalone=True, **settings)
+        except Exception as error:  # moderngl and glcontext raise plain Exceptions
+            obstacles.append(str(error))
+            if _NO_SUCH_DEVICE in str(error):
+                break
+    given = f"no OpenGL {_VERSION / 100:.1f} context: {obstacles[0]}"
+    raise DeviceError(DEVICE_DRIVER, _CALL, given, "EGL and a driver for OpenGL 4.5", _INSTALL_DRIVER)

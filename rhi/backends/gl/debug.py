@@ -21,6 +21,7 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
 from rhi.backends.gl.errors import NAMES, drain_errors
+from rhi.descriptors import Id, Primitive
 from rhi.errors import DeviceError
 from rhi.rules import DEVICE_DEBUG
 
@@ -69,6 +70,17 @@ class DebugGlBackend(GlBackend):
     def __init__(self, context: moderngl.Context) -> None:
         super().__init__(context)
         self._debug = DebugOutput(self.gl)
+
+    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
+        return lambda slot, offset, size: self.bind_uniform(slot, buffer, offset, size)
+
+    def prepare_draw(
+        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:  # fmt: skip
+        return lambda instances: self.draw(
+            vertex_array, primitive, first, count, instances, base_vertex, base_instance
+        )
 
 
 def _checked(name: str) -> Callable[..., Any]:

@@ -42,4 +42,6 @@ def make_shader_error(
             rows.append(f"  from {origin}")
             site = site or origin
     where = "linking its stages" if stage is None else f"its {stage.value} stage"
-    return ShaderError(SHADER_DRIVER, f"device.program({descriptor.name}), {where}", "\n".join(rows), site=site)
+    return ShaderError(
+        SHADER_DRIVER, f"device.program({descriptor.name}), {where}", "\n".join(rows), site=site
+    )

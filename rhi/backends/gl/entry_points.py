@@ -83,6 +83,7 @@ class EntryPoints:
     PolygonOffset: Callable[[Real, Real], None]
     PolygonOffsetClamp: Callable[[Real, Real, Real], None]  # 4.6 or EXT_polygon_offset_clamp
     PointParameteri: Callable[[Int, Int], None]
+    ProvokingVertex: Callable[[Int], None]
 
     # buffers
     CreateBuffers: Callable[[Int, Reference], None]

@@ -162,6 +162,7 @@ FRAMEBUFFER_SRGB: Final = 0x8DB9
 # -- buffers -------------------------------------------------------------------------------------------------
 
 BUFFER: Final = 0x82E0
+PROGRAM: Final = 0x82E2
 DRAW_INDIRECT_BUFFER: Final = 0x8F3F
 PARAMETER_BUFFER: Final = 0x80EE
 MAP_WRITE_BIT: Final = 0x0002
@@ -179,10 +180,10 @@ TRIANGLE_STRIP: Final = 0x0005
 TRIANGLE_FAN: Final = 0x0006
 PRIMITIVE_RESTART: Final = 0x8F9D
 PRIMITIVE_RESTART_FIXED_INDEX: Final = 0x8D69
+FIRST_VERTEX_CONVENTION: Final = 0x8E4D
 PROGRAM_POINT_SIZE: Final = 0x8642
 POINT_SPRITE_COORD_ORIGIN: Final = 0x8CA0
 LOWER_LEFT: Final = 0x8CA1
-UPPER_LEFT: Final = 0x8CA2
 ZERO_TO_ONE: Final = 0x935F
 
 # -- states --------------------------------------------------------------------------------------------------

@@ -13,8 +13,10 @@ from typing import Final
 
 __rhi_internal__ = True
 
-_TRIM_THRESHOLD: Final = (-1, 64 << 20)  # mallopt's parameter and bytes: a scene is at most 36 MiB
-_MMAP_THRESHOLD: Final = (-3, 32 << 20)  # where glibc's own adjustment ends, which setting the other turns off
+# mallopt's parameter, and bytes. A scene is at most 36 MiB; setting the first threshold stops glibc from
+# adjusting the second, so it gets the value where the adjustment ends.
+_TRIM_THRESHOLD: Final = (-1, 64 << 20)
+_MMAP_THRESHOLD: Final = (-3, 32 << 20)
 _VARIABLES: Final = ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_", "GLIBC_TUNABLES")
 
 

@@ -5,8 +5,11 @@
   program (it writes memory, it does the alpha test) is in the functions of its table, and a program that
   isn't special pays nothing.
 - moderngl ties a vertex array to one program, so a table makes its entries when they are first asked for.
+- A vertex stage gets an end that flips y: GL's window y runs up, ours down (`backend` says why it isn't left to
+  clip control).
 - GL's core profile has no alpha test: a program gets a variant per comparison whose fragment stage ends in the
   test, compiled when it is first drawn with; the reference is a uniform.
+- Both are done by renaming `main` and calling it from another, which keeps the lines of the text.
 """
 
 from __future__ import annotations
@@ -42,7 +45,11 @@ _OPERATORS: Final = {
 }
 _MAIN: Final = re.compile(r"\bvoid\s+main\s*\(\s*(?:void)?\s*\)")
 _OUTPUT: Final = re.compile(r"\blayout\s*\([^)]*\blocation\s*=\s*0\b[^)]*\)\s*out\s+vec4\s+(\w+)")
-_TITLES: Final = {"vertex_shader": Stage.VERTEX, "fragment_shader": Stage.FRAGMENT, "compute_shader": Stage.COMPUTE}
+_TITLES: Final = {
+    "vertex_shader": Stage.VERTEX,
+    "fragment_shader": Stage.FRAGMENT,
+    "compute_shader": Stage.COMPUTE,
+}
 
 
 class VertexArrays:
@@ -61,7 +68,9 @@ class VertexArrays:
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
         made = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
         for binding, stream in enumerate(descriptor.streams):
-            gl.VertexArrayVertexBuffer(made.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride)
+            gl.VertexArrayVertexBuffer(
+                made.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
+            )
             gl.VertexArrayBindingDivisor(made.glo, binding, int(stream.per_instance))
             for attribute in stream.attributes:
                 texel, location = attribute.format, attribute.location
@@ -85,7 +94,9 @@ class Pipeline(dict[Id, Render]):
         writes_memory: whether what follows must be made to see what it wrote.
     """
 
-    def __init__(self, gl: EntryPoints, arrays: VertexArrays, program: GlProgram, writes_memory: bool) -> None:
+    def __init__(
+        self, gl: EntryPoints, arrays: VertexArrays, program: GlProgram, writes_memory: bool
+    ) -> None:
         super().__init__()
         self._gl = gl
         self._arrays = arrays
@@ -98,6 +109,11 @@ class Pipeline(dict[Id, Render]):
         render: Render = made.mglo.render
         self[vertex_array] = self._then_publish(render) if self.writes_memory else render
         return self[vertex_array]
+
+    def prepare(self, vertex_array: Id) -> None:
+        """Make what a draw of `vertex_array` needs, if it isn't there."""
+        if vertex_array not in self:
+            self.__missing__(vertex_array)
 
     def publish(self) -> None:
         """Make what was written visible to all that follows, whatever reads it and how."""
@@ -113,8 +129,7 @@ class Pipeline(dict[Id, Render]):
 
     def use(self, vertex_array: Id) -> int:
         """Make program and vertex array current for a draw through GL itself; the vertex array's name."""
-        if vertex_array not in self:
-            self.__missing__(vertex_array)
+        self.prepare(vertex_array)
         name: int = self._made[vertex_array].glo
         self._gl.UseProgram(self.program.glo)
         self._gl.BindVertexArray(name)
@@ -194,6 +209,8 @@ class Programs:
         return pipeline
 
     def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> Pipeline:
+        if Stage.VERTEX in sources:
+            sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
         # Bytes, because moderngl strips and preprocesses text, which would move its lines.
         encoded = {stage: source.encode() for stage, source in sources.items()}
         program: GlProgram
@@ -209,6 +226,8 @@ class Programs:
             stage = _TITLES.get(title)
             source = sources[stage] if stage is not None else ""
             raise make_shader_error(descriptor, log, stage, source) from None
+        if descriptor.name:
+            self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
         return Pipeline(self._gl, self._arrays, program, descriptor.writes_memory)
 
 
@@ -221,12 +240,16 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> st
     source = descriptor.emit("glsl", Stage.FRAGMENT)
     declared = _OUTPUT.search(source)
     alpha = f"{declared[1] if declared else output.name}.a"
-    passes = "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
-    return (
-        _MAIN.sub("void rhi_untested_main()", source)
-        + "\nuniform float rhi_alpha_reference;\n"
-        + f"void main() {{ rhi_untested_main(); if (!({passes})) discard; }}\n"
+    passes = (
+        "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
     )
+    return _extend_main(source, f"if (!({passes})) discard;", "uniform float rhi_alpha_reference;")
+
+
+def _extend_main(source: str, statement: str, declaration: str = "") -> str:
+    """`source` with `statement` at the end of its main function."""
+    renamed = _MAIN.sub("void rhi_inner_main()", source)
+    return f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
 
 
 def _split_message(message: str) -> tuple[str, str]:

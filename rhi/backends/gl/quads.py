@@ -35,6 +35,5 @@ class QuadIndices:
 
 
 def expand_indices(indices: bytes, index_format: IndexFormat) -> NDArray[np.generic]:
-    """The triangles' indices of quads with indices of their own; a rest of less than 4 is left out."""
-    given = np.frombuffer(indices, index_format.dtype)
-    return np.ascontiguousarray(given[: len(given) // 4 * 4].reshape(-1, 4)[:, CORNERS])
+    """The triangles' indices of quads with indices of their own."""
+    return np.ascontiguousarray(np.frombuffer(indices, index_format.dtype).reshape(-1, 4)[:, CORNERS])

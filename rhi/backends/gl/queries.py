@@ -39,8 +39,10 @@ class Fence:
 
     def poll(self) -> int:
         """The value reached; doesn't wait."""
-        while self._pending and self._retire(0):
-            pass
+        pending = self._pending
+        while pending and self._is_signaled(pending[0][1], 0):
+            self._value, sync = pending.popleft()
+            self._gl.DeleteSync(sync)
         return self._value
 
     def wait(self, value: int, seconds: float) -> bool:
@@ -48,22 +50,14 @@ class Fence:
         if self.poll() >= value:
             return True
         timeout = max(0, min(int(seconds * _NANOSECONDS), (1 << 63) - 1))
-        last = next((pair for pair in self._pending if pair[0] >= value), None)
-        if last is None or not self._is_signaled(last[1], timeout):
-            return False
-        return self.poll() >= value
-
-    def _retire(self, timeout: int) -> bool:
-        value, sync = self._pending[0]
-        if not self._is_signaled(sync, timeout):
-            return False
-        self._gl.DeleteSync(sync)
-        self._pending.popleft()
-        self._value = value
-        return True
+        for signaled, sync in self._pending:
+            if signaled >= value:
+                return self._is_signaled(sync, timeout) and self.poll() >= value
+        return False  # nobody will ever signal it
 
     def _is_signaled(self, sync: int | None, timeout: int) -> bool:
-        return self._gl.ClientWaitSync(sync, enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0, timeout) in _SIGNALED
+        flags = enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0
+        return self._gl.ClientWaitSync(sync, flags, timeout) in _SIGNALED
 
 
 @dataclass(slots=True, eq=False)

@@ -5,7 +5,8 @@
   scissor, which GL's clears obey, and a pass of another size moves `Viewport.TARGET`.
 - A depth test that is off lets all pass but must not stop depth writes; GL's disabled test does. So GL's test
   is off only when writes are off too, and else compares with ALWAYS.
-- Numbers reach GL as they are: clip control makes window y count from the top.
+- Window coordinates reach GL as they are, since y counts from the top in what programs give it. Numbers are
+  converted, since users build states of NumPy scalars, which ctypes refuses.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ COMPARISONS: Final = {
 }
 _DEPTH_FUNCTIONS: Final = {f: COMPARISONS[Comparison(f.value)] for f in DepthFunction}
 _FACES: Final = {CullMode.FRONT: enums.FRONT, CullMode.BACK: enums.BACK}
-_WINDINGS: Final = {FrontFace.COUNTER_CLOCKWISE: enums.CCW, FrontFace.CLOCKWISE: enums.CW}
+_WINDINGS: Final = {FrontFace.COUNTER_CLOCKWISE: enums.CW, FrontFace.CLOCKWISE: enums.CCW}  # y is flipped
 _FACTORS: Final = {
     BlendFactor.ZERO: enums.ZERO,
     BlendFactor.ONE: enums.ONE,
@@ -115,7 +116,8 @@ class States:
         self._size = (0, 0)
         self._depth_range = (0.0, 1.0)
         self.values: dict[type, Any] = {
-            state: (value,) * MAX_TARGETS if state in PER_TARGET else value for state, value in DEFAULTS.items()
+            state: (value,) * MAX_TARGETS if state in PER_TARGET else value
+            for state, value in DEFAULTS.items()
         }
         self._alpha_changed = alpha_changed
         self._apply: dict[type, Callable[[Any], None]] = {
@@ -129,7 +131,7 @@ class States:
             AlphaReference: self._alpha,
             ColorWrite: self._color_write,
             BlendFunction: self._blend,
-            BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
+            BlendColor: self._blend_color,
             StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is StencilTest.ON),
             StencilFront: self._stencil_front,
             StencilBack: self._stencil_back,
@@ -243,6 +245,9 @@ class States:
             gl.BlendEquationSeparatei(index, *_blend_equations(function))
             gl.BlendFuncSeparatei(index, *_blend_factors(function))
 
+    def _blend_color(self, value: BlendColor) -> None:
+        self._gl.BlendColor(float(value.red), float(value.green), float(value.blue), float(value.alpha))
+
     def _stencil_front(self, front: StencilFront) -> None:
         self._gl.StencilOpSeparate(enums.FRONT, *_stencil_operations(front))
         self._stencil_functions(None)
@@ -255,20 +260,20 @@ class States:
         gl, values = self._gl, self.values
         reference, mask = values[StencilReference], values[StencilReadMask]
         front, back = COMPARISONS[values[StencilFront].function], COMPARISONS[values[StencilBack].function]
-        gl.StencilFuncSeparate(enums.FRONT, front, reference.front, mask.front)
-        gl.StencilFuncSeparate(enums.BACK, back, reference.back, mask.back)
+        gl.StencilFuncSeparate(enums.FRONT, front, int(reference.front), int(mask.front))
+        gl.StencilFuncSeparate(enums.BACK, back, int(reference.back), int(mask.back))
 
     def _stencil_write_mask(self, mask: StencilWriteMask) -> None:
-        self._gl.StencilMaskSeparate(enums.FRONT, mask.front)
-        self._gl.StencilMaskSeparate(enums.BACK, mask.back)
+        self._gl.StencilMaskSeparate(enums.FRONT, int(mask.front))
+        self._gl.StencilMaskSeparate(enums.BACK, int(mask.back))
 
     def _viewport(self, value: Viewport) -> None:
         gl = self._gl
         if value == _TARGET:
             gl.Viewport(0, 0, *self._size)
         else:
-            gl.ViewportIndexedf(0, value.x, value.y, value.width, value.height)
-        depth_range = value.near, value.far
+            gl.ViewportIndexedf(0, float(value.x), float(value.y), float(value.width), float(value.height))
+        depth_range = float(value.near), float(value.far)
         if depth_range != self._depth_range:
             self._depth_range = depth_range
             gl.DepthRangef(*depth_range)
@@ -277,19 +282,20 @@ class States:
         if value == _UNCUT:
             self._gl.Disable(enums.SCISSOR_TEST)
             return
-        left, top = max(value.x, 0), max(value.y, 0)
-        right, bottom = min(value.x + value.width, _SCISSOR_LIMIT), min(value.y + value.height, _SCISSOR_LIMIT)
+        x, y = int(value.x), int(value.y)
+        left, top = max(x, 0), max(y, 0)
+        right, bottom = min(x + int(value.width), _SCISSOR_LIMIT), min(y + int(value.height), _SCISSOR_LIMIT)
         self._gl.Scissor(left, top, max(right - left, 0), max(bottom - top, 0))
         self._gl.Enable(enums.SCISSOR_TEST)
 
     def _offset(self, _: object) -> None:
-        units = self.values[DepthBias].units
         offset: PolygonOffset = self.values[PolygonOffset]
-        self._switch(enums.POLYGON_OFFSET_FILL, bool(units or offset.slope))
+        slope, units = float(offset.slope), float(self.values[DepthBias].units)
+        self._switch(enums.POLYGON_OFFSET_FILL, bool(units or slope))
         if self._has_offset_clamp:
-            self._gl.PolygonOffsetClamp(offset.slope, units, offset.clamp)
+            self._gl.PolygonOffsetClamp(slope, units, float(offset.clamp))
         else:
-            self._gl.PolygonOffset(offset.slope, units)
+            self._gl.PolygonOffset(slope, units)
 
 
 def _blend_equations(function: BlendFunction) -> tuple[int, int]:

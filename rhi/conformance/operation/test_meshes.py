@@ -513,6 +513,18 @@ def test_a_count_from_a_buffer_limits_indirect_draws(device: Device, stored: int
         assert_same(indirect(device, mesh, arguments), np.arange(8) < drawn)
 
 
+@pytest.mark.needs("indirect_count")
+def test_a_count_does_not_linger(device: Device) -> None:
+    """A draw without a count, after one with: it draws all that it was told to."""
+    with (
+        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+        device.buffer(mesh.draws(np.arange(4), 1)) as buffer,
+        device.buffer(np.array([1], "u4")) as count,
+    ):
+        assert_same(indirect(device, mesh, IndirectDraws(buffer, 4, count=count)), np.arange(8) < 1)
+        assert_same(indirect(device, mesh, IndirectDraws(buffer, 4)), np.arange(8) < 4)
+
+
 def test_arguments_are_read_when_the_draw_is_executed(device: Device) -> None:
     """Not when it is issued: what is copied there before it in the stream counts."""
     with (

@@ -8,7 +8,19 @@ import textwrap
 import pytest
 
 from rhi.errors import RULES, ShaderError, ValidationError
-from rhi.shading import Shader, Struct, StorageRW, compile_shader, function, mat3, rules, sin, uint, vec3, vec4
+from rhi.shading import (
+    Shader,
+    StorageRW,
+    Struct,
+    compile_shader,
+    function,
+    mat3,
+    rules,
+    sin,
+    uint,
+    vec3,
+    vec4,
+)
 
 PRELUDE = """
 from rhi import Format
@@ -78,7 +90,12 @@ BODIES = [
     ("unknown-member", ["x = self.lihgts[0]"], ["x = self.lights[0]"], "did you mean 'lights'"),
     ("unknown-member", ["x = self.hepler(1.0)"], ["x = self.helper(1.0)"], "did you mean 'helper'"),
     ("unknown-member", ["x = self.albedo.smaple(vec2(0))"], ["x = self.albedo.sample(vec2(0))"], "'sample'"),
-    ("unknown-member", ["x = Light(color=vec3(1), powr=1.0)"], ["x = Light(color=vec3(1), power=1.0)"], "'power'"),
+    (
+        "unknown-member",
+        ["x = Light(color=vec3(1), powr=1.0)"],
+        ["x = Light(color=vec3(1), power=1.0)"],
+        "'power'",
+    ),
     ("unknown-member", ["x = self.lights.color"], ["x = self.lights[0].color"], "index it first"),
     ("not-shading", ["x = plain(1.0)"], ["x = self.helper(1.0)"], "@function"),
     ("not-shading", ["import_ = print(1)"], ["import_ = 1"], "print"),
@@ -91,7 +108,12 @@ BODIES = [
     ("type", ["x = mat3(1) * vec3(1)"], ["x = mat3(1) @ vec3(1)"], "use @"),
     ("type", ["x = vec3(1) @ vec3(1)"], ["x = dot(vec3(1), vec3(1))"], "dot"),
     ("type", ["if self.scale:", "    pass"], ["if self.scale != 0:", "    pass"], "!= 0"),
-    ("type", ["if equal(vec2(1), vec2(1)):", "    pass"], ["if all(equal(vec2(1), vec2(1))):", "    pass"], "all"),
+    (
+        "type",
+        ["if equal(vec2(1), vec2(1)):", "    pass"],
+        ["if all(equal(vec2(1), vec2(1))):", "    pass"],
+        "all",
+    ),
     ("type", ["x = 1 if self.scale > 0 else vec2(1)"], ["x = 1 if self.scale > 0 else 2.0"], "vec2"),
     ("type", ["x = self.helper(vec2(1))"], ["x = self.helper(1)"], "x: vec2"),
     ("type", ["x = self.out[0.5]"], ["x = self.out[0]"], "int or uint"),
@@ -110,29 +132,79 @@ BODIES = [
     ("arguments", ["x = Light(color=vec3(1))"], ["x = Light(power=1.0, color=vec3(1))"], "'power'"),
     ("type-changed", ["x = 1.0", "x = vec2(1)"], ["x = 1.0", "x = 2"], "x: vec2"),
     ("type-changed", ["x = 1", "x = 0.5"], ["x = 1", "x = 5"], "x: float"),
-    ("type-changed", ["i = 0.5", "for i in range(3):", "    pass"], ["i = 0", "for i in range(3):", "    pass"], "i: int"),
+    (
+        "type-changed",
+        ["i = 0.5", "for i in range(3):", "    pass"],
+        ["i = 0", "for i in range(3):", "    pass"],
+        "i: int",
+    ),
     ("unassigned", ["y = x", "x = 1"], ["x = 1", "y = x"], "'x'"),
-    ("unassigned", ["if self.scale > 0:", "    x = 1", "y = x"], ["x = 0", "if self.scale > 0:", "    x = 1", "y = x"], "'x'"),
-    ("unassigned", ["for i in range(3):", "    x = i", "y = x"], ["x = 0", "for i in range(3):", "    x = i", "y = x"], "'x'"),
-    ("unassigned", ["for i in range(3):", "    pass", "y = i"], ["i = 0", "for i in range(3):", "    pass", "y = i"], "'i'"),
-    ("unassigned", ["while self.scale > 0:", "    x = 1", "y = x"], ["while True:", "    x = 1", "    break", "y = x"], "'x'"),
-    ("not-writable", ["self.lights[0].power = 1.0"], ["light = self.lights[0]", "light.power = 1.0"], "StorageRW[Light]"),
+    (
+        "unassigned",
+        ["if self.scale > 0:", "    x = 1", "y = x"],
+        ["x = 0", "if self.scale > 0:", "    x = 1", "y = x"],
+        "'x'",
+    ),
+    (
+        "unassigned",
+        ["for i in range(3):", "    x = i", "y = x"],
+        ["x = 0", "for i in range(3):", "    x = i", "y = x"],
+        "'x'",
+    ),
+    (
+        "unassigned",
+        ["for i in range(3):", "    pass", "y = i"],
+        ["i = 0", "for i in range(3):", "    pass", "y = i"],
+        "'i'",
+    ),
+    (
+        "unassigned",
+        ["while self.scale > 0:", "    x = 1", "y = x"],
+        ["while True:", "    x = 1", "    break", "y = x"],
+        "'x'",
+    ),
+    (
+        "not-writable",
+        ["self.lights[0].power = 1.0"],
+        ["light = self.lights[0]", "light.power = 1.0"],
+        "StorageRW[Light]",
+    ),
     ("not-writable", ["self.scale = 1.0"], ["self.out[0] = 1.0"], "uniform"),
     ("not-writable", ["v = vec2(1)", "v.xx = vec2(1)"], ["v = vec2(1)", "v.xy = vec2(1)"], "twice"),
     ("not-writable", ["m = mat2(1)", "m[0] = vec2(1)"], ["m = mat2(1)", "m[0][1] = 1.0"], "m[row][column]"),
     ("not-writable", ["vec2(1).x = 1.0"], ["v = vec2(1)", "v.x = 1.0"], "no place"),
-    ("not-writable", ["n = 0", "x = atomic_add(n, 1)"], ["x = atomic_add(self.counts[0], 1)"], "shared memory"),
+    (
+        "not-writable",
+        ["n = 0", "x = atomic_add(n, 1)"],
+        ["x = atomic_add(self.counts[0], 1)"],
+        "shared memory",
+    ),
     ("recursion", ["x = endless(1.0)"], ["x = self.helper(1.0)"], "endless"),
     ("out-of-range", ["x = vec3(1)[3]"], ["x = vec3(1)[-3]"], "-3 to 2"),
     ("out-of-range", ["x = vec3(1)[-4]"], ["x = vec3(1)[2]"], "-3 to 2"),
     ("out-of-range", ["x = self.out[-1]"], ["x = self.out[len(self.out) - 1]"], "len"),
-    ("out-of-range", ["n = 1 + len(self.out)", "x = n // 0"], ["n = 1 + len(self.out)", "x = n // 1"], "zero"),
+    (
+        "out-of-range",
+        ["n = 1 + len(self.out)", "x = n // 0"],
+        ["n = 1 + len(self.out)", "x = n // 1"],
+        "zero",
+    ),
     ("out-of-range", ["x = 1 // 0"], ["x = 1 // 1"], "zero"),
-    ("out-of-range", ["for i in range(0, 4, 0):", "    pass"], ["for i in range(0, 4, 2):", "    pass"], "step"),
+    (
+        "out-of-range",
+        ["for i in range(0, 4, 0):", "    pass"],
+        ["for i in range(0, 4, 2):", "    pass"],
+        "step",
+    ),
     ("out-of-range", ["x = 4294967296"], ["x = uint(4294967295)"], "32 bits"),
     ("out-of-range", ["x = 2147483648"], ["x = 2147483647"], "uint(…)"),
     ("out-of-range", ["x = array(float, 0)"], ["x = array(float, 1)"], "1 or more"),
-    ("out-of-range", ["x = self.albedo.gather(vec2(0), 4)"], ["x = self.albedo.gather(vec2(0), 3)"], "0 to 3"),
+    (
+        "out-of-range",
+        ["x = self.albedo.gather(vec2(0), 4)"],
+        ["x = self.albedo.gather(vec2(0), 3)"],
+        "0 to 3",
+    ),
     ("evaluated-twice", ["b = 0 < self.bump() < 4"], ["n = self.bump()", "b = 0 < n < 4"], ""),
     ("evaluated-twice", ["self.out[self.bump()] += 1.0"], ["n = self.bump()", "self.out[n] += 1.0"], ""),
     ("stage", ["x = ddx(1.0)"], ["x = sin(1.0)"], "ddx in the compute stage"),
@@ -144,8 +216,18 @@ BODIES = [
     ("unsupported", ["x = 'text'"], ["'''a docstring'''"], "str"),
     ("unsupported", ["x, y = 1, 2"], ["x = 1", "y = 2"], "line for each"),
     ("unsupported", ["x = y = 1"], ["x = 1", "y = x"], "one target"),
-    ("unsupported", ["for w in WEIGHTS:", "    pass"], ["for i in range(len(WEIGHTS)):", "    w = WEIGHTS[i]"], "range(len"),
-    ("unsupported", ["for i in range(3):", "    pass", "else:", "    pass"], ["for i in range(3):", "    pass"], "else"),
+    (
+        "unsupported",
+        ["for w in WEIGHTS:", "    pass"],
+        ["for i in range(len(WEIGHTS)):", "    w = WEIGHTS[i]"],
+        "range(len",
+    ),
+    (
+        "unsupported",
+        ["for i in range(3):", "    pass", "else:", "    pass"],
+        ["for i in range(3):", "    pass"],
+        "else",
+    ),
     ("unsupported", ["x = self.out[1:2]"], ["x = self.out[1]"], "slice"),
     ("unsupported", ["x = mat2(1)[0, 1]"], ["x = mat2(1)[0][1]"], "m[row][column]"),
     ("unsupported", ["sin(1.0)"], ["self.bump()"], "nobody uses"),
@@ -155,7 +237,9 @@ BODIES = [
 ]
 
 
-@pytest.mark.parametrize(("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES])
+@pytest.mark.parametrize(
+    ("rule", "bad", "good", "says"), BODIES, ids=[f"{b[0]}: {'; '.join(b[1])}" for b in BODIES]
+)
 def test_a_body_that_breaks_a_rule_is_refused_and_its_neighbour_is_not(define, rule, bad, good, says):
     with pytest.raises(ShaderError) as error:
         compile_shader(define(body(*bad)))
@@ -186,19 +270,42 @@ CLASSES = [
     ("annotation", GRAPHICS, "v: Varying)", "v: str)", "str"),
     ("unknown-name", GRAPHICS, "v: Varying)", "v: 'Varyin')", "did you mean 'Varying'"),
     ("missing-return", GRAPHICS, "return vec4(v.uv, 0, 1)", "x = v.uv", "vec4"),
-    ("missing-return", GRAPHICS, "        return vec4(v.uv", "        if v.uv.x > 0:\n            return vec4(v.uv", "end"),
+    (
+        "missing-return",
+        GRAPHICS,
+        "        return vec4(v.uv",
+        "        if v.uv.x > 0:\n            return vec4(v.uv",
+        "end",
+    ),
     ("type", GRAPHICS, "return vec4(v.uv, 0, 1)", "return v.uv", "vec2"),
     ("type", COMPUTE, "self.out[0] = 1.0", "return 1.0", "no value"),
     ("stages", COMPUTE, "def compute", "def computer", "no stage"),
     ("stages", GRAPHICS, "def vertex", "def vortex", "fragment"),
-    ("stages", COMPUTE, "    def compute", "    def vertex(self) -> vec4:\n        return vec4(0)\n    def compute", "vertex"),
+    (
+        "stages",
+        COMPUTE,
+        "    def compute",
+        "    def vertex(self) -> vec4:\n        return vec4(0)\n    def compute",
+        "vertex",
+    ),
     ("stages", GRAPHICS, "v: Varying)", "v: Light)", "Light.color: vec3"),
-    ("interface", GRAPHICS, "def vertex(self) -> Varying:\n        return Varying(clip=vec4(0), uv=vec2(0))",
-     "def vertex(self) -> Light:\n        return Light(color=vec3(1), power=1.0)", "color: vec3 first"),
+    (
+        "interface",
+        GRAPHICS,
+        "def vertex(self) -> Varying:\n        return Varying(clip=vec4(0), uv=vec2(0))",
+        "def vertex(self) -> Light:\n        return Light(color=vec3(1), power=1.0)",
+        "color: vec3 first",
+    ),
     ("interface", COMPUTE, "(self)", "(self, x: float)", "compute(self)"),
     ("interface", GRAPHICS, "vertex(self)", "vertex(self, x: float)", "structs of attributes"),
     ("interface", GRAPHICS, "v: Varying)", "v: Varying, w: Varying)", "at most one"),
-    ("interface", GRAPHICS, "-> vec4:\n        return vec4(v.uv, 0, 1)", "-> mat2:\n        return mat2(1)", "mat2"),
+    (
+        "interface",
+        GRAPHICS,
+        "-> vec4:\n        return vec4(v.uv, 0, 1)",
+        "-> mat2:\n        return mat2(1)",
+        "mat2",
+    ),
     ("binding", COMPUTE, "StorageRW[float]", "StorageRW[bool]", "uint"),
     ("binding", COMPUTE, "StorageRW[float]", "float", "Uniform[T]"),
     ("binding", COMPUTE, "StorageRW[float]", "'StorageRV[float]'", "did you mean 'StorageRW'"),
@@ -215,7 +322,9 @@ CLASSES = [
 ]
 
 
-@pytest.mark.parametrize(("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES])
+@pytest.mark.parametrize(
+    ("rule", "shader", "old", "new", "says"), CLASSES, ids=[f"{c[0]}: {c[3]}" for c in CLASSES]
+)
 def test_a_class_that_breaks_a_rule_is_refused_and_the_original_is_not(define, rule, shader, old, new, says):
     assert old in shader
     with pytest.raises(ShaderError) as error:

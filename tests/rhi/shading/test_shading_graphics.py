@@ -26,8 +26,8 @@ from rhi.shading import (
     Texture3D,
     TextureCube,
     UintImage2D,
-    Uniform,
     UintTexture2D,
+    Uniform,
     atomic_add,
     compile_shader,
     ddx,
@@ -43,7 +43,6 @@ from rhi.shading import (
     instance_index,
     ivec2,
     ivec3,
-
     mat4,
     native,
     primitive_index,
@@ -164,7 +163,11 @@ def test_every_graphics_feature_compiles_on_the_driver(link):
 def test_slots_count_within_each_kind_in_the_order_of_the_class():
     bindings = {binding.name: binding for binding in compile_shader(Everything).bindings}
     assert list(bindings) == list(Everything.__annotations__)
-    assert (bindings["camera"].kind, bindings["camera"].slot, bindings["camera"].size) == (BindingKind.UNIFORM, 0, 64)
+    assert (bindings["camera"].kind, bindings["camera"].slot, bindings["camera"].size) == (
+        BindingKind.UNIFORM,
+        0,
+        64,
+    )
     assert (bindings["lights"].slot, bindings["lights"].size, bindings["lights"].writes) == (0, 16, False)
     assert (bindings["hits"].slot, bindings["hits"].size, bindings["hits"].writes) == (1, 4, True)
     assert [bindings[name].slot for name in ("albedo", "layers", "counts")] == [0, 1, 8]
@@ -372,5 +375,3 @@ def test_only_what_a_stage_uses_is_declared_in_it():
     assert "scale" not in program.emit("glsl", Stage.VERTEX)
     assert "scale" in program.emit("glsl", Stage.FRAGMENT)
     assert [d.name for d in stage_trees(Colored)[Stage.FRAGMENT].bindings] == ["scale"]
-
-

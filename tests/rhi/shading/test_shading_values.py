@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from rhi.shading import (
+    Array,
     Shader,
     Storage,
     StorageRW,
@@ -165,7 +166,7 @@ class BoundsOnce(Shader):
         for _ in range(len(self.out), 2):
             self.out[4] = 1
         k = 7
-        for k in range(2):
+        for k in range(2):  # noqa: B007 (read below)
             pass
         self.out[5] = k
 
@@ -182,9 +183,14 @@ class Control(Shader):
     def classify(self, n: int) -> int:
         if n < 2:
             return 0
-        elif n == 2:
-            return 1
         k = 2
+        if n == 2:
+            k = n * n
+        elif n == 3:
+            k = n
+            k *= n
+        else:
+            k = 2
         while k * k <= n:
             if n % k == 0:
                 return 0
@@ -259,7 +265,8 @@ class ShortCircuit(Shader):
         return value > 0
 
     def compute(self) -> None:
-        a = False and self.touch(1)
+        never = False
+        a = never and self.touch(1)
         n = len(self.out)
         b = n == 0 and self.touch(1)
         c = n > 0 or self.touch(1)
@@ -307,6 +314,23 @@ def test_module_and_class_constants_are_usable_and_overridable(run):
     assert run(Scaled, out=5)["out"][0] == 7.0
 
 
+class Table:
+    WEIGHTS = (10.0, 20.0)
+
+
+class SameName(Shader):
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        WEIGHTS = 1.0  # noqa: N806
+        out = WEIGHTS + Table.WEIGHTS[1]
+        self.out[0] = out
+
+
+def test_a_local_may_have_the_name_of_a_constant_or_a_binding(run):
+    assert run(SameName, out=1)["out"].tolist() == [21]
+
+
 class Switched(Shader):
     fancy = False
     out: StorageRW[int]
@@ -332,7 +356,7 @@ def test_a_condition_known_now_keeps_one_branch(run, shader, expected):
 class Arrays(Shader):
     out: StorageRW[int]
 
-    def total(self, values: "Array[int]") -> int:
+    def total(self, values: Array[int]) -> int:
         result = 0
         for i in range(len(values)):
             result += values[i]
@@ -354,9 +378,6 @@ class Arrays(Shader):
         copy = stack
         copy[0] = 100
         self.out[7] = stack[0]
-
-
-from rhi.shading import Array  # noqa: E402 (annotations may name what comes later)
 
 
 def test_local_arrays_start_as_zeros_and_are_values(run):
@@ -579,9 +600,9 @@ class Bits(Shader):
         self.out[1] = pack_half_2x16(vec2(1.0, -2.0))
         self.out[2] = uint(unpack_half_2x16(self.out[1]).x)
         self.out[3] = uint(find_msb(uint(1) << 20))
-        self.out[4] = uint(int(-1))
         self.out[5] = float_bits_to_uint(uint_bits_to_float(self.out[0]))
         n = -9
+        self.out[4] = uint(n + 8)
         self.out[6] = uint(n >> 1)
         self.out[7] = uint(0xF0) ^ 0xFF & ~uint(1) | 0x100
 
@@ -602,10 +623,10 @@ class Mangled(Shader):
     buffer: StorageRW[Reserved]
 
     def input(self, half: float) -> float:
-        gl_Position = half
-        a__b = gl_Position * 2
+        gl_position = half
+        a__b = gl_position * 2
         _texture = a__b
-        return _texture
+        return _texture + 0
 
     def compute(self) -> None:
         output = self.input(2.0)

@@ -1,0 +1,274 @@
+"""Occlusion queries, native and emulated, and draws that depend on them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rhi import (
+    ColorWrite,
+    Comparison,
+    CullMode,
+    DepthFunction,
+    DepthWrite,
+    Device,
+    Format,
+    OcclusionQuery,
+    Scissor,
+    StencilFront,
+    StencilTest,
+)
+from rhi.conformance.compare import assert_same
+from rhi.conformance.reference import SUBTEXELS, rasterise
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import corners, rectangle, texel_rectangle, window_to_clip
+
+pytestmark = pytest.mark.needs("shading")
+
+SIZE = (16, 16)
+
+
+@pytest.fixture(params=["native", "emulated"])
+def query(device: Device, request: pytest.FixtureRequest) -> Iterator[OcclusionQuery]:
+    """A query of each sort that the device has."""
+    emulated = request.param == "emulated"
+    wanted = "sample_counter" if emulated else "occlusion_queries"
+    if not getattr(device.capabilities, wanted):
+        pytest.skip(f"{device.backend_name} declares no {wanted}")
+    query = device.occlusion_query(emulated=emulated)
+    assert query.emulated is emulated
+    yield query
+    query.destroy()
+
+
+def count(device: Device, query: OcclusionQuery, rows: Any, *states: Any, **clears: Any) -> int:
+    """Samples of one draw over a depth buffer cleared to 0.5."""
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, Format.D24S8) as depth,
+        device.mesh(rows) as mesh,
+    ):
+        with (
+            device.render_pass(image, depth, **{"clear_depth": 0.5, "clear_stencil": 0, **clears}),
+            device.states(*states or (CullMode.BACK,)),
+            query,
+        ):
+            device.draw(device.program(Colored), mesh)
+        return query.wait()
+
+
+def test_a_query_counts_the_texels_that_pass(device: Device, query: OcclusionQuery) -> None:
+    assert count(device, query, texel_rectangle(2, 3, 5, 4, SIZE, depth=0.75)) == 20
+
+
+def test_a_query_counts_nothing_where_everything_is_hidden(device: Device, query: OcclusionQuery) -> None:
+    assert count(device, query, rectangle(depth=0.25)) == 0
+
+
+def test_a_query_without_draws_counts_nothing(device: Device, query: OcclusionQuery) -> None:
+    with device.texture(SIZE, Format.R8) as image:
+        with device.render_pass(image), query:
+            pass
+    assert query.wait() == 0
+
+
+def test_a_query_counts_fragments_drawn_over_each_other(device: Device, query: OcclusionQuery) -> None:
+    rows = np.concatenate([rectangle(depth=d) for d in (0.6, 0.7, 0.8, 0.7)])
+    assert count(device, query, rows) == 3 * 256
+
+
+@settings(max_examples=15, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(points=st.lists(st.tuples(st.integers(-80, 340), st.integers(-80, 340)), min_size=3, max_size=9))
+def test_counts_are_those_of_an_exact_rasteriser(device: Device, query: OcclusionQuery, points: Any) -> None:
+    """Corners off the fill rule's ties (odd sixteenths): exact on any device."""
+    used = np.array(points[: len(points) // 3 * 3]) * 2 + 1
+    rows = corners(window_to_clip(used / 32, SIZE), depth=0.75)
+    expected = sum(
+        # Scaled by 2, the window is twice as large: take the centers of every other texel of it.
+        rasterise_doubled(triangle) for triangle in used.reshape(-1, 3, 2)
+    )
+    assert count(device, query, rows, CullMode.NONE, DepthWrite.OFF) == expected
+
+
+def rasterise_doubled(triangle: Any) -> int:
+    """Covered texels of a triangle in 1/32 texel, by the same exact edge functions."""
+    (ax, ay), (bx, by), (cx, cy) = (tuple(map(int, p)) for p in triangle)
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    if area == 0:
+        return 0
+    y, x = np.mgrid[0:16, 0:16].astype(np.int64) * 32 + 16
+    inside = np.ones((16, 16), bool)
+    for (sx, sy), (ex, ey) in (((ax, ay), (bx, by)), ((bx, by), (cx, cy)), ((cx, cy), (ax, ay))):
+        inside &= np.sign(area) * ((ex - sx) * (y - sy) - (ey - sy) * (x - sx)) > 0
+    return int(inside.sum())
+
+
+@pytest.mark.parametrize("function", [DepthFunction.NEVER, DepthFunction.ALWAYS, DepthFunction.EQUAL])
+def test_a_query_counts_by_the_depth_function(device: Device, query: OcclusionQuery, function: DepthFunction) -> None:
+    expected = {DepthFunction.NEVER: 0, DepthFunction.ALWAYS: 256, DepthFunction.EQUAL: 256}[function]
+    assert count(device, query, rectangle(depth=0.5), function) == expected
+
+
+def test_a_query_counts_without_color_and_depth_writes(device: Device, query: OcclusionQuery) -> None:
+    """As visibility algorithms use it: a box that leaves no trace."""
+    assert count(device, query, rectangle(depth=0.75), ColorWrite.OFF, DepthWrite.OFF) == 256
+
+
+def test_a_query_counts_inside_the_scissor(device: Device, query: OcclusionQuery) -> None:
+    assert count(device, query, rectangle(depth=0.75), Scissor(3, 3, 5, 2)) == 10
+
+
+def test_a_query_counts_after_the_stencil_test(device: Device, query: OcclusionQuery) -> None:
+    states = (StencilTest.ON, StencilFront(Comparison.NEVER))
+    assert count(device, query, rectangle(depth=0.75), *states) == 0
+
+
+def test_a_query_counts_without_a_depth_buffer(device: Device, query: OcclusionQuery) -> None:
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(Colored), mesh)
+        assert query.wait() == 64
+
+
+def test_a_query_counts_only_what_lies_inside_it(device: Device, query: OcclusionQuery) -> None:
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(Colored)
+        with device.render_pass(image):
+            device.draw(program, mesh)
+            query.begin()
+            device.draw(program, mesh)
+            device.draw(program, mesh)
+            query.end()
+            device.draw(program, mesh)
+        assert query.wait() == 512
+
+
+def test_a_query_may_be_used_again(device: Device, query: OcclusionQuery) -> None:
+    for size in (1, 4, 9, 2):
+        assert count(device, query, texel_rectangle(0, 0, size, 1, SIZE, depth=0.75)) == size
+
+
+def test_many_queries_keep_their_own_counts(device: Device, query: OcclusionQuery) -> None:
+    queries = [device.occlusion_query(emulated=query.emulated) for _ in range(50)]
+    with device.texture(SIZE, Format.R8) as image:
+        meshes = [device.mesh(texel_rectangle(0, 0, i % 16, 1 + i // 16, SIZE)) for i in range(50)]
+        with device.render_pass(image):
+            for each, mesh in zip(queries, meshes, strict=True):
+                with each:
+                    device.draw(device.program(Colored), mesh)
+        for index, each in enumerate(queries):
+            assert each.wait() == (index % 16) * (1 + index // 16)
+            each.destroy()
+        for mesh in meshes:
+            mesh.destroy()
+
+
+def test_an_answer_comes_without_waiting_for_it(device: Device, query: OcclusionQuery) -> None:
+    """Polling alone sees the query finish: `end` starts the work that it waits for."""
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(Colored), mesh)
+        deadline = time.monotonic() + 10
+        while not query.is_finished and time.monotonic() < deadline:
+            time.sleep(0.001)
+        assert query.is_finished
+        assert query.visible_samples == 256
+
+
+def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
+    """While a lot of work lies before the answer, asking whether it is there takes no time."""
+    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 30)) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(Colored), mesh)
+        start = time.perf_counter()
+        polls = 0
+        while not query.is_finished:
+            polls += 1
+        whole = time.perf_counter() - start
+        assert query.visible_samples == 30 * 1024 * 1024
+        if whole > 0.01:
+            assert polls > 10, f"{polls} polls in {whole * 1e3:.0f} ms: each of them waited"
+
+
+def test_an_answer_stays_until_the_next_begin(device: Device, query: OcclusionQuery) -> None:
+    assert count(device, query, rectangle(depth=0.75)) == 256
+    assert query.visible_samples == query.visible_samples == query.wait() == 256
+    with device.texture(SIZE, Format.R8) as image, device.render_pass(image):
+        query.begin()
+        assert not query.is_finished
+        query.end()
+    assert query.wait() == 0
+
+
+def test_multi_sampled_targets_count_samples(device: Device, query: OcclusionQuery) -> None:
+    if device.capabilities.max_samples < 4:
+        pytest.skip(f"{device.backend_name} declares max_samples {device.capabilities.max_samples}")
+    with device.texture(SIZE, Format.R8, samples=4) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(Colored), mesh)
+        assert query.wait() == 4 * 64
+
+
+def test_queries_are_counted(device: Device, query: OcclusionQuery) -> None:
+    before = device.statistics.queries
+    count(device, query, rectangle())
+    count(device, query, rectangle())
+    assert device.statistics.queries - before == 2
+
+
+@pytest.mark.needs("occlusion_queries", "sample_counter")
+@settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
+@given(points=st.lists(st.tuples(st.integers(0, 256), st.integers(0, 256)), min_size=3, max_size=12))
+def test_native_and_emulated_queries_agree(device: Device, points: Any) -> None:
+    rows = corners(window_to_clip(np.array(points[: len(points) // 3 * 3]) / SUBTEXELS, SIZE), depth=0.75)
+    native, emulated = device.occlusion_query(), device.occlusion_query(emulated=True)
+    assert count(device, native, rows, CullMode.NONE) == count(device, emulated, rows, CullMode.NONE)
+    native.destroy()
+    emulated.destroy()
+
+
+# -- conditional rendering ---------------------------------------------------------------------------------
+
+
+@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+@pytest.mark.parametrize("inverted", [False, True])
+@pytest.mark.parametrize("depth", [0.25, 0.75], ids=["hidden", "visible"])
+def test_draws_depend_on_the_answer(device: Device, depth: float, inverted: bool) -> None:
+    query = device.occlusion_query()
+    seen = (depth == 0.75) is not inverted
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, Format.D32F) as target,
+        device.mesh(rectangle(depth=depth)) as box,
+        device.mesh(rectangle(depth=0.9)) as thing,
+    ):
+        program = device.program(Colored)
+        with device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=0.5):
+            with device.states(ColorWrite.OFF, DepthWrite.OFF), query:
+                device.draw(program, box)
+            with device.conditional(query, inverted=inverted):
+                device.draw(program, thing)
+        assert_same(image.read(), 255 if seen else 0)
+    query.destroy()
+
+
+@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+def test_draws_after_a_condition_do_not_depend_on_it(device: Device) -> None:
+    query = device.occlusion_query()
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            with query:
+                pass
+            with device.conditional(query):
+                device.draw(device.program(Colored), mesh)
+            assert query.wait() == 0
+            device.draw(device.program(Colored), mesh.view(0, 3))
+        covered = (image.read() > 0).sum()
+    assert covered == rasterise(np.array([(0, 16), (16, 16), (16, 0)]) * SUBTEXELS, *SIZE).sum()
+    query.destroy()

@@ -1,0 +1,334 @@
+"""Rules of render passes and states."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rhi import (
+    AlphaTest,
+    BlendColor,
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthBias,
+    Device,
+    Format,
+    Scissor,
+    StencilReference,
+    StencilTest,
+    TextureKind,
+    Viewport,
+    rules,
+)
+from rhi.conformance.compare import assert_same
+from rhi.conformance.shaders import Colored, Place, PlaceVarying
+from rhi.conformance.shapes import rectangle
+from rhi.conformance.validation.refusal import refuses
+from rhi.shading import Image2D, Shader, Texture2D, image, ivec2, vec4
+
+SIZE = (4, 4)
+
+
+def test_passes_do_not_nest(recording: Device) -> None:
+    with recording.texture(SIZE, Format.R8) as one, recording.texture(SIZE, Format.R8) as two:
+        with recording.render_pass(one, clear=(0, 0, 0, 0)):
+            with refuses(rules.PASS_NESTED, recording), recording.render_pass(two, clear=(1, 1, 1, 1)):
+                pass
+            with recording.mesh(rectangle()) as mesh:
+                recording.draw(recording.program(Colored), mesh)  # the first is still open
+        with recording.render_pass(two):
+            pass
+        assert_same(two.read(), 0)
+
+
+def test_a_pass_needs_a_target(recording: Device) -> None:
+    with refuses(rules.PASS_EMPTY, recording):
+        recording.render_pass()
+    with refuses(rules.PASS_EMPTY, recording):
+        recording.render_pass([])
+
+
+def test_a_target_is_a_texture(recording: Device) -> None:
+    with recording.buffer(4) as buffer:
+        for wrong in (buffer, "image", 3):
+            with refuses(rules.PASS_TARGET, recording):
+                recording.render_pass(wrong)  # type: ignore[arg-type]
+
+
+def test_a_color_target_has_a_color_format(recording: Device) -> None:
+    with recording.texture(SIZE, Format.D32F) as depth:
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(depth)
+        recording.render_pass(depth=depth)
+
+
+def test_a_depth_target_has_a_depth_format(recording: Device) -> None:
+    with recording.texture(SIZE, Format.R32F) as image:
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(depth=image)
+        recording.render_pass(image)
+
+
+def test_formats_that_cannot_be_drawn_to_are_refused(recording: Device) -> None:
+    lacking = recording.capabilities.unrenderable_formats - recording.capabilities.unsupported_formats
+    for format in lacking:
+        with recording.texture(SIZE, format) as texture, refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(texture)
+
+
+def test_a_texture_is_one_target_at_a_time(recording: Device) -> None:
+    with recording.texture(SIZE, Format.R8) as image:
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass([image, image])
+    with recording.texture(SIZE, Format.R8, kind=TextureKind.D2_ARRAY, layers=2) as image:
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass([image.at(layer=1), image.at(layer=1)])
+        recording.render_pass([image.at(layer=0), image.at(layer=1)])
+
+
+def test_there_is_a_most_of_targets(recording: Device) -> None:
+    most = recording.capabilities.max_color_targets
+    targets = [recording.texture(SIZE, Format.R8) for _ in range(most + 1)]
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.render_pass(targets)
+    recording.render_pass(targets[:most])
+    for target in targets:
+        target.destroy()
+
+
+@pytest.mark.parametrize("other", [(4, 5), (5, 4), (8, 8)], ids=str)
+def test_targets_have_one_size(recording: Device, other: tuple[int, int]) -> None:
+    with (
+        recording.texture(SIZE, Format.R8) as image,
+        recording.texture(other, Format.R8) as second,
+        recording.texture(other, Format.D32F, levels=None) as depth,
+    ):
+        with refuses(rules.PASS_SIZE, recording):
+            recording.render_pass([image, second])
+        with refuses(rules.PASS_SIZE, recording):
+            recording.render_pass(image, depth)
+        recording.render_pass(second, depth)
+        if other == (8, 8):
+            recording.render_pass(image, depth.at(level=1))
+
+
+def test_targets_have_one_number_of_samples(recording: Device) -> None:
+    with (
+        recording.texture(SIZE, Format.R8, samples=2) as image,
+        recording.texture(SIZE, Format.D32F) as depth,
+        recording.texture(SIZE, Format.D32F, samples=2) as fitting,
+    ):
+        with refuses(rules.PASS_SAMPLES, recording):
+            recording.render_pass(image, depth)
+        recording.render_pass(image, fitting)
+
+
+@pytest.mark.parametrize(
+    "clear",
+    [(0, 0, 0), (0, 0, 0, 0, 0), (float("nan"), 0, 0, 0), (float("inf"), 0, 0, 0), [(0, 0, 0, 0)] * 2, ("a", 0, 0, 0)],
+    ids=str,
+)
+def test_a_clear_is_four_finite_numbers_per_target(recording: Device, clear: Any) -> None:
+    with recording.texture(SIZE, Format.R8) as image:
+        with refuses(rules.PASS_CLEAR, recording):
+            recording.render_pass(image, clear=clear)
+        recording.render_pass(image, clear=(0, 0, 0, 0))
+        recording.render_pass(image, clear=[(0, 0, 0, 0)])
+
+
+@pytest.mark.parametrize("value", [-0.001, 1.001, float("nan")])
+def test_a_depth_clear_is_0_to_1(recording: Device, value: float) -> None:
+    with recording.texture(SIZE, Format.D32F) as depth:
+        with refuses(rules.PASS_CLEAR, recording):
+            recording.render_pass(depth=depth, clear_depth=value)
+        for fitting in (0.0, 1.0):
+            recording.render_pass(depth=depth, clear_depth=fitting)
+
+
+def test_a_depth_clear_needs_a_depth_target(recording: Device) -> None:
+    with recording.texture(SIZE, Format.R8) as image, refuses(rules.PASS_CLEAR, recording):
+        recording.render_pass(image, clear_depth=0.0)
+
+
+@pytest.mark.parametrize("value", [-1, 256])
+def test_a_stencil_clear_is_a_byte(recording: Device, value: int) -> None:
+    with recording.texture(SIZE, Format.D24S8) as depth:
+        with refuses(rules.PASS_CLEAR, recording):
+            recording.render_pass(depth=depth, clear_stencil=value)
+        for fitting in (0, 255):
+            recording.render_pass(depth=depth, clear_stencil=fitting)
+
+
+def test_a_stencil_clear_needs_stencil(recording: Device) -> None:
+    with recording.texture(SIZE, Format.D32F) as depth, refuses(rules.PASS_CLEAR, recording):
+        recording.render_pass(depth=depth, clear_stencil=0)
+
+
+def test_a_resolve_fits_its_target(recording: Device) -> None:
+    with (
+        recording.texture(SIZE, Format.RGBA8, samples=2) as image,
+        recording.texture(SIZE, Format.RGBA8) as fitting,
+        recording.texture((8, 8), Format.RGBA8) as larger,
+        recording.texture(SIZE, Format.RGBA16F) as other,
+    ):
+        for wrong in (larger, other, image):
+            with refuses(rules.PASS_TARGET, recording):
+                recording.render_pass(image, resolve=wrong)
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(fitting, resolve=fitting)
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(image, resolve=[fitting, fitting])
+        recording.render_pass(image, resolve=fitting)
+        recording.render_pass(image, resolve=[None])
+
+
+def test_a_target_destroyed_before_its_pass_opens_is_refused(recording: Device) -> None:
+    image = recording.texture(SIZE, Format.R8)
+    prepared = recording.render_pass(image)
+    image.destroy()
+    with refuses(rules.RESOURCE_DESTROYED, recording), prepared:
+        pass
+
+
+# -- feedback ----------------------------------------------------------------------------------------------
+
+
+class Textured(Shader):
+    """A texture where uv says."""
+
+    source: Texture2D
+
+    def vertex(self, v: Place) -> PlaceVarying:
+        return PlaceVarying(clip=v.position, uv=v.uv)
+
+    def fragment(self, v: PlaceVarying) -> vec4:
+        return self.source.sample(v.uv)
+
+
+class Stored(Shader):
+    """An image written by fragments."""
+
+    target: Image2D = image(Format.RGBA8)
+
+    def vertex(self, v: Place) -> PlaceVarying:
+        return PlaceVarying(clip=v.position, uv=v.uv)
+
+    def fragment(self, v: PlaceVarying) -> vec4:
+        self.target.store(ivec2(0, 0), vec4(1.0))
+        return vec4(1.0)
+
+
+def places() -> Any:
+    import numpy as np
+
+    rows = np.zeros(6, Place.dtype)
+    rows["position"] = rectangle()["position"]
+    return rows
+
+
+def test_a_pass_does_not_sample_its_target(recording: Device) -> None:
+    with (
+        recording.texture(SIZE, Format.RGBA8, levels=2) as image,
+        recording.texture(SIZE, Format.RGBA8) as other,
+        recording.mesh(places()) as mesh,
+    ):
+        program = recording.program(Textured)
+        with recording.render_pass(other):
+            recording.draw(program, mesh, source=image)  # the same binding, not yet a target
+        with recording.render_pass(image):
+            with refuses(rules.PASS_FEEDBACK, recording):
+                recording.draw(program, mesh, source=image)
+            recording.draw(program, mesh, source=other)
+        with recording.render_pass(image.at(level=1)):
+            with refuses(rules.PASS_FEEDBACK, recording):
+                recording.draw(program, mesh, source=image)
+
+
+def test_a_pass_does_not_store_to_its_target(recording: Device) -> None:
+    with (
+        recording.texture(SIZE, Format.RGBA8) as image,
+        recording.texture(SIZE, Format.RGBA8) as other,
+        recording.mesh(places()) as mesh,
+    ):
+        program = recording.program(Stored)
+        with recording.render_pass(image):
+            with refuses(rules.PASS_FEEDBACK, recording):
+                recording.draw(program, mesh, target=image.image())
+            recording.draw(program, mesh, target=other.image())
+
+
+# -- states ------------------------------------------------------------------------------------------------
+
+
+def test_a_scope_needs_a_state(recording: Device) -> None:
+    with refuses(rules.STATE_NOTHING, recording), recording.states():
+        pass
+
+
+@pytest.mark.parametrize("wrong", ["CullMode.NONE", 3, None, {}, Format.R8], ids=str)
+def test_a_scope_takes_states_only(recording: Device, wrong: Any) -> None:
+    with refuses(rules.STATE_TYPE, recording), recording.states(CullMode.NONE, wrong):
+        pass
+    with recording.states(CullMode.NONE):
+        pass
+
+
+def test_a_scope_sets_a_state_once(recording: Device) -> None:
+    with refuses(rules.STATE_DUPLICATE, recording), recording.states(CullMode.NONE, CullMode.FRONT):
+        pass
+    with refuses(rules.STATE_DUPLICATE, recording), recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(1)):
+        pass
+    with recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(2)):
+        pass
+
+
+def test_a_refused_scope_leaves_no_trace(recording: Device) -> None:
+    before = recording.statistics
+    with refuses(rules.STATE_DUPLICATE, recording), recording.states(Scissor(0, 0, 1, 1), CullMode.NONE, CullMode.NONE):
+        pass
+    after = recording.statistics
+    assert after.software_state_changes == before.software_state_changes
+    with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
+        with recording.render_pass(image):
+            recording.draw(recording.program(Colored), mesh)
+    states = recording.stream.draws()[-1].states
+    assert states[Scissor] == Scissor.OFF
+    assert states[CullMode] == CullMode.BACK
+
+
+@pytest.mark.parametrize(
+    ("wrong", "fitting"),
+    [
+        (lambda: Viewport(0, 0, -1, 1), lambda: Viewport(0, 0, 0, 1)),
+        (lambda: Viewport(float("nan"), 0, 1, 1), lambda: Viewport(-4, 0, 1, 1)),
+        (lambda: Viewport(0, 0, 1, 1, -0.1), lambda: Viewport(0, 0, 1, 1, 0.0)),
+        (lambda: Viewport(0, 0, 1, 1, 0, 1.1), lambda: Viewport(0, 0, 1, 1, 1, 0)),
+        (lambda: Scissor(0, 0, -1, 0), lambda: Scissor(0, 0, 0, 0)),
+        (lambda: Scissor(0, 0, 0, -1), lambda: Scissor(-9, -9, 0, 0)),
+        (lambda: StencilReference(256), lambda: StencilReference(255)),
+        (lambda: StencilReference(0, -1), lambda: StencilReference(0, 0)),
+        (lambda: DepthBias(float("inf")), lambda: DepthBias(-1e6)),
+        (lambda: BlendColor(float("nan")), lambda: BlendColor(-1.0, 2.0)),
+        (lambda: BlendFunction.ALPHA.at(8), lambda: BlendFunction.ALPHA.at(7)),
+        (lambda: ColorWrite.OFF.at(-1), lambda: ColorWrite.OFF.at(0)),
+    ],
+)
+def test_a_state_s_numbers_are_checked_when_it_is_made(recording: Device, wrong: Any, fitting: Any) -> None:
+    with refuses(rules.STATE_VALUE, recording):
+        wrong()
+    fitting()
+
+
+def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
+    capabilities = recording.capabilities
+    for state, lacking in ((AlphaTest.ON, not capabilities.alpha_test), (StencilTest.ON, not capabilities.stencil)):
+        if lacking:
+            with refuses(rules.STATE_CAPABILITY, recording), recording.states(state):
+                pass
+        else:
+            with recording.states(state):
+                pass
+    with recording.states(AlphaTest.OFF):
+        pass

@@ -1,0 +1,339 @@
+"""Rules of textures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhi import Access, Device, Format, Region, TextureKind, rules
+from rhi.conformance.compare import assert_same
+from rhi.conformance.validation.refusal import refuses
+from rhi.formats import DEPTH_FORMATS
+
+
+@pytest.mark.parametrize("size", [(0, 4), (4, 0), (-1, 4), (0, 0)], ids=str)
+def test_a_texture_needs_a_size(recording: Device, size: tuple[int, int]) -> None:
+    with refuses(rules.TEXTURE_SIZE, recording):
+        recording.texture(size, Format.RGBA8)
+    recording.texture((1, 1), Format.RGBA8).destroy()
+
+
+def test_a_texture_is_no_larger_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_texture_size
+    for size in ((most + 1, 1), (1, most + 1)):
+        with refuses(rules.TEXTURE_SIZE, recording):
+            recording.texture(size, Format.R8)
+    for size in ((most, 1), (1, most)):
+        recording.texture(size, Format.R8).destroy()
+
+
+@pytest.mark.parametrize("size", [(4,), (4, 4, 4), (4.0, 4.0), ("4", "4")], ids=str)
+def test_a_size_is_two_whole_numbers(recording: Device, size: Any) -> None:
+    with refuses(rules.TEXTURE_SIZE, recording):
+        recording.texture(size, Format.RGBA8)
+
+
+@pytest.mark.parametrize(
+    ("kind", "layers", "fits"),
+    [
+        (TextureKind.D2, 2, False), (TextureKind.D2, 1, True),
+        (TextureKind.D2_ARRAY, 0, False), (TextureKind.D2_ARRAY, 1, True), (TextureKind.D2_ARRAY, 7, True),
+        (TextureKind.D3, 0, False), (TextureKind.D3, 5, True),
+        (TextureKind.CUBE, 5, False), (TextureKind.CUBE, 6, True), (TextureKind.CUBE, 12, False),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_each_kind_has_its_number_of_layers(recording: Device, kind: TextureKind, layers: int, fits: bool) -> None:
+    if fits:
+        recording.texture((4, 4), Format.R8, kind=kind, layers=layers).destroy()
+    else:
+        with refuses(rules.TEXTURE_SIZE, recording):
+            recording.texture((4, 4), Format.R8, kind=kind, layers=layers)
+
+
+def test_an_array_has_no_more_layers_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_texture_layers
+    with refuses(rules.TEXTURE_SIZE, recording):
+        recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most + 1)
+    recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most).destroy()
+
+
+def test_the_faces_of_a_cube_are_square(recording: Device) -> None:
+    with refuses(rules.TEXTURE_SIZE, recording):
+        recording.texture((4, 5), Format.R8, kind=TextureKind.CUBE)
+    recording.texture((4, 4), Format.R8, kind=TextureKind.CUBE).destroy()
+
+
+@pytest.mark.parametrize(
+    ("size", "levels", "fits"),
+    [((8, 8), 4, True), ((8, 8), 5, False), ((8, 8), 0, False), ((1, 1), 2, False), ((9, 3), 4, True), ((9, 3), 5, False)],
+    ids=str,
+)
+def test_levels_end_at_one_texel(recording: Device, size: tuple[int, int], levels: int, fits: bool) -> None:
+    if fits:
+        recording.texture(size, Format.R8, levels=levels).destroy()
+    else:
+        with refuses(rules.TEXTURE_LEVELS, recording):
+            recording.texture(size, Format.R8, levels=levels)
+
+
+@pytest.mark.parametrize("samples", [0, 3, 5, -1, 16])
+def test_samples_are_a_power_of_two_that_the_device_has(recording: Device, samples: int) -> None:
+    with refuses(rules.TEXTURE_SAMPLES, recording):
+        recording.texture((4, 4), Format.R8, samples=samples)
+    recording.texture((4, 4), Format.R8, samples=recording.capabilities.max_samples).destroy()
+
+
+def test_multi_sampled_textures_are_flat_and_have_one_level(recording: Device) -> None:
+    with refuses(rules.TEXTURE_SAMPLES, recording):
+        recording.texture((4, 4), Format.R8, samples=2, levels=2)
+    with refuses(rules.TEXTURE_SAMPLES, recording):
+        recording.texture((4, 4), Format.R8, samples=2, kind=TextureKind.D2_ARRAY, layers=2)
+    recording.texture((4, 4), Format.R8, samples=2).destroy()
+
+
+def test_depth_is_not_3d(recording: Device) -> None:
+    with refuses(rules.TEXTURE_FORMAT, recording):
+        recording.texture((4, 4), Format.D32F, kind=TextureKind.D3, layers=2)
+    recording.texture((4, 4), Format.D32F, kind=TextureKind.D2_ARRAY, layers=2).destroy()
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros((4, 4, 3), "u1"), np.zeros((4, 4, 4), "f4"), np.zeros((4, 4), "u1"), np.zeros(4, "u1"),
+        np.zeros((1, 1, 4, 4, 4), "u1"), np.zeros((4, 4, 4), "i1"),
+    ],
+    ids=lambda a: f"{a.shape}{a.dtype}",
+)  # fmt: skip
+def test_texels_must_have_the_format_s_shape_and_dtype(recording: Device, array: Any) -> None:
+    with recording.texture((4, 4), Format.RGBA8) as texture:
+        with refuses(rules.TEXTURE_DATA, recording):
+            texture.write(array)
+        assert_same(texture.read(), 0)
+        texture.write(np.ones((4, 4, 4), "u1"))
+
+
+def test_a_texture_made_from_wrong_texels_leaves_nothing_behind(recording: Device) -> None:
+    creations = recording.statistics.creations
+    with refuses(rules.TEXTURE_DATA):
+        recording.texture(np.zeros((4, 4, 3), "u1"), Format.RGBA8)
+    with refuses(rules.TEXTURE_DATA):
+        recording.texture(np.zeros((4, 4, 4), "f4"), Format.RGBA8)
+    recording.finish()
+    made = recording.stream.filter(rhi_op("CREATE_TEXTURE"))
+    gone = {command["resource"] for command in recording.stream.filter(rhi_op("DESTROY"))}
+    assert recording.statistics.creations == creations or made[-1]["texture"] in gone
+
+
+def rhi_op(name: str) -> Any:
+    from rhi import Op
+
+    return Op[name]
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "width", "height"), [(1, 0, 4, 4), (0, 1, 4, 4), (-1, 0, 2, 2), (0, -1, 2, 2), (4, 0, 1, 1), (0, 0, 5, 1)]
+)
+def test_a_region_must_lie_in_the_level(recording: Device, x: int, y: int, width: int, height: int) -> None:
+    with recording.texture((4, 4), Format.R8) as texture, recording.texture((8, 8), Format.R8) as other:
+        region = Region(x, y, width, height)
+        with refuses(rules.TEXTURE_REGION, recording):
+            texture.write(np.ones((height, width), "u1"), x=x, y=y)
+        with refuses(rules.TEXTURE_REGION, recording):
+            texture.read(region=region)
+        with refuses(rules.TEXTURE_REGION, recording):
+            texture.lock(Access.READ, region=region)
+        with refuses(rules.TEXTURE_REGION, recording):
+            texture.copy_to(other, region=region)
+        with refuses(rules.TEXTURE_REGION, recording):
+            other.copy_to(texture, region=Region(0, 0, width, height), x=x, y=y)
+        texture.write(np.ones((4, 4), "u1"))
+        texture.write(np.ones((1, 1), "u1"), x=3, y=3)
+
+
+@pytest.mark.parametrize(("width", "height"), [(0, 1), (1, 0)])
+def test_a_region_is_not_empty(recording: Device, width: int, height: int) -> None:
+    with recording.texture((4, 4), Format.R8) as texture, refuses(rules.TEXTURE_REGION, recording):
+        texture.read(region=Region(0, 0, width, height))
+
+
+@pytest.mark.parametrize(("level", "layer"), [(3, 0), (-1, 0), (0, 2), (0, -1)])
+def test_a_level_and_layer_must_exist(recording: Device, level: int, layer: int) -> None:
+    with recording.texture((4, 4), Format.R8, kind=TextureKind.D2_ARRAY, layers=2, levels=3) as texture:
+        for use in (
+            lambda: texture.read(level, layer),
+            lambda: texture.write(np.ones((1, 1), "u1"), level, layer),
+            lambda: texture.at(level, layer),
+            lambda: texture.image(level, layer),
+            lambda: texture.lock(Access.READ, level, layer),
+        ):
+            with refuses(rules.TEXTURE_LEVELS, recording):
+                use()
+        texture.read(2, 1)
+        texture.at(2, 1)
+
+
+def test_the_layers_of_a_3d_level_shrink(recording: Device) -> None:
+    with recording.texture((4, 4), Format.R8, kind=TextureKind.D3, layers=4, levels=3) as texture:
+        with refuses(rules.TEXTURE_LEVELS, recording):
+            texture.read(1, 2)
+        texture.read(1, 1)
+
+
+@pytest.mark.parametrize("format", DEPTH_FORMATS, ids=lambda f: f.name)
+def test_depth_is_not_written_by_the_cpu(recording: Device, format: Format) -> None:
+    with recording.texture((4, 4), format) as depth:
+        with refuses(rules.TEXTURE_FORMAT, recording):
+            depth.write(np.zeros((4, 4), "f4"))
+        with refuses(rules.TEXTURE_FORMAT, recording):
+            depth.lock(Access.WRITE)
+        depth.read()
+        with depth.lock(Access.READ):
+            pass
+
+
+@pytest.mark.parametrize("format", [Format.D32F, Format.RGBA8], ids=lambda f: f.name)
+def test_stencil_is_read_where_there_is_some(recording: Device, format: Format) -> None:
+    with recording.texture((4, 4), format) as texture, refuses(rules.TEXTURE_FORMAT, recording):
+        texture.read_stencil()
+    with recording.texture((4, 4), Format.D24S8) as texture:
+        texture.read_stencil()
+
+
+@pytest.mark.parametrize("format", [Format.R32UI, Format.R32I, Format.D32F], ids=lambda f: f.name)
+def test_mipmaps_need_a_format_that_can_be_filtered(recording: Device, format: Format) -> None:
+    with recording.texture((4, 4), format, levels=None) as texture, refuses(rules.TEXTURE_FORMAT, recording):
+        texture.generate_mipmaps()
+    with recording.texture((4, 4), Format.R32F, levels=None) as texture:
+        texture.generate_mipmaps()
+
+
+def test_a_copy_keeps_the_format(recording: Device) -> None:
+    with recording.texture((4, 4), Format.RGBA8) as one, recording.texture((4, 4), Format.RGBA8_SRGB) as two:
+        with refuses(rules.TEXTURE_FORMAT, recording):
+            one.copy_to(two)
+    with recording.texture((4, 4), Format.RGBA8) as one, recording.texture((4, 4), Format.RGBA8) as two:
+        one.copy_to(two)
+
+
+@pytest.mark.parametrize(("x", "overlaps"), [(1, True), (2, False)])
+def test_a_copy_within_a_texture_must_not_overlap(recording: Device, x: int, overlaps: bool) -> None:
+    with recording.texture((4, 4), Format.RGBA8) as texture:
+        if overlaps:
+            with refuses(rules.TEXTURE_REGION, recording):
+                texture.copy_to(texture, region=Region(0, 0, 2, 4), x=x)
+        else:
+            texture.copy_to(texture, region=Region(0, 0, 2, 4), x=x)
+
+
+def test_samples_are_resolved_not_read(recording: Device) -> None:
+    with recording.texture((4, 4), Format.RGBA8, samples=2) as samples, recording.texture((4, 4), Format.RGBA8) as plain:
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            samples.read()
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            samples.write(np.zeros((4, 4, 4), "u1"))
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            samples.copy_to(plain)
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            plain.copy_to(samples)
+        with refuses(rules.TEXTURE_SAMPLES, recording), samples.lock(Access.READ):
+            pass
+        with refuses(rules.TEXTURE_SAMPLES, recording), samples.lock(Access.WRITE):
+            pass
+        samples.resolve_to(plain)
+
+
+def test_a_resolve_goes_from_several_samples_to_one(recording: Device) -> None:
+    with (
+        recording.texture((4, 4), Format.RGBA8) as plain,
+        recording.texture((4, 4), Format.RGBA8) as other,
+        recording.texture((4, 4), Format.RGBA8, samples=2) as samples,
+    ):
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            plain.resolve_to(other)
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            samples.resolve_to(samples)
+
+
+@pytest.mark.parametrize(("size", "format"), [((5, 4), Format.RGBA8), ((4, 4), Format.RGBA16F)], ids=str)
+def test_a_resolve_keeps_size_and_format(recording: Device, size: tuple[int, int], format: Format) -> None:
+    with recording.texture((4, 4), Format.RGBA8, samples=2) as samples, recording.texture(size, format) as target:
+        with refuses(rules.TEXTURE_FORMAT, recording):
+            samples.resolve_to(target)
+
+
+def test_a_texture_is_locked_once_at_a_time(recording: Device) -> None:
+    with recording.texture((4, 4), Format.R8) as texture:
+        one, two = texture.lock(Access.WRITE), texture.lock(Access.WRITE)
+        with one, refuses(rules.LOCK_TWICE, recording), two:
+            pass
+        with two:
+            pass
+
+
+def test_a_texture_locked_for_reading_is_not_locked_again(recording: Device) -> None:
+    with recording.texture((4, 4), Format.R8) as texture:
+        with texture.lock(Access.READ), refuses(rules.LOCK_OPEN, recording), texture.lock(Access.READ):
+            pass
+
+
+@pytest.mark.parametrize("use", ["read", "write", "copy", "mipmaps", "clear", "sampled"])
+def test_a_locked_texture_is_not_used(recording: Device, use: str) -> None:
+    with recording.texture((4, 4), Format.R8, levels=2) as texture, recording.texture((4, 4), Format.R8) as other:
+        uses = {
+            "read": texture.read,
+            "write": lambda: texture.write(np.ones((4, 4), "u1")),
+            "copy": lambda: texture.copy_to(other),
+            "mipmaps": texture.generate_mipmaps,
+            "clear": lambda: recording.render_pass(texture, clear=(0, 0, 0, 0)),
+            "sampled": lambda: texture.image(),
+        }
+        with texture.lock(Access.READ), refuses(rules.LOCK_OPEN, recording):
+            uses[use]()
+        uses[use]()
+
+
+def test_the_end_of_a_texture_lock_needs_its_beginning(recording: Device) -> None:
+    with recording.texture((4, 4), Format.R8) as texture:
+        lock = texture.lock(Access.WRITE)
+        with refuses(rules.LOCK_CLOSED, recording):
+            lock.__exit__(None, None, None)
+
+
+def test_a_destroyed_texture_is_not_used(recording: Device) -> None:
+    texture = recording.texture((4, 4), Format.R8)
+    with recording.texture((4, 4), Format.R8) as other:
+        texture.destroy()
+        for use in (
+            texture.read,
+            lambda: texture.write(np.ones((4, 4), "u1")),
+            lambda: texture.copy_to(other),
+            lambda: other.copy_to(texture),
+            lambda: texture.lock(Access.READ),
+            lambda: texture.image(),
+            lambda: texture.at(),
+            lambda: recording.render_pass(texture),
+            lambda: recording.present(texture),
+        ):
+            with refuses(rules.RESOURCE_DESTROYED, recording):
+                use()
+
+
+def test_a_texture_of_another_device_is_not_used(recording: Device, device: Device) -> None:
+    with recording.texture((4, 4), Format.R8) as mine, device.texture((4, 4), Format.R8) as theirs:
+        for use in (
+            lambda: mine.copy_to(theirs),
+            lambda: recording.render_pass(theirs),
+            lambda: recording.present(theirs),
+        ):
+            with refuses(rules.RESOURCE_FOREIGN, recording):
+                use()
+
+
+def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:
+    for format in recording.capabilities.unsupported_formats:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.texture((4, 4), format)

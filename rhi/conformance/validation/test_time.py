@@ -1,0 +1,313 @@
+"""Rules of fences, queries, events, recorded commands, and of devices that are closed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from rhi import Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError, rules
+from rhi.conformance.shaders import Bare, Colored, Corner
+from rhi.conformance.shapes import rectangle
+from rhi.conformance.validation.refusal import refuses
+from rhi.shading import Shader, Struct, uint, vec4
+
+SIZE = (4, 4)
+
+
+@pytest.mark.parametrize("ahead", [1, 1000])
+def test_only_what_was_signalled_is_waited_for(recording: Device, ahead: int) -> None:
+    value = recording.signal()
+    with refuses(rules.FENCE_VALUE, recording):
+        recording.wait(value + ahead)
+    with refuses(rules.FENCE_VALUE, recording):
+        recording.wait(-1)
+    assert recording.wait(value)
+
+
+# -- queries -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def image(recording: Device) -> Any:
+    with recording.texture(SIZE, Format.R8) as image:
+        yield image
+
+
+@pytest.mark.needs("occlusion_queries")
+def test_queries_do_not_nest(recording: Device, image: Any) -> None:
+    one, two = recording.occlusion_query(), recording.occlusion_query()
+    with recording.render_pass(image):
+        with one, refuses(rules.QUERY_NESTED, recording):
+            two.begin()
+        with one:
+            with refuses(rules.QUERY_NESTED, recording):
+                one.begin()
+        with two:
+            pass
+
+
+@pytest.mark.needs("occlusion_queries")
+def test_a_query_counts_inside_a_pass(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query()
+    with refuses(rules.DRAW_OUTSIDE_PASS, recording):
+        query.begin()
+    with recording.render_pass(image), query:
+        pass
+
+
+@pytest.mark.needs("occlusion_queries")
+def test_a_query_ends_after_it_began(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query()
+    with refuses(rules.QUERY_STATE, recording):
+        query.end()
+    with recording.render_pass(image):
+        query.begin()
+        query.end()
+        with refuses(rules.QUERY_STATE, recording):
+            query.end()
+
+
+@pytest.mark.needs("occlusion_queries")
+def test_a_query_has_an_answer_after_its_end(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query()
+    with refuses(rules.QUERY_STATE, recording):
+        query.wait()
+    with refuses(rules.QUERY_STATE, recording):
+        _ = query.visible_samples
+    assert not query.is_finished
+    with recording.render_pass(image):
+        query.begin()
+        with refuses(rules.QUERY_STATE, recording):
+            query.wait()
+        query.end()
+
+
+@pytest.mark.needs("occlusion_queries")
+def test_a_query_ends_in_its_pass(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query()
+    with refuses(rules.QUERY_STATE):
+        with recording.render_pass(image):
+            query.begin()
+    with recording.render_pass(image), query:
+        pass
+
+
+@pytest.mark.needs("occlusion_queries")
+def test_an_open_query_is_not_destroyed(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query()
+    with recording.render_pass(image):
+        query.begin()
+        with refuses(rules.QUERY_STATE, recording):
+            query.destroy()
+        query.end()
+    query.destroy()
+    with recording.render_pass(image), refuses(rules.RESOURCE_DESTROYED, recording):
+        query.begin()
+
+
+@pytest.mark.needs("occlusion_queries", "shading")
+def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
+    """Either the answer is there, or reading it is refused: never a zero that means 'not yet'."""
+    query = device.occlusion_query()
+    seen = 0
+    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
+        for _ in range(3):
+            with device.render_pass(image), query:
+                device.draw(device.program(Colored), mesh)
+            try:
+                assert query.visible_samples == 60 << 20
+            except rhi.ValidationError as error:
+                assert error.rule is rules.QUERY_UNFINISHED
+                seen += 1
+            query.wait()
+            assert query.visible_samples == 60 << 20
+    query.destroy()
+
+
+@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+def test_a_condition_needs_an_ended_query(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query()
+    with recording.render_pass(image):
+        with refuses(rules.QUERY_STATE, recording), recording.conditional(query):
+            pass
+        with query, refuses(rules.QUERY_STATE, recording), recording.conditional(query):
+            pass
+        with recording.conditional(query):
+            pass
+
+
+@pytest.mark.needs("sample_counter", "conditional_rendering")
+def test_a_condition_needs_a_native_query(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query(emulated=True)
+    with recording.render_pass(image):
+        with query:
+            pass
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.conditional(query)
+
+
+def test_an_emulated_query_needs_a_counter(recording: Device) -> None:
+    if recording.capabilities.sample_counter:
+        recording.occlusion_query(emulated=True).destroy()
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.occlusion_query(emulated=True)
+
+
+# -- events and commands -----------------------------------------------------------------------------------
+
+
+def test_events_end_in_the_reverse_order(recording: Device) -> None:
+    outer, inner = recording.event("outer"), recording.event("inner")
+    outer.__enter__()
+    inner.__enter__()
+    with refuses(rules.SCOPE_ORDER, recording):
+        outer.__exit__(None, None, None)
+    inner.__exit__(None, None, None)
+    outer.__exit__(None, None, None)
+    with recording.event("another"):
+        pass
+
+
+def test_timing_needs_timestamps(recording: Device) -> None:
+    if not recording.capabilities.timestamps:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.timing = True
+
+
+def test_a_command_s_arguments_have_names(recording: Device) -> None:
+    recording.signal()
+    command = recording.stream.filter(Op.SIGNAL)[-1]
+    with refuses(rules.COMMAND_ARGUMENT):
+        _ = command["colour"]
+    with refuses(rules.COMMAND_ARGUMENT):
+        recording.stream.filter(Op.SIGNAL, colour=3)
+    with refuses(rules.COMMAND_ARGUMENT):
+        recording.stream.filter(value=3)
+    assert command["value"] > 0
+
+
+def test_what_held_at_a_command_is_gone_with_its_stream(backend: str) -> None:
+    with rhi.create_device(backend, record=True) as device:
+        device.signal()
+        command = device.stream[-1]
+        assert command.labels == ()
+        device.stream.clear()
+        with refuses(rules.COMMAND_CLEARED):
+            _ = command.labels
+        assert command["value"] == 1
+
+
+def test_only_a_recording_device_has_a_stream(backend: str) -> None:
+    with rhi.create_device(backend, record=False) as device, refuses(rules.DEVICE_NOT_RECORDING):
+        _ = device.stream
+    with rhi.create_device(backend, record=True) as device:
+        assert len(device.stream) == 0
+
+
+# -- devices -----------------------------------------------------------------------------------------------
+
+
+def test_a_backend_s_name_is_known(backend: str) -> None:
+    with refuses(rules.DEVICE_UNKNOWN, kind=DeviceError) as refusal:
+        rhi.create_device(backend + "x")
+    assert backend in str(refusal.error)
+
+
+def test_a_backend_is_asked_for_by_its_own_type(recording: Device) -> None:
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.backend_as(str)
+
+
+class Tint(Struct):
+    """A color."""
+
+    color: vec4
+
+
+class Late(Shader):
+    """A program that the device has not made yet."""
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0)
+
+
+CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
+    "buffer": lambda d, r: d.buffer(4),
+    "uniform": lambda d, r: d.uniform(Tint(color=(0, 0, 0, 0))),
+    "uniform array": lambda d, r: d.uniform_array(Tint, 2),
+    "storage": lambda d, r: d.storage(uint, 4),
+    "texture": lambda d, r: d.texture(SIZE, Format.R8),
+    "sampler": lambda d, r: d.sampler(SamplerDescriptor()),
+    "mesh": lambda d, r: d.mesh(rectangle()),
+    "program": lambda d, r: d.program(Late),
+    "render pass": lambda d, r: d.render_pass(r["texture"]),
+    "draw": lambda d, r: d.draw(r["program"], r["mesh"]),
+    "draw many": lambda d, r: d.draw_many(r["program"], r["mesh"], r["mesh"].draws()),
+    "immediate": lambda d, r: d.immediate(r["program"], Primitive.QUADS).__enter__(),
+    "transient": lambda d, r: d.transient.uniform(Tint(color=(0, 0, 0, 0))),
+    "signal": lambda d, r: d.signal(),
+    "completed": lambda d, r: d.completed,
+    "wait": lambda d, r: d.wait(0),
+    "finish": lambda d, r: d.finish(),
+    "event": lambda d, r: d.event("late").__enter__(),
+    "present": lambda d, r: d.present(),
+    "query": lambda d, r: d.occlusion_query(),
+    "buffer read": lambda d, r: r["buffer"].read(),
+    "buffer write": lambda d, r: r["buffer"].write(np.zeros(4, "u1")),
+    "buffer lock": lambda d, r: r["buffer"].lock(rhi.Access.READ).__enter__(),
+    "texture read": lambda d, r: r["texture"].read(),
+    "texture write": lambda d, r: r["texture"].write(np.zeros((4, 4), "u1")),
+    "mipmaps": lambda d, r: r["texture"].generate_mipmaps(),
+}
+
+
+@pytest.mark.parametrize("use", list(CLOSED_USES))
+def test_a_closed_device_does_nothing(backend: str, use: str) -> None:
+    device = rhi.create_device(backend)
+    resources = {
+        "buffer": device.buffer(4),
+        "texture": device.texture(SIZE, Format.R8),
+        "mesh": device.mesh(rectangle()),
+        "program": device.program(Colored),
+    }
+    device.close()
+    device.close()
+    assert device.closed
+    with refuses(rules.DEVICE_CLOSED):
+        CLOSED_USES[use](device, resources)
+
+
+def test_resources_may_be_destroyed_after_their_device(backend: str) -> None:
+    device = rhi.create_device(backend)
+    resources = [device.buffer(4), device.texture(SIZE, Format.R8), device.mesh(rectangle())]
+    device.close()
+    for resource in resources:
+        resource.destroy()  # type: ignore[attr-defined]
+
+
+class Mistaken(Shader):
+    """A vector where a number is wanted."""
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0) + vec4(True)  # type: ignore
+
+
+def test_a_shader_that_does_not_type_check_makes_no_program(recording: Device) -> None:
+    creations = recording.statistics.creations
+    with pytest.raises(ShaderError) as caught:
+        recording.program(Mistaken)
+    assert caught.value.site is not None
+    assert caught.value.site.file == __file__
+    assert recording.statistics.creations == creations
+    recording.program(Colored)

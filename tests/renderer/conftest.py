@@ -1,0 +1,26 @@
+"""Devices for the renderer's tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+import rhi
+
+
+@pytest.fixture
+def null() -> Iterator[rhi.Device]:
+    with rhi.create_device("null") as device:
+        yield device
+
+
+@pytest.fixture
+def gl() -> Iterator[rhi.Device]:
+    """A GL device that records; tests that look at pixels are skipped where there is none."""
+    try:
+        device = rhi.create_device("gl", record=True)
+    except rhi.DeviceError as error:
+        pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
+    with device:
+        yield device

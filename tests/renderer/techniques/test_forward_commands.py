@@ -1,0 +1,120 @@
+"""What the forward technique asks of a device, seen on the null device's stream."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, load_scene, scaling, translation
+from renderer.scene import BUILT_IN as MESHES
+from rhi import Op
+
+
+def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
+    """A box at each place, the first `mirrored` of them turned inside out; no lights."""
+    builder = SceneBuilder("boxes")
+    mesh, material = builder.add_mesh(MESHES["box"]()), builder.add_material()
+    for number, place in enumerate(places):
+        turned = scaling((-1, 1, 1) if number < mirrored else (1, 1, 1))
+        builder.add_objects(builder.add_node(translation(place) @ turned), mesh, material)
+    builder.views["eye"] = Camera.look_at((0, 0, 10), (0, 0, 0))
+    return builder
+
+
+def record(device: rhi.Device, scene: Scene, camera: Camera | None = None) -> rhi.CommandStream:
+    """The commands of one frame, the second."""
+    renderer = Renderer(device, scene, size=(32, 16))
+    view = camera or next(iter(scene.views.values()))
+    renderer.render(view)
+    device.stream.clear()
+    renderer.render(view)
+    return device.stream
+
+
+def count(stream: rhi.CommandStream, op: Op) -> int:
+    return len(stream.filter(op))
+
+
+def test_a_whole_scene_is_one_draw_call(null: rhi.Device) -> None:
+    stream = record(null, load_scene("city:blocks=6"))
+    assert len(stream.draws()) == 1
+    assert stream.draws()[0]["draws"] > 20
+
+
+def test_mirrored_objects_are_a_second_call_of_the_other_winding(null: rhi.Device) -> None:
+    stream = record(null, boxes((-2, 0, 0), (0, 0, 0), (2, 0, 0), mirrored=1).build())
+    first, second = stream.draws()
+    assert (first["draws"], second["draws"]) == (2, 1)
+    assert first.states[rhi.FrontFace] is rhi.FrontFace.COUNTER_CLOCKWISE
+    assert second.states[rhi.FrontFace] is rhi.FrontFace.CLOCKWISE
+
+
+def test_nothing_in_view_is_a_pass_without_a_draw(null: rhi.Device) -> None:
+    away = Camera.look_at((0, 0, 10), (0, 0, 20))
+    stream = record(null, boxes((0, 0, 0)).build(), away)
+    assert count(stream, Op.BEGIN_PASS) == 1
+    assert not len(stream.draws())
+
+
+def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
+    scene = boxes((0, 0, -4), (0, 0, 4), (0, 0, 0)).build()
+    (draw,) = record(null, scene).draws()
+    written = [c for c in null.stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
+    draws = np.frombuffer(written[-1]["data"], rhi.DRAW)
+    assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in draws["base_instance"]] == [4, 0, -4]
+
+
+@pytest.mark.parametrize(
+    ("kind", "storages", "uniforms", "textures"),
+    [
+        ("nothing", 3, 2, 0),
+        ("directional", 4, 2, 0),
+        ("point", 4, 2, 0),
+        ("spot", 4, 2, 0),
+        ("texture", 3, 2, 1),
+        ("haze", 3, 3, 0),
+        ("everything", 6, 3, 1),
+    ],
+)
+def test_what_a_scene_lacks_is_not_bound(
+    null: rhi.Device, kind: str, storages: int, uniforms: int, textures: int
+) -> None:
+    builder = boxes((0, 0, 0))
+    every = kind == "everything"
+    if kind == "directional" or every:
+        builder.lights.add_directional((0, -1, 0))
+    if kind == "point" or every:
+        builder.lights.add_point((0, 5, 0), 9.0)
+    if kind == "spot" or every:
+        builder.lights.add_spot((0, 5, 0), (0, -1, 0), 9.0, 0.3, 0.5)
+    if kind == "texture" or every:
+        builder.add_image(np.zeros((4, 4, 4), np.uint8))
+    if kind == "haze" or every:
+        builder.haze = 0.1
+    stream = record(null, builder.build())
+    bound: Any = (count(stream, Op.BIND_STORAGE), count(stream, Op.BIND_UNIFORM), count(stream, Op.BIND_TEXTURE))
+    assert bound == (storages, uniforms, textures)
+
+
+@pytest.mark.parametrize(
+    ("depth", "far", "function"),
+    [(Depth.REVERSED, 0.0, rhi.DepthFunction.GREATER), (Depth.STANDARD, 1.0, rhi.DepthFunction.LESS)],
+)
+def test_the_camera_says_which_way_depth_runs(
+    null: rhi.Device, depth: Depth, far: float, function: rhi.DepthFunction
+) -> None:
+    camera = Camera.look_at((0, 0, 10), (0, 0, 0), projection=Perspective(depth=depth))
+    stream = record(null, boxes((0, 0, 0)).build(), camera)
+    (begin,) = stream.filter(Op.BEGIN_PASS)
+    assert begin["descriptor"].depth.clear == far
+    assert stream.draws()[0].states[rhi.DepthFunction] is function
+
+
+def test_call_sites_are_lines_of_the_technique(null: rhi.Device) -> None:
+    (draw,) = record(null, boxes((0, 0, 0)).build()).draws()
+    assert draw.site is not None
+    assert draw.site.file.endswith("techniques/forward.py")

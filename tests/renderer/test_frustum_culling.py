@@ -1,0 +1,92 @@
+"""The visibility algorithms: one method, interchangeable, on scenes with static and moving objects."""
+
+import numpy as np
+import pytest
+
+from renderer.scene import Camera, load_scene
+from renderer.visibility import (
+    ALGORITHMS,
+    FrustumCulling,
+    NoCulling,
+    VisibilityAlgorithm,
+    find_visible,
+    find_visible_objects,
+    make_visibility,
+)
+from rhi.errors import ValidationError
+
+
+@pytest.fixture(scope="module")
+def hall():
+    return load_scene("hall:columns=8,rows=2,flags=12")
+
+
+@pytest.fixture(scope="module")
+def city():
+    return load_scene("city:blocks=10")
+
+
+@pytest.mark.parametrize("path", ["ground", "sky"])
+def test_frustum_culling_draws_what_brute_force_keeps_along_a_path(city, path):
+    algorithm: VisibilityAlgorithm = FrustumCulling(city)
+    for frame in range(0, 1800, 120):
+        camera = city.paths[path].camera(frame)
+        expected = find_visible(camera.frustum.planes, city.objects.lower, city.objects.upper)
+        assert (find_visible_objects(algorithm, camera) == np.flatnonzero(expected)).all()
+
+
+def test_moving_objects_are_found_where_they_are_now(hall):
+    algorithm = FrustumCulling(hall)
+    assert len(hall.objects.dynamic_rows)
+    assert len(hall.objects.static_rows)
+    seen = set()
+    for frame in range(0, 1800, 90):
+        hall.update(frame / 60.0)
+        camera = hall.paths["ground"].camera(frame)
+        expected = np.flatnonzero(find_visible(camera.frustum.planes, hall.objects.lower, hall.objects.upper))
+        assert (find_visible_objects(algorithm, camera) == expected).all()
+        seen.update(np.intersect1d(expected, hall.objects.dynamic_rows).tolist())
+    assert seen
+
+
+def test_no_culling_draws_every_object_once(hall):
+    batches = []
+    statistics = NoCulling(hall).render(hall.paths["sky"].camera(0), batches.append)
+    assert [batch.tolist() for batch in batches] == [list(range(len(hall.objects)))]
+    assert statistics.visible == statistics.objects == len(hall.objects)
+
+
+def test_batches_are_ascending_and_statistics_count_them(hall):
+    batches = []
+    statistics = FrustumCulling(hall).render(hall.views["overview"], batches.append)
+    assert statistics.batches == len(batches) == 1
+    assert statistics.visible == len(batches[0])
+    assert (np.diff(batches[0]) > 0).all()
+    assert 0 < statistics.objects_tested <= len(hall.objects)
+    assert statistics.plane_tests > 0
+
+
+def test_nothing_in_view_draws_nothing(hall):
+    batches = []
+    away = Camera.look_at((0.0, 1000.0, 0.0), (0.0, 2000.0, 0.0))
+    statistics = FrustumCulling(hall).render(away, batches.append)
+    assert batches == []
+    assert statistics.visible == statistics.batches == 0
+
+
+def test_the_hierarchy_needs_fewer_tests_than_every_plane_of_every_box():
+    city = load_scene("city:blocks=24,detail=2")
+    statistics = FrustumCulling(city).render(city.paths["ground"].camera(900), lambda rows: None)
+    assert 0 < statistics.plane_tests < 5 * len(city.objects) / 3
+    assert statistics.objects_tested < len(city.objects) / 3
+
+
+@pytest.mark.parametrize("name", list(ALGORITHMS))
+def test_every_name_makes_an_algorithm(city, name):
+    assert len(find_visible_objects(make_visibility(name, city), city.views["street"])) > 0
+
+
+def test_an_unknown_name_is_refused_with_the_nearest(city):
+    with pytest.raises(ValidationError, match="did you mean 'frustum'") as error:
+        make_visibility("frustrum", city)
+    assert error.value.rule.id == "visibility-unknown-name"

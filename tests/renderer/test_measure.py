@@ -1,0 +1,50 @@
+"""Measuring: what alternates, what is quoted."""
+
+from __future__ import annotations
+
+import pytest
+
+from renderer.measure import FrameCost, Measurement, alternate, format_table
+from renderer.renderer import FrameStatistics
+
+
+def test_each_round_runs_everything_once_and_starts_with_the_next() -> None:
+    order: list[tuple[str, int]] = []
+    work = {name: lambda number, name=name: order.append((name, number)) for name in "abc"}
+    alternate(work, range(3), warm_ups=0)
+    assert order == [(n, i) for i, names in enumerate(("abc", "bca", "cab")) for n in names]
+
+
+def test_warm_ups_are_not_timed() -> None:
+    calls: list[int] = []
+    times = alternate({"a": calls.append}, range(4), warm_ups=2)
+    assert calls == [0, 0, 0, 1, 2, 3]
+    assert len(times["a"].seconds) == 4
+
+
+def test_a_ratio_is_the_median_of_the_rounds_ratios() -> None:
+    # The second round was disturbed; its ratio is not.
+    fast, slow = Measurement("fast", (1.0, 50.0, 1.0)), Measurement("slow", (2.0, 100.0, 2.2))
+    assert slow.ratio_to(fast) == pytest.approx(2.0)
+    assert slow.median == 2.2
+
+
+def test_a_summary_has_least_median_and_most_time_and_mean_counters() -> None:
+    costs = [
+        FrameCost(time, FrameStatistics(triangles, 1, 0, 5, 0, 10))
+        for time, triangles in ((3.0, 10), (1.0, 20), (2.0, 31))
+    ]
+    summary = FrameCost.summarize(costs)
+    assert summary["milliseconds"] == {"min": 1.0, "median": 2.0, "max": 3.0}
+    assert summary["triangles"] == 20
+    assert summary["draws"] == 1
+
+
+def test_a_table_aligns_text_left_and_numbers_right() -> None:
+    table = format_table(["name", "count", "ms"], [["a", 5, 1.5], ["long", 12345, 10.25]])
+    assert table.splitlines() == [
+        "name   count     ms",
+        "----  ------  -----",
+        "a          5   1.50",
+        "long  12,345  10.25",
+    ]

@@ -1,0 +1,179 @@
+"""The renderer, frame by frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, load_scene
+from renderer.visibility import FrustumCulling, NoCulling
+from rhi import Op
+
+TIMELINE = {Op.SIGNAL, Op.WAIT}
+"""What depends on how fast the GPU is."""
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=6")
+
+
+def commands(device: rhi.Device, scene: Scene, cameras: list[Camera]) -> list[tuple[Op, tuple[Any, ...]]]:
+    with Renderer(device, scene, size=(64, 36)) as renderer:
+        for number, camera in enumerate(cameras):
+            renderer.render(camera, number / 60)
+        return [(command.op, command.values) for command in device.stream if command.op not in TIMELINE]
+
+
+@pytest.mark.parametrize("text", ["city:blocks=6", "hall:columns=6,flags=4", "grid:count=9"])
+def test_gl_and_null_get_the_same_commands(gl: rhi.Device, null: rhi.Device, text: str) -> None:
+    scene = load_scene(text)
+    cameras = [scene.paths["ground"].camera(frame) for frame in (0, 600, 600)]
+    assert commands(gl, scene, cameras) == commands(null, scene, cameras)
+
+
+def test_other_cameras_get_other_commands(null: rhi.Device, city: Scene) -> None:
+    # The control: the comparison above sees what a camera changes.
+    paths = city.paths
+    with rhi.create_device("null") as other:
+        ground = commands(null, city, [paths["ground"].camera(0)])
+        assert ground != commands(other, city, [paths["ground"].camera(1)])
+
+
+def test_a_second_frame_from_the_same_eye_uploads_the_draws_alone(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=(64, 36)) as renderer:
+        camera = city.paths["ground"].camera(0)
+        first, second = (renderer.render(camera).statistics for _ in range(2))
+    assert first.upload_bytes > second.upload_bytes
+    assert second.upload_bytes == second.draws * rhi.DRAW.itemsize
+
+
+def test_a_moved_eye_uploads_16_bytes_for_each_object(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=(64, 36)) as renderer:
+        camera = city.paths["ground"].camera(0)
+        renderer.render(camera)
+        lights = 32 * len(city.lights.point) + 64 * len(city.lights.spot)
+        moved = renderer.render(replace(camera, position=camera.position + (1.0, 2.0, 3.0))).statistics
+    assert moved.upload_bytes == 16 * len(city.objects) + lights + moved.draws * rhi.DRAW.itemsize
+
+
+def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) -> None:
+    scene = load_scene("hall:columns=12,rows=4,flags=1")
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        camera = scene.paths["ground"].camera(0)
+        renderer.render(camera, 0.0)
+        still = renderer.render(camera, 0.0).statistics
+        moving = renderer.render(camera, 0.5).statistics
+    assert still.upload_bytes == still.draws * rhi.DRAW.itemsize
+    most = (112 + 16) * len(scene.objects.dynamic_rows)
+    assert 0 < moving.upload_bytes - moving.draws * rhi.DRAW.itemsize <= most
+
+
+def test_two_renderers_of_one_scene_both_see_what_moves(null: rhi.Device) -> None:
+    scene = load_scene("hall:columns=6,flags=2")
+    camera = scene.paths["ground"].camera(0)
+    with Renderer(null, scene) as first, Renderer(null, scene) as second:
+        for renderer in (first, second):
+            renderer.render(camera, 0.0)
+        uploads = [renderer.render(camera, 0.5).statistics.upload_bytes for renderer in (first, second)]
+    assert uploads[0] == uploads[1]
+
+
+def test_statistics_count_objects_as_draws_and_their_triangles(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, visibility=NoCulling(city)) as renderer:
+        everything = renderer.render(city.views["overview"])
+        renderer.visibility = FrustumCulling(city)
+        seen = renderer.render(city.views["street"])
+    assert everything.statistics.draws == len(city.objects)
+    assert everything.statistics.triangles == city.triangle_count
+    assert seen.statistics.draws == len(seen.visible) < len(city.objects)
+    assert seen.statistics.triangles == city.count_triangles(seen.visible)
+
+
+def test_states_change_in_hardware_in_the_first_frame_only(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city) as renderer:
+        first, second = (renderer.render(city.views["overview"]).statistics for _ in range(2))
+    assert first.hardware_state_changes > second.hardware_state_changes == 0
+    assert first.software_state_changes == second.software_state_changes > 0
+
+
+def test_the_image_is_lit_and_has_the_size_asked_for(gl: rhi.Device, city: Scene) -> None:
+    with Renderer(gl, city, size=(96, 54)) as renderer:
+        image = renderer.render(city.views["overview"]).image.read()
+    assert image.shape == (54, 96, 4)
+    assert image[:, :, :3].std() > 20
+    assert (image[:5, :, 2] > image[:5, :, 0]).all()  # sky on top
+
+
+def test_a_new_size_gives_new_images(gl: rhi.Device, city: Scene) -> None:
+    with Renderer(gl, city, size=(96, 54)) as renderer:
+        before = renderer.render(city.views["overview"]).image
+        renderer.size = (32, 48)
+        after = renderer.render(city.views["overview"]).image
+        assert before.destroyed
+        assert after.read().shape == (48, 32, 4)
+
+
+def test_a_size_that_is_refused_leaves_the_renderer_as_it_was(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city, size=(64, 36)) as renderer:
+        with pytest.raises(rhi.ValidationError) as refused:
+            renderer.size = (0, 36)
+        assert refused.value.rule.id == "texture-size"
+        assert renderer.size == (64, 36)
+        assert renderer.render(city.views["overview"]).image.size == (64, 36)
+
+
+def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
+    with Renderer(null, city) as renderer:
+        renderer.render(city.views["overview"])
+    null.finish()
+    made, gone = null.stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)), null.stream.filter(Op.DESTROY)
+    left = {c.values[0] for c in made} - {c.values[0] for c in gone}
+    shared = {c.values[0] for c in made if "ring" in str(c) or "transient" in str(c)}
+    assert left <= shared, null.stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)).format()
+
+
+@pytest.mark.parametrize("path", ["ground", "sky"])
+def test_culling_changes_no_pixel_of_a_small_city(gl: rhi.Device, city: Scene, path: str) -> None:
+    assert count_different(gl, city, path, [0, 450, 900, 1350, 1799]) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", ["ground", "sky"])
+def test_culling_changes_no_pixel_of_the_city(gl: rhi.Device, path: str) -> None:
+    assert count_different(gl, load_scene("city"), path, list(range(0, 1800, 150))) == 0
+
+
+def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[int]) -> int:
+    """Pixels that differ between no culling and frustum culling, at 160 × 90."""
+    algorithms = (NoCulling(scene), FrustumCulling(scene))
+    different = 0
+    with Renderer(device, scene, size=(160, 90)) as renderer:
+        for frame in frames:
+            images = []
+            for renderer.visibility in algorithms:
+                result = renderer.render(scene.paths[path].camera(frame), frame / 60)
+                images.append(result.image.read())
+            assert len(result.visible) < len(scene.objects)
+            different += int((images[0] != images[1]).any(2).sum())
+            assert np.ptp(images[0]) > 0
+    return different
+
+
+def test_a_wrongly_culled_object_is_a_different_pixel(gl: rhi.Device, city: Scene) -> None:
+    # The control of the comparison above: leave one object in view out.
+    class LeaveOut:
+        def render(self, camera: Camera, draw: Any) -> Any:
+            return FrustumCulling(city).render(camera, lambda rows: draw(rows[:-1]))
+
+    camera = city.views["overview"]
+    images = []
+    with Renderer(gl, city, size=(160, 90)) as renderer:
+        for renderer.visibility in (NoCulling(city), LeaveOut()):
+            images.append(renderer.render(camera).image.read())
+    assert (images[0] != images[1]).any()

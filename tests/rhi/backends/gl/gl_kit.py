@@ -1,0 +1,118 @@
+"""Native GLSL programs and shapes for the tests of the GL backend itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from rhi.backends.gl.backend import GlBackend
+from rhi.descriptors import (
+    Attachment,
+    BufferDescriptor,
+    BufferUsage,
+    FragmentOutput,
+    Id,
+    PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
+    QueryKind,
+    Region,
+    Stage,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+    VertexAttribute,
+    VertexFormat,
+    VertexStream,
+)
+from rhi.formats import Format
+from rhi.state_cache import StateChange
+from rhi.states import PER_TARGET, State
+
+VERTEX = """#version 430
+layout(location = 0) in vec2 position;
+void main() { gl_Position = vec4(position, 0.5, 1.0); }
+"""
+FRAGMENT = """#version 430
+layout(location = 0) out vec4 color;
+void main() { color = vec4(1.0, 0.0, 0.0, 0.5); }
+"""
+FULL = [(-1, 1), (-1, -3), (3, 1)]
+"""A triangle that covers everything."""
+SIZE = 8
+
+
+def describe_program(vertex: str = VERTEX, fragment: str = FRAGMENT, **parts: object) -> ProgramDescriptor:
+    sources = {Stage.VERTEX: vertex, Stage.FRAGMENT: fragment}
+    outputs = (FragmentOutput("color", 0, "float", 4),)
+    return ProgramDescriptor(
+        "Native",
+        frozenset(sources),
+        (),
+        (),
+        outputs,
+        (1, 1, 1),
+        lambda language, stage: sources[stage],
+        **parts,
+    )  # type: ignore[arg-type]
+
+
+class GlKit:
+    """A backend with the ids handed out, and the few steps that most tests share."""
+
+    def __init__(self, backend: GlBackend) -> None:
+        self.backend = backend
+        self._last: Id = 0
+
+    def new_id(self) -> Id:
+        self._last += 1
+        return self._last
+
+    def buffer(self, data: bytes, usage: BufferUsage = BufferUsage.STATIC) -> Id:
+        buffer = self.new_id()
+        self.backend.create_buffer(buffer, BufferDescriptor(len(data), usage))
+        self.backend.write_buffer(buffer, 0, data)
+        return buffer
+
+    def texture(self, texel: Format = Format.RGBA8, samples: int = 1) -> Id:
+        texture = self.new_id()
+        self.backend.create_texture(texture, TextureDescriptor((SIZE, SIZE), texel, samples=samples))
+        return texture
+
+    def program(self, descriptor: ProgramDescriptor) -> Id:
+        program = self.new_id()
+        self.backend.create_program(program, descriptor)
+        return program
+
+    def shape(self, program: Id, corners: ArrayLike) -> Id:
+        buffer = self.buffer(np.asarray(corners, np.float32).tobytes())
+        stream = VertexStream(buffer, 0, 8, False, (VertexAttribute(0, VertexFormat.FLOAT2, 0),))
+        shape = self.new_id()
+        self.backend.create_vertex_array(shape, VertexArrayDescriptor(program, (stream,)))
+        return shape
+
+    def query(self, kind: QueryKind) -> Id:
+        query = self.new_id()
+        self.backend.create_query(query, kind)
+        return query
+
+    def answer(self, query: Id) -> int:
+        while (answer := self.backend.read_query(query)) is None:
+            pass
+        return answer
+
+    def set(self, *states: State) -> None:
+        self.backend.set_states(
+            [StateChange(type(s), (s,) * 8 if type(s) in PER_TARGET else s) for s in states]
+        )
+
+    def begin(self, target: Id, clear: Sequence[float] | None = (0, 0, 0, 0), **parts: object) -> None:
+        color = Attachment(target, clear=tuple(clear) if clear is not None else None)  # type: ignore[arg-type]
+        self.backend.begin_pass(PassDescriptor((SIZE, SIZE), (color,), **parts))  # type: ignore[arg-type]
+
+    def draw(self, shape: Id, count: int = 3) -> None:
+        self.backend.draw(shape, Primitive.TRIANGLES, 0, count, 1, 0, 0)
+
+    def read(self, texture: Id, stencil: bool = False) -> np.ndarray:
+        return self.backend.read_texture(texture, 0, Region(0, 0, SIZE, SIZE), stencil)[0]

@@ -1,0 +1,73 @@
+"""Opening contexts: what is missing is named, and several live side by side."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from gl_kit import FULL, GlKit, describe_program
+
+from rhi.backends.gl import create_backend, find_obstacle
+from rhi.errors import DeviceError
+from rhi.states import CullMode
+
+
+def test_the_package_imports_no_driver_before_a_backend_is_made() -> None:
+    code = "import sys, rhi.backends.gl as gl; assert 'moderngl' not in sys.modules; gl.create_backend().close(); "
+    code += "assert 'moderngl' in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_missing_library_is_an_error_that_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("GLCONTEXT_LINUX_LIBEGL", "libmissing.so")
+    with pytest.raises(DeviceError, match="libegl1 libegl-mesa0 libgl1-mesa-dri") as caught:
+        create_backend()
+    assert caught.value.rule.id == "device-driver"
+    assert "libmissing.so" in caught.value.given
+
+
+def test_a_missing_moderngl_is_an_error_that_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "moderngl", None)
+    with pytest.raises(DeviceError, match="pip install moderngl") as caught:
+        create_backend()
+    assert caught.value.rule.id == "device-driver"
+
+
+def test_an_obstacle_is_told_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert find_obstacle() is None
+    monkeypatch.setenv("GLCONTEXT_LINUX_LIBEGL", "libmissing.so")
+    obstacle = find_obstacle()
+    assert obstacle is not None
+    assert "\n" not in obstacle
+    assert "apt install" in obstacle
+
+
+def test_two_backends_draw_in_turns(gl_kit: GlKit) -> None:
+    other = GlKit(create_backend())
+    kits = (gl_kit, other)
+    programs = [kit.program(describe_program()) for kit in kits]
+    shapes = [kit.shape(program, FULL) for kit, program in zip(kits, programs, strict=True)]
+    images = [kit.texture() for kit in kits]
+    for kit, image in zip(kits, images, strict=True):
+        kit.begin(image)
+    for kit, program in zip(kits, programs, strict=True):
+        kit.set(CullMode.NONE)
+        kit.backend.bind_program(program)
+    for kit, shape in zip(kits, shapes, strict=True):
+        kit.draw(shape)
+    for kit, image in zip(kits, images, strict=True):
+        assert (kit.read(image)[..., 0] == 255).all()
+    other.backend.close()
+    gl_kit.draw(shapes[0])
+    assert (gl_kit.read(images[0])[..., 0] == 255).all()
+
+
+def test_the_capabilities_are_the_contexts_own(gl_kit: GlKit) -> None:
+    capabilities, gl = gl_kit.backend.capabilities, gl_kit.backend.gl
+    assert capabilities.backend == "gl"
+    assert capabilities.max_texture_size == gl.get_integer(0x0D33)
+    assert capabilities.max_work_group[2] == gl.get_integer(0x91BF, 2)
+    assert capabilities.uniform_alignment == gl.get_integer(0x8A34)
+    assert np.log2(capabilities.uniform_alignment) % 1 == 0

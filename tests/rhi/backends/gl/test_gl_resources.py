@@ -1,0 +1,112 @@
+"""Buffers, textures and framebuffers: what the backend's own structure could get wrong."""
+
+from __future__ import annotations
+
+import array
+
+import numpy as np
+import pytest
+from gl_kit import SIZE, GlKit
+
+from rhi.backends.gl.quads import expand_indices
+from rhi.descriptors import (
+    BufferDescriptor,
+    BufferUsage,
+    DepthAttachment,
+    PassDescriptor,
+    Region,
+    TextureDescriptor,
+)
+from rhi.errors import DeviceError
+from rhi.formats import Format, IndexFormat
+
+VALUES = np.arange(8, dtype=np.float32)
+SOURCES = {
+    "bytes": VALUES.tobytes(),
+    "bytearray": bytearray(VALUES.tobytes()),
+    "bytes as a view": VALUES.view(np.uint8).data,
+    "floats": VALUES,
+    "rows": VALUES.reshape(4, 2),
+    "bytes in rows": VALUES.view(np.uint8).reshape(4, 8),
+    "records": VALUES.view([("a", "f4"), ("b", "f4", 3)]),
+    "an array of the standard library": array.array("f", VALUES),
+    "read only": memoryview(VALUES).toreadonly(),
+}
+
+
+@pytest.mark.parametrize("usage", BufferUsage)
+@pytest.mark.parametrize("source", SOURCES.values(), ids=SOURCES)
+def test_a_buffer_takes_whatever_is_bytes_in_a_row(gl_kit: GlKit, source: object, usage: BufferUsage) -> None:
+    buffer = gl_kit.buffer(bytes(64), usage)
+    gl_kit.backend.write_buffer(buffer, 16, source)  # type: ignore[arg-type]
+    assert gl_kit.backend.read_buffer(buffer, 0, 64) == bytes(16) + VALUES.tobytes() + bytes(16)
+
+
+@pytest.mark.parametrize("usage", BufferUsage)
+def test_a_buffer_starts_as_zeros(gl_kit: GlKit, usage: BufferUsage) -> None:
+    for buffer in (1, 2):  # the second may get the memory of the first
+        gl_kit.backend.create_buffer(buffer, BufferDescriptor(5000, usage))
+        assert gl_kit.backend.read_buffer(buffer, 0, 5000) == bytes(5000)
+        gl_kit.backend.write_buffer(buffer, 0, b"\xff" * 5000)
+        gl_kit.backend.destroy(buffer)
+
+
+def test_what_is_written_to_a_stream_is_seen_by_the_gpu(gl_kit: GlKit) -> None:
+    stream, target = gl_kit.buffer(bytes(64), BufferUsage.STREAM), gl_kit.buffer(bytes(64))
+    for value in (b"a", b"b"):
+        gl_kit.backend.write_buffer(stream, 0, value * 64)
+        gl_kit.backend.copy_buffer(stream, 0, target, 0, 64)
+        assert gl_kit.backend.read_buffer(target, 0, 64) == value * 64
+
+
+def test_a_write_past_the_end_of_a_stream_touches_nothing(gl_kit: GlKit) -> None:
+    stream = gl_kit.buffer(bytes(16), BufferUsage.STREAM)
+    gl_kit.backend.write_buffer(stream, 8, bytes(8))
+    with pytest.raises(ValueError, match="different structures|size"):
+        gl_kit.backend.write_buffer(stream, 9, b"x" * 8)
+    assert gl_kit.backend.read_buffer(stream, 0, 16) == bytes(16)
+
+
+def test_a_texture_too_large_is_refused_and_its_id_stays_free(gl_kit: GlKit) -> None:
+    limit = gl_kit.backend.capabilities.max_texture_size
+    with pytest.raises(DeviceError) as caught:
+        gl_kit.backend.create_texture(1, TextureDescriptor((limit + 1, 1), Format.R8))
+    assert caught.value.rule.id == "device-driver"
+    gl_kit.backend.create_texture(1, TextureDescriptor((limit, 1), Format.R8))
+    assert gl_kit.backend.read_texture(1, 0, Region(limit - 1, 0, 1, 1), False)[0, 0, 0, 0] == 0
+
+
+def test_a_framebuffer_is_made_once_and_dropped_with_a_texture(gl_kit: GlKit) -> None:
+    names = gl_kit.backend._framebuffers._names
+    color, depth = gl_kit.texture(), gl_kit.texture(Format.D32F)
+    for _ in range(2):
+        gl_kit.begin(color, depth=DepthAttachment(depth))
+        gl_kit.backend.end_pass()
+    assert len(names) == 1
+    gl_kit.begin(color)
+    gl_kit.backend.end_pass()
+    assert len(names) == 2
+    gl_kit.backend.destroy(depth)
+    assert len(names) == 1
+    gl_kit.backend.destroy(color)
+    assert names == {}
+
+
+def test_a_pass_may_have_no_target_at_all(checked_kit: GlKit) -> None:
+    checked_kit.backend.begin_pass(PassDescriptor((SIZE, SIZE)))
+    checked_kit.backend.end_pass()
+
+
+@pytest.mark.parametrize("index_format", IndexFormat)
+def test_indexed_quads_become_two_triangles_each(index_format: IndexFormat) -> None:
+    indices = np.array([5, 6, 7, 8, 3, 2, 1, 0], index_format.dtype)
+    expanded = expand_indices(indices.tobytes(), index_format)
+    assert expanded.dtype == index_format.dtype
+    assert expanded.tolist() == [[5, 6, 7, 5, 7, 8], [3, 2, 1, 3, 1, 0]]
+
+
+def test_a_fence_nobody_signals_is_not_waited_for(gl_kit: GlKit) -> None:
+    gl_kit.backend.signal(1)
+    assert gl_kit.backend.wait(1, 10.0)
+    assert gl_kit.backend.completed() == 1
+    assert not gl_kit.backend.wait(2, 10.0)

@@ -1,0 +1,43 @@
+"""Every Python example in README.md and docs/ runs as it stands, page by page, from top to bottom."""
+
+from __future__ import annotations
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+import rhi
+
+ROOT = Path(__file__).parents[1]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+EXAMPLES = {page: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL) for page in PAGES}
+
+
+def can_render() -> bool:
+    return any(report.usable and report.capabilities and report.capabilities.shading for report in rhi.report())
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if EXAMPLES[p]], ids=lambda p: p.name)
+def test_the_examples_of_a_page_run_one_after_the_other(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not can_render():
+        pytest.skip("no backend that renders works here")
+    monkeypatch.chdir(tmp_path)  # for what an example writes
+    program = tmp_path / "example.py"
+    program.write_text("\n".join(EXAMPLES[page]))
+    runpy.run_path(str(program), run_name="example")
+
+
+def test_the_first_example_of_the_readme_has_at_most_30_lines() -> None:
+    lines = [line for line in EXAMPLES[ROOT / "README.md"][0].splitlines() if line.strip()]
+    assert len(lines) <= 30
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_between_pages_lead_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target

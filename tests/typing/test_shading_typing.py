@@ -1,0 +1,74 @@
+"""mypy --strict on shaders: what is right passes, each mistake is refused where it is made."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from rhi.shading.stubs import stub_texts
+
+api = pytest.importorskip("mypy.api")
+
+RIGHT = Path(__file__).with_name("shading_right.py")
+DRAW = "device.draw(lit, None, light=light, lights=lights, counts=counts, albedo=texture, target=target)"
+
+# (what to replace, by what, the error that mypy must give)
+MISTAKES = [
+    (DRAW, DRAW.replace("albedo=texture, ", ""), 'Missing named argument "albedo"'),
+    (DRAW, DRAW.replace("target=target", "targte=target"), 'Unexpected keyword argument "targte"'),
+    (
+        DRAW,
+        DRAW.replace("light=light", "light=lights"),
+        'incompatible type "StorageRange[Light]"; expected "UniformRange',
+    ),
+    (DRAW, DRAW.replace("lights=lights", "lights=counts"), 'incompatible type "StorageRange[uint]"'),
+    (DRAW, DRAW.replace("albedo=texture", "albedo=target"), 'expected "TextureBinding"'),
+    ("self.light.position, vec3", "self.light.positoin, vec3", 'has no attribute "positoin"'),
+    (
+        "return Varying(clip=vec4(v.position, 0.5, 1.0), color=v.color,",
+        "return Varying(clip=v.position, color=v.color,",
+        'Argument "clip" to "Varying" has incompatible type "vec2"',
+    ),
+    ("color=v.color, id=uint(3)", "colour=v.color, id=uint(3)", 'Unexpected keyword argument "colour"'),
+    ("v.position.yx, vec2", "v.position.zx, vec2", 'has no attribute "zx"'),
+    ("v.color.rgb * 2.0", "v.color.rgb * v.position", "Unsupported operand types"),
+    ("mat4(1.0) @ vec4", "mat3(1.0) @ vec4", 'No overload variant of "__matmul__" of "mat3"'),
+    ("mix(v.color, vec3(1), 0.5)", "mix(v.color, vec2(1), 0.5)", "No overload variant"),
+    ("self.albedo.sample(v.color.xy)", "self.albedo.sample(v.color)", "incompatible type"),
+    ("self.albedo.sample(", "self.albedo.smaple(", 'has no attribute "smaple"'),
+    ("lambert(normalize(v.color), self", "lambert(normalize(v.color.xy), self", 'Argument 1 to "lambert"'),
+    ("self.counts[old] = 3", "self.counts[old] = 3.5", "No overload variant"),
+    ("position=(0, 1, 0), power=1,", "position=(0, 1), power=1,", 'Argument "position" to "Light"'),
+    ("position=(0, 1, 0), power=1,", "power=1,", 'Missing named argument "position"'),
+    ("value.position = (1, 2, 3)", "value.position = (1, 2)", "Incompatible types in assignment"),
+]
+
+
+def check(*paths):
+    out, _, status = api.run(["--strict", "--no-error-summary", "--hide-error-context", *map(str, paths)])
+    return out, status
+
+
+def test_right_shaders_pass_mypy_strict():
+    out, status = check(RIGHT)
+    assert (out, status) == ("", 0)
+
+
+def test_every_mistake_is_refused_on_its_line(tmp_path):
+    source = RIGHT.read_text()
+    paths = []
+    for number, (old, new, _) in enumerate(MISTAKES):
+        assert source.count(old) >= 1, old
+        paths.append(tmp_path / f"mistake_{number}.py")
+        paths[-1].write_text(source.replace(old, new, 1))
+    out, _ = check(*paths)
+    for path, (old, new, says) in zip(paths, MISTAKES, strict=True):
+        line = source[: source.index(old)].count("\n") + 1
+        errors = [row for row in out.splitlines() if re.search(rf"{path.name}:\d+: error", row)]
+        assert errors, f"{new}: accepted"
+        assert any(f"{path.name}:{line}:" in row and says in row for row in errors), (new, errors)
+
+
+def test_the_stubs_are_what_the_tables_say():
+    for path, text in stub_texts().items():
+        assert path.read_text() == text, f"run python -m rhi.shading.stubs ({path.name})"
