@@ -122,7 +122,7 @@ class Wrap(enum.Enum):
 class SamplerDescriptor:
     """How texels are read.
 
-    `mip` None reads level 0 only (or the level asked for); `compare` makes a depth comparison sampler that
+    `mip` None reads level 0 only (loads of single texels still name their level); `compare` makes a depth comparison sampler that
     gives 1 where `reference compare texel` holds.
     """
 

@@ -382,9 +382,11 @@ class Device:
                     `lock-open`, `pass-feedback`; nothing was drawn or bound then.
             """
             try:
+                if program.core is not self._core:
+                    self._check_program(program, "device.draw")
                 program.draw(mesh, instances, **bindings)
             except (TypeError, AttributeError):
-                check_program(program, "device.draw")
+                self._check_program(program, "device.draw")
                 program.check_names(set(bindings))
                 raise
 
@@ -396,7 +398,7 @@ class Device:
         The array is copied into a buffer of its own ring; shaders tell the draws apart by
         `instance_index()` (which counts from `base_instance`) or `draw_index()`.
         """
-        check_program(program, "device.draw_many")
+        self._check_program(program, "device.draw_many")
         check_mesh(mesh, "device.draw_many")
         array = check_draws(mesh, draws, "device.draw_many")
         if mesh.primitive is Primitive.QUADS:
@@ -424,7 +426,7 @@ class Device:
     ) -> None:
         """Draw with arguments that the GPU reads from a buffer when it gets there."""
         call = "device.draw_indirect"
-        check_program(program, call)
+        self._check_program(program, call)
         check_mesh(mesh, call)
         core = self._core
         buffer = _plain(arguments.buffer)
@@ -476,7 +478,7 @@ class Device:
         What it writes is visible to everything after it; no barrier is needed.
         """
         call = "device.dispatch"
-        check_program(program, call)
+        self._check_program(program, call)
         sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
         sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
         most = self._core.capabilities.max_dispatch
@@ -499,7 +501,7 @@ class Device:
     ) -> None:
         """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
         call = "device.dispatch_indirect"
-        check_program(program, call)
+        self._check_program(program, call)
         plain = _plain(buffer)
         self._core.check_usable(plain, call)
         if offset < 0 or offset % 4 or offset + 12 > plain.size:
@@ -513,7 +515,7 @@ class Device:
         self, program: Program[P], primitive: Primitive, /, *args: P.args, **bindings: P.kwargs
     ) -> Immediate[Any]:
         """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
-        check_program(program, "device.immediate")
+        self._check_program(program, "device.immediate")
         return Immediate(self._transient, program, primitive, bindings)
 
     @property
@@ -597,6 +599,12 @@ class Device:
 
     # -- inside ------------------------------------------------------------------------------------------
 
+    def _check_program(self, program: object, call: str) -> None:
+        if not isinstance(program, Program):
+            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+        if program.core is not self._core:
+            refuse(RESOURCE_FOREIGN, call, repr(program))
+
     def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
         """Everything a draw needs but the draw itself; returns the vertex array."""
         program.check_names(set(bindings))
@@ -608,11 +616,6 @@ class Device:
         if core.states.wanted is not core.states.hardware:
             core.flush_states()
         return vertex_array
-
-
-def check_program(program: object, call: str) -> None:
-    if not isinstance(program, Program):
-        refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
 
 
 def check_mesh(mesh: object, call: str) -> None:

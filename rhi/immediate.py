@@ -25,10 +25,10 @@ from rhi.descriptors import (
     VertexFormat,
     VertexStream,
 )
-from rhi.errors import refuse
+from rhi.errors import ValidationError, refuse
 from rhi.formats import IndexFormat
 from rhi.layout import VectorType
-from rhi.mesh import Mesh
+from rhi.mesh import Mesh, check_finite
 from rhi.program import Program
 from rhi.ring import Ring
 from rhi.rules import IMMEDIATE_VERTEX, RESOURCE_DESTROYED
@@ -253,7 +253,11 @@ class Immediate(Generic[S]):
     def _pending(self) -> NDArray[Any]:
         rows, self._rows = self._rows, []
         try:
-            return np.array(rows, self._dtype)
+            array = np.array(rows, self._dtype)
+            check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
+            return array
+        except ValidationError:
+            raise
         except (TypeError, ValueError) as error:
             refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
 
@@ -293,13 +297,14 @@ def match_vertices(program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
         refuse(RESOURCE_DESTROYED, "vertices", repr(program))
     dtype = vertex_dtype(program.descriptor.attributes)
     given = np.asarray(array)
-    if given.dtype == dtype and given.ndim == 1:
-        return np.ascontiguousarray(given)
     names = dtype.names or ()
     if given.ndim != 1 or not given.dtype.names or any(
         name not in given.dtype.names or given.dtype[name].shape != dtype[name].shape for name in names
     ):  # fmt: skip
         refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
+    check_finite(given, IMMEDIATE_VERTEX, "vertices")
+    if given.dtype == dtype:
+        return np.ascontiguousarray(given)
     packed = np.empty(len(given), dtype)
     for name in names:
         packed[name] = given[name]

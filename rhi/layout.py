@@ -5,7 +5,7 @@
   (OpenGL 4.3, section 7.6.2.2), `dtype_of` the same as a NumPy dtype, padding included.
 - Matrices lie row by row, as in NumPy, so `M` uploaded as it is gives `M @ v` in a shader. A row is padded
   like a vector: a `mat3` is float32 (3, 4), with a column that nobody reads.
-- `matches` decides whether an array may be uploaded as it is; `compare_layouts` prints why not.
+- `compare_layouts` prints two dtypes side by side: why an array can't be uploaded as it is.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-import numpy.typing as npt
 
 __rhi_internal__ = True
 
@@ -240,24 +239,23 @@ def _padded_dtype(element: HostType, layout: Layout, stride: int) -> np.dtype[An
     return np.dtype(("<" + scalar.code, (stride // 4,)))
 
 
-def store(target: npt.NDArray[Any], type: HostType, value: object) -> None:
-    """Write a value of natural shape into `target`, an array of `dtype_of(type, …)`, skipping padding.
-
-    `target` may have leading dimensions; `value` then broadcasts along them. Struct values are written
-    field by field by their owner.
-
-    Raises:
-        ValueError: the value's shape isn't the type's, or its components don't convert.
-    """
-    given, shape = np.asarray(value), shape_of(type)
-    if given.shape[max(0, given.ndim - len(shape)) :] != shape:
-        raise ValueError(f"{type} has shape {shape}, the value {given.shape}")
-    if not shape:
-        target[...] = given
-    elif target.ndim - given.ndim == 1 and target.shape[:-1] == given.shape:
-        target[..., 0] = given
-    else:
-        target[..., : shape[-1]] = given
+def scalar_places(type: HostType, layout: Layout, start: int = 0) -> Iterator[tuple[int, str]]:
+    """(byte offset, NumPy code) of each scalar of a value, in order, padding left out."""
+    placement = place(type, layout)
+    match type:
+        case ScalarType(code=code):
+            yield start, code
+        case VectorType(scalar=scalar, size=size):
+            yield from ((start + 4 * i, scalar.code) for i in range(size))
+        case MatrixType(size=size):
+            rows = range(start, start + size * placement.stride, placement.stride)
+            yield from ((row + 4 * column, FLOAT.code) for row in rows for column in range(size))
+        case ArrayType(element=element, length=length):
+            for i in range(length):
+                yield from scalar_places(element, layout, start + i * placement.stride)
+        case StructType(fields=fields):
+            for field, offset in zip(fields, placement.offsets, strict=True):
+                yield from scalar_places(field.type, layout, start + offset)
 
 
 # -- comparing ---------------------------------------------------------------------------------------------
@@ -283,15 +281,6 @@ def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> I
     for name in base.names:
         field, offset = base.fields[name][:2] if base.fields is not None else (base, 0)
         yield from describe_layout(field, f"{prefix}.{name}" if prefix else name, start + offset)
-
-
-def matches(array: npt.NDArray[Any], type: HostType, layout: Layout) -> bool:
-    """Whether the array's bytes are elements of `type` as they are.
-
-    Fields are compared by name, offset and type, and the size of an element; more fields than the type
-    has are padding. Vectors and matrices may be the last dimensions of a plain array.
-    """
-    return _same(element_dtype(type, layout), _whole_dtype(array, type, layout))
 
 
 def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
@@ -320,24 +309,3 @@ def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
         "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         for row in table
     )
-
-
-def compare_array(array: npt.NDArray[Any], type: HostType, layout: Layout) -> str:
-    """`compare_layouts` of what `type` wants and what the array has."""
-    return compare_layouts(element_dtype(type, layout), _whole_dtype(array, type, layout))
-
-
-def _whole_dtype(array: npt.NDArray[Any], type: HostType, layout: Layout) -> np.dtype[Any]:
-    """The array's dtype with as many last dimensions as the type's own taken for part of the element."""
-    wanted = element_dtype(type, layout)
-    taken = len(wanted.subdtype[1]) if wanted.subdtype is not None else 0
-    if not taken or array.ndim <= taken or array.dtype.names is not None:
-        return array.dtype
-    return np.dtype((array.dtype, array.shape[-taken:]))
-
-
-def _same(wanted: np.dtype[Any], given: np.dtype[Any]) -> bool:
-    if wanted.itemsize != given.itemsize:
-        return False
-    rows = set(describe_layout(given))
-    return all(row in rows for row in describe_layout(wanted))

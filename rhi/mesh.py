@@ -27,7 +27,7 @@ from rhi.descriptors import (
     VertexFormat,
     VertexStream,
 )
-from rhi.errors import refuse
+from rhi.errors import Rule, refuse
 from rhi.formats import IndexFormat
 from rhi.layout import VectorType
 from rhi.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
@@ -351,12 +351,17 @@ def _structured(source: VertexSource, call: str) -> NDArray[Any] | Buffer:
         refuse(MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
     if array.ndim != 1 or not len(array):
         refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
-    for name in array.dtype.names:
-        values = array[name]
+    check_finite(array, MESH_DATA, call)
+    return array
+
+
+def check_finite(vertices: NDArray[Any], rule: Rule, call: str) -> None:
+    """Refuse a structured array with a NaN or infinity in it."""
+    for name in vertices.dtype.names or ():
+        values = vertices[name]
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             bad = int(np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))[0])
-            refuse(MESH_DATA, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
-    return array
+            refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
 
 
 def _interleave(arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:

@@ -314,7 +314,8 @@ class Event:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._core.closed:
-            self._timers.end(self._running.pop())
+            self._timers.end(self._running[-1])
+            self._running.pop()
 
 
 class Conditional:

@@ -65,7 +65,9 @@ DEVICE_ARGUMENT: Final = Rule("device-argument", "an argument has the wrong type
 RESOURCE_DESTROYED: Final = Rule(
     "resource-destroyed", "the resource was destroyed", "keep it alive while it is used"
 )
-RESOURCE_FOREIGN: Final = Rule("resource-foreign", "the resource belongs to another device")
+RESOURCE_FOREIGN: Final = Rule(
+    "resource-foreign", "the resource belongs to another device", "make it with the device that uses it"
+)
 BUFFER_SIZE: Final = Rule("buffer-size", "a buffer's size is not allowed")
 BUFFER_RANGE: Final = Rule("buffer-range", "the range lies outside the buffer")
 BUFFER_DTYPE: Final = Rule("buffer-dtype", "the array's dtype is not the buffer's")

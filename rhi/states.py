@@ -210,7 +210,7 @@ class ColorWrite(_Value):
 
     def at(self, target: int) -> ColorWrite:
         """The same for one color target."""
-        return dataclasses.replace(self, target=target)
+        return ColorWrite(self.red, self.green, self.blue, self.alpha, target)
 
 
 ColorWrite.ON = ColorWrite()
@@ -274,7 +274,16 @@ class BlendFunction(_Value):
 
     def at(self, target: int) -> BlendFunction:
         """The same for one color target."""
-        return dataclasses.replace(self, target=target)
+        # Not by dataclasses.replace: a refusal would name its line as the user's.
+        return BlendFunction(
+            self.source,
+            self.destination,
+            self.operation,
+            self.source_alpha,
+            self.destination_alpha,
+            self.operation_alpha,
+            target,
+        )
 
     @property
     def is_off(self) -> bool:

@@ -233,6 +233,7 @@ class Texture(TextureBinding):
         call = "Texture.copy_to"
         source_region = region or self._whole(level)
         self._check_region(call, level, source_region)
+        self.core.check_usable(target, call)
         target._check(call, target_level, layer)
         if target.format is not self.format:
             refuse(TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats")
@@ -250,6 +251,7 @@ class Texture(TextureBinding):
         """Average this multi-sampled texture's samples into `target`, of equal size and format."""
         call = "Texture.resolve_to"
         self._check(call)
+        self.core.check_usable(target, call)
         target._check(call)
         if self.samples == 1 or target.samples != 1:
             refuse(
@@ -342,6 +344,7 @@ class TextureLock:
     def __enter__(self) -> NDArray[Any]:
         texture, region = self._texture, self._region
         texture.core.check_open()
+        array: NDArray[Any]
         if self._access.reads:
             texture._check_single_sample("Texture.lock")
             array = texture._read("Texture.lock", self._level, region, False)[0].copy()

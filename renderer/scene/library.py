@@ -36,7 +36,7 @@ def load_scene(text: str) -> Scene:
     if name in GENERATORS:
         generator = GENERATORS[name]
         return generator.build(**generator.parse(options))
-    if Path(text).suffix.lower() not in FORMATS and not Path(text).exists():
+    if Path(text).suffix.lower() not in FORMATS and not Path(text).is_file():
         known = [*GENERATORS, *(f"a file{end}" for end in FORMATS)]
         rules.refuse_name(rules.UNKNOWN_SCENE, f"load_scene({text!r})", name, known)
     return load_model(text)

@@ -20,6 +20,9 @@ from renderer.scene.transforms import Floats
 __rhi_internal__ = True
 
 
+_SLIVER: Final = 1e-4  # a triangle thinner than this share of its length is dropped
+
+
 def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> Geometry:
     """Quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
 
@@ -63,7 +66,7 @@ def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> G
     vertices["uv"] = uv
     edge = np.arange(count)
     corners = np.stack([np.zeros(count, np.int64), 1 + edge, 1 + (edge + 1) % count], axis=1)
-    return Geometry(vertices, corners.astype(np.uint32).reshape(-1))
+    return Geometry(vertices, _without_slivers(vertices["position"], corners))
 
 
 def box(detail: int = 1) -> Geometry:
@@ -197,8 +200,11 @@ def _ring(xz: Floats, y: float) -> Floats:
 
 
 def _triangles(positions: NDArray[Any], quads: NDArray[np.int64]) -> NDArray[np.uint32]:
-    corners = quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3)
+    return _without_slivers(positions, quads[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
+
+
+def _without_slivers(positions: NDArray[Any], corners: NDArray[np.int64]) -> NDArray[np.uint32]:
     a, b, c = (positions[corners[:, i]].astype(np.float64) for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.maximum(np.linalg.norm(b - a, axis=1), np.linalg.norm(c - a, axis=1))
-    return np.ravel(corners[area > 1e-6 * longest**2]).astype(np.uint32)
+    return np.ravel(corners[area > _SLIVER * longest**2]).astype(np.uint32)

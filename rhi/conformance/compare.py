@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 SHOWN = 4
+MARKS = {(True, True): "#", (True, False): "+", (False, True): "-", (False, False): "."}
 
 
 def assert_same(actual: ArrayLike, expected: ArrayLike) -> None:
@@ -30,7 +31,8 @@ def assert_near(actual: ArrayLike, expected: ArrayLike, tolerance: ArrayLike, re
     if not wrong.any():
         return
     places = np.argwhere(wrong)
-    lines = [f"{len(places)} of {got.size} values differ by more than allowed ({reason}); worst {np.nan_to_num(error, nan=np.inf).max():g}"]
+    worst = np.nan_to_num(error, nan=np.inf).max()
+    lines = [f"{len(places)} of {got.size} values differ by more than allowed ({reason}); worst {worst:g}"]
     lines += [
         f"  at {tuple(int(i) for i in place)}: got {got[tuple(place)]!r}, expected {wanted[tuple(place)]!r}"
         for place in places[:SHOWN]
@@ -45,10 +47,10 @@ def _widen(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
 def assert_mask(actual: NDArray[Any], expected: NDArray[np.bool_]) -> None:
     """Exactly the texels of `expected` are not zero in `actual` (height, width[, channels])."""
     __tracebackhide__ = True
-    drawn = actual.any(axis=-1) if actual.ndim == 3 else actual != 0
+    drawn = np.asarray(actual.any(axis=-1) if actual.ndim == 3 else actual != 0)
     if np.array_equal(drawn, expected):
         return
     lines = [f"{int(drawn.sum())} texels drawn, {int(expected.sum())} expected ('#' both, '+' extra, '-' missing)"]
     for got, wanted in zip(drawn[:40], expected[:40], strict=True):
-        lines.append("".join("#" if g and w else "+" if g else "-" if w else "." for g, w in zip(got, wanted, strict=True)))
+        lines.append("".join(MARKS[bool(g), bool(w)] for g, w in zip(got, wanted, strict=True)))
     raise AssertionError("\n".join(lines))

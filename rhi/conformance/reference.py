@@ -6,8 +6,8 @@ top row first, windows have y down.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,7 +21,7 @@ Float = NDArray[np.float64]
 SUBTEXELS = 16
 """Triangle corners lie on 1/16 of a texel: every device's fixed-point grid holds these exactly."""
 
-_COMPARISONS = {
+_COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "never": lambda new, stored: np.zeros(np.broadcast(new, stored).shape, bool),
     "less": np.less,
     "equal": np.equal,
@@ -120,13 +120,23 @@ def linear_to_srgb(value: ArrayLike) -> Float:
     return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
+def largest(format: Format) -> int:
+    """The largest number that a channel of an integer or normalised format holds."""
+    return int(np.iinfo(cast("np.dtype[np.integer[Any]]", format.dtype)).max)
+
+
+def smallest(format: Format) -> int:
+    """The smallest number that a channel holds."""
+    return int(np.iinfo(cast("np.dtype[np.integer[Any]]", format.dtype)).min)
+
+
 def decode(format: Format, stored: ArrayLike) -> Float:
     """What a shader reads where `stored` (…, channels) is kept; missing channels are 0, 0, 1."""
     values = np.asarray(stored, np.float64)
     if format.kind is Kind.UNORM:
-        values = values / np.iinfo(format.dtype).max
+        values = values / largest(format)
     elif format.kind is Kind.SNORM:
-        values = np.maximum(values / np.iinfo(format.dtype).max, -1.0)
+        values = np.maximum(values / largest(format), -1.0)
     elif format.kind is Kind.SRGB:
         values = values / 255.0
         values = np.concatenate([srgb_to_linear(values[..., :3]), values[..., 3:]], axis=-1)
@@ -140,9 +150,9 @@ def encode(format: Format, color: ArrayLike) -> Float:
     """The stored number for `color` (…, 4) before it is rounded; (…, channels)."""
     values = np.asarray(color, np.float64)[..., : format.channels]
     if format.kind is Kind.UNORM:
-        return np.asarray(np.clip(values, 0.0, 1.0) * np.iinfo(format.dtype).max)
+        return np.asarray(np.clip(values, 0.0, 1.0) * largest(format))
     if format.kind is Kind.SNORM:
-        return np.asarray(np.clip(values, -1.0, 1.0) * np.iinfo(format.dtype).max)
+        return np.asarray(np.clip(values, -1.0, 1.0) * largest(format))
     if format.kind is Kind.SRGB:
         values = np.clip(values, 0.0, 1.0)
         return 255.0 * np.concatenate([linear_to_srgb(values[..., :3]), values[..., 3:]], axis=-1)
@@ -179,18 +189,39 @@ def rasterise(triangle: ArrayLike, width: int, height: int) -> NDArray[np.bool_]
 
     `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, of either winding.
     """
-    corners = np.asarray(triangle, np.int64)
-    (ax, ay), (bx, by), (cx, cy) = (map(int, corner) for corner in corners)
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    if area == 0:
-        return np.zeros((height, width), bool)
-    order: Sequence[int] = (0, 1, 2) if area > 0 else (0, 2, 1)  # clockwise as seen with y down
-    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * SUBTEXELS + SUBTEXELS // 2
     inside = np.ones((height, width), bool)
-    for start, end in zip(order, (*order[1:], order[0]), strict=True):
-        sx, sy = map(int, corners[start])
-        dx, dy = int(corners[end][0]) - sx, int(corners[end][1]) - sy
-        edge = dx * (y - sy) - dy * (x - sx)
-        is_top_left = dy < 0 or (dy == 0 and dx > 0)
+    for edge, is_top_left, _ in _edges(triangle, width, height):
         inside &= (edge >= 0) if is_top_left else (edge > 0)
     return inside
+
+
+def rasterise_within(
+    triangle: ArrayLike, width: int, height: int, margin: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """(certain, possible): the texels covered if every edge moves inwards or outwards by `margin` texels.
+
+    For triangles that reach beyond the target: a device may clip them, which moves edges by a rounding.
+    """
+    certain, possible = np.ones((height, width), bool), np.ones((height, width), bool)
+    for edge, _, length in _edges(triangle, width, height):
+        certain &= edge > margin * SUBTEXELS * length
+        possible &= edge >= -margin * SUBTEXELS * length
+    return certain, possible
+
+
+def _edges(triangle: ArrayLike, width: int, height: int) -> list[tuple[NDArray[np.int64], bool, float]]:
+    """Per edge: the edge function at the texel centers (inside positive), whether it is a top or left edge,
+    and its length in subtexels. A triangle without area has one edge that nothing lies inside of."""
+    corners = [(int(x), int(y)) for x, y in np.asarray(triangle, np.int64)]
+    (ax, ay), (bx, by), (cx, cy) = corners
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * SUBTEXELS + SUBTEXELS // 2
+    if area == 0:
+        return [(np.full_like(x, -1 << 40), False, 1.0)]
+    if area < 0:  # clockwise as seen with y down
+        corners = corners[::-1]
+    edges = []
+    for (sx, sy), (ex, ey) in zip(corners, [*corners[1:], corners[0]], strict=True):
+        dx, dy = ex - sx, ey - sy
+        edges.append((dx * (y - sy) - dy * (x - sx), dy < 0 or (dy == 0 and dx > 0), float(np.hypot(dx, dy))))
+    return edges

@@ -69,10 +69,9 @@ class Lines:
 class Writer:
     """Writes functions of one stage. Helper functions that they need collect in `helpers`."""
 
-    def __init__(self, names: Names, structs: tuple[StructType, ...]) -> None:
+    def __init__(self, names: Names) -> None:
         self.globals = names
         self.names = Names(names)
-        self.structs = structs
         self.helpers: dict[str, str] = {}
         self.lines = Lines()
         self.file = ""

@@ -52,7 +52,7 @@ class _StageWriter:
         for declaration in stage.bindings:
             # Bindings come first: native code uses them by their Python names.
             self.names.get(("binding", declaration.name), declaration.name)
-        self.writer = Writer(self.names, stage.structs)
+        self.writer = Writer(self.names)
         self.lines = Lines()
 
     def write(self) -> StageText:

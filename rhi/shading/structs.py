@@ -10,12 +10,14 @@
 from __future__ import annotations
 
 import inspect
+import math
+import struct
 import sys
 from collections.abc import Mapping
-from typing import Any, ClassVar, NoReturn
+from functools import lru_cache
+from typing import Any, ClassVar, Final, NoReturn
 
 import numpy as np
-import numpy.typing as npt
 from typing_extensions import dataclass_transform
 
 from rhi.errors import RhiError, ShaderError, find_call_site, refuse
@@ -32,8 +34,9 @@ from rhi.layout import (
     VectorType,
     dtype_of,
     is_host_shareable,
+    place,
+    scalar_places,
     shape_of,
-    store,
 )
 from rhi.shading import rules
 from rhi.shading.annotations import Role, role_of, value_type
@@ -42,6 +45,9 @@ from rhi.shading.types import scalar_of
 from rhi.shading.vectors import CLASSES, ArrayLength, array, uint
 
 __rhi_internal__ = True
+
+_TOO_LARGE: Final = 3.4028235677973366e38
+"""From here on a number rounds to infinity in 32 bits."""
 
 
 class LayoutDtype:
@@ -53,13 +59,7 @@ class LayoutDtype:
         self.layout = layout
 
     def __get__(self, instance: object, owner: type[Struct]) -> np.dtype[Any]:
-        if not is_host_shareable(owner.shading_type):
-            raise ShaderError(
-                rules.STRUCT,
-                f"{owner.__name__}.dtype",
-                "a bool field",
-                tip="bools have no layout in memory; use a uint",
-            )
+        _check_shareable(owner.shading_type, f"{owner.__name__}.dtype")
         return dtype_of(owner.shading_type, self.layout)
 
 
@@ -146,13 +146,9 @@ class Struct:
 
     def to_bytes(self, layout: Layout = Layout.STD140) -> bytes:
         """The value as it lies in memory; std140 is what uniform blocks want."""
-        record = np.zeros((), dtype_of(self.shading_type, layout))
-        self._fill(record)
-        return record.tobytes()
-
-    def _fill(self, record: npt.NDArray[Any]) -> None:
-        for field in self.shading_type.fields:
-            _store(record[field.name], field.type, self._values[field.name])
+        numbers: list[Any] = []
+        _flatten(self.shading_type, self, numbers)
+        return _packer(self.shading_type, layout).pack(*numbers)
 
     def __eq__(self, other: object) -> bool:
         return type(other) is type(self) and all(
@@ -164,6 +160,12 @@ class Struct:
     def __repr__(self) -> str:
         fields = self.shading_type.fields
         return f"{type(self).__name__}({', '.join(f'{f.name}={self._values[f.name]!r}' for f in fields)})"
+
+
+def _check_shareable(type: StructType, call: str) -> None:
+    if not is_host_shareable(type):
+        tip = "bools have no layout in memory; use a uint"
+        raise ShaderError(rules.STRUCT, call, "a bool field", tip=tip)
 
 
 def _refuse_field(cls: type, name: str, given: str, tip: str) -> NoReturn:
@@ -189,7 +191,7 @@ def _convert(owner: str, field: Field, value: Any) -> Any:
 def _natural(type: HostType, value: Any) -> Any:
     match type:
         case ScalarType(name=name):
-            if np.ndim(value):
+            if not isinstance(value, int | float) and np.ndim(value):
                 raise ValueError("a scalar is wanted")
             if name in ("int", "uint"):
                 number = int(value)
@@ -197,11 +199,16 @@ def _natural(type: HostType, value: Any) -> Any:
                     raise ValueError("a whole number is wanted")
                 np.dtype(type.code).type(number)  # raises when it is out of range
                 return uint(number) if name == "uint" else number
-            return bool(value) if type is BOOL else float(value)
+            if type is BOOL:
+                return bool(value)
+            real = float(value)
+            if math.isfinite(real) and abs(real) >= _TOO_LARGE:
+                raise OverflowError("more than a float of 32 bits holds")
+            return real
         case VectorType(scalar=scalar, size=size):
-            if np.shape(value) != (size,):
+            if len(value) != size:
                 raise ValueError("wrong shape")
-            return CLASSES[scalar, size](*(_natural(scalar, component) for component in value))
+            return CLASSES[scalar, size](*[_natural(scalar, component) for component in value])
         case MatrixType(size=size):
             if np.shape(value) != (size, size):
                 raise ValueError("wrong shape")
@@ -229,11 +236,29 @@ def _innermost(type: HostType) -> HostType:
     return type
 
 
-def _store(target: npt.NDArray[Any], type: HostType, value: Any) -> None:
-    if isinstance(type, StructType):
-        value._fill(target)
-    elif isinstance(type, ArrayType) and isinstance(_innermost(type), StructType):
-        for index, part in enumerate(value):
-            _store(target[index, ...], type.element, part)
-    else:
-        store(target, type, value)
+def _flatten(type: HostType, value: Any, numbers: list[Any]) -> None:
+    """Append a natural value's scalars in order."""
+    match type:
+        case StructType(fields=fields):
+            for field in fields:
+                _flatten(field.type, value._values[field.name], numbers)
+        case VectorType() | MatrixType():
+            numbers.extend(value.components)
+        case ArrayType(element=element) if isinstance(_innermost(type), StructType):
+            for part in value:
+                _flatten(element, part, numbers)
+        case ArrayType():
+            numbers.extend(value.ravel().tolist())
+        case _:
+            numbers.append(value)
+
+
+@lru_cache(maxsize=1024)
+def _packer(type: StructType, layout: Layout) -> struct.Struct:
+    """What packs a struct's scalars, given in order, into its bytes."""
+    _check_shareable(type, f"{type}.to_bytes(…)")
+    text, end = "<", 0
+    for offset, code in scalar_places(type, layout):
+        text += f"{offset - end}x" * (offset > end) + {"f4": "f", "i4": "i", "u4": "I"}[code]
+        end = offset + 4
+    return struct.Struct(text + f"{place(type, layout).size - end}x")

@@ -9,7 +9,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Callable, Iterator
 from typing import Any, ClassVar, Generic, TypeVar
 
 import numpy as np
@@ -56,18 +57,23 @@ class Composite:
     __slots__ = ("components",)
     shading_type: ClassVar[Any]
     shape: ClassVar[tuple[int, ...]]
+    convert: ClassVar[Callable[[Any], Any]]
 
     def __init__(self, *parts: object) -> None:
-        flat = np.concatenate([np.ravel(np.asarray(part)) for part in parts]) if parts else np.zeros(0)
-        count = int(np.prod(self.shape))
-        if flat.size == 1:
-            flat = (
-                np.full(count, flat[0]) if len(self.shape) == 1 else np.ravel(np.eye(self.shape[0]) * flat[0])
-            )
-        if flat.size != count:
-            raise TypeError(f"{type(self).__name__} has {count} components, not {flat.size}")
-        convert = {FLOAT: float, INT: int, UINT: int, BOOL: bool}[getattr(self.shading_type, "scalar", FLOAT)]
-        self.components = tuple(convert(component) for component in flat)
+        flat: list[Any] = []
+        for part in parts:
+            if isinstance(part, int | float):
+                flat.append(part)
+            else:
+                flat.extend(np.ravel(np.asarray(part)).tolist())
+        size, count = self.shape[0], math.prod(self.shape)
+        if len(flat) == 1:
+            # One number stands for all components, or for a matrix's diagonal.
+            one = flat[0]
+            flat = [one] * size if count == size else [one * (i % (size + 1) == 0) for i in range(count)]
+        if len(flat) != count:
+            raise TypeError(f"{type(self).__name__} has {count} components, not {len(flat)}")
+        self.components = tuple(map(self.convert, flat))
 
     def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
         code = getattr(self.shading_type, "scalar", FLOAT).code or "?"
@@ -113,6 +119,7 @@ for _key, _type in [*VECTORS.items(), *MATRICES.items()]:
             "__doc__": f"{'x'.join(map(str, _shape))} components.",
             "shading_type": _type,
             "shape": _shape,
+            "convert": {FLOAT: float, INT: int, UINT: int, BOOL: bool}[getattr(_type, "scalar", FLOAT)],
         },
     )
 

@@ -10,7 +10,7 @@ import pytest
 
 import rhi
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, load_scene
+from renderer.scene import Camera, Depth, Perspective, Scene, load_scene
 from renderer.visibility import FrustumCulling, NoCulling
 from rhi import Op
 
@@ -24,6 +24,7 @@ def city() -> Scene:
 
 
 def commands(device: rhi.Device, scene: Scene, cameras: list[Camera]) -> list[tuple[Op, tuple[Any, ...]]]:
+    scene.update(0.0)
     with Renderer(device, scene, size=(64, 36)) as renderer:
         for number, camera in enumerate(cameras):
             renderer.render(camera, number / 60)
@@ -58,7 +59,8 @@ def test_a_moved_eye_uploads_16_bytes_for_each_object(null: rhi.Device, city: Sc
         camera = city.paths["ground"].camera(0)
         renderer.render(camera)
         lights = 32 * len(city.lights.point) + 64 * len(city.lights.spot)
-        moved = renderer.render(replace(camera, position=camera.position + (1.0, 2.0, 3.0))).statistics
+        elsewhere = replace(camera, position=camera.position + np.array([1.0, 2.0, 3.0]))
+        moved = renderer.render(elsewhere).statistics
     assert moved.upload_bytes == 16 * len(city.objects) + lights + moved.draws * rhi.DRAW.itemsize
 
 
@@ -95,19 +97,25 @@ def test_statistics_count_objects_as_draws_and_their_triangles(null: rhi.Device,
     assert seen.statistics.triangles == city.count_triangles(seen.visible)
 
 
-def test_states_change_in_hardware_in_the_first_frame_only(null: rhi.Device, city: Scene) -> None:
+@pytest.mark.parametrize(("depth", "changes"), [(Depth.REVERSED, 0), (Depth.STANDARD, 1)])
+def test_only_states_that_are_not_the_default_change_and_only_in_the_first_frame(
+    null: rhi.Device, city: Scene, depth: Depth, changes: int
+) -> None:
+    camera = city.views["overview"].with_projection(Perspective(depth=depth))
     with Renderer(null, city) as renderer:
-        first, second = (renderer.render(city.views["overview"]).statistics for _ in range(2))
-    assert first.hardware_state_changes > second.hardware_state_changes == 0
-    assert first.software_state_changes == second.software_state_changes > 0
+        first, second = (renderer.render(camera).statistics for _ in range(2))
+    assert (first.hardware_state_changes, second.hardware_state_changes) == (changes, 0)
+    assert first.software_state_changes == second.software_state_changes == 5
 
 
 def test_the_image_is_lit_and_has_the_size_asked_for(gl: rhi.Device, city: Scene) -> None:
     with Renderer(gl, city, size=(96, 54)) as renderer:
-        image = renderer.render(city.views["overview"]).image.read()
+        image = renderer.render(city.paths["ground"].camera(0)).image.read()
     assert image.shape == (54, 96, 4)
     assert image[:, :, :3].std() > 20
-    assert (image[:5, :, 2] > image[:5, :, 0]).all()  # sky on top
+    sky = (image == image[0, 48]).all(2)
+    assert sky[:18].mean() > 0.1  # above
+    assert not sky[-18:].any()
 
 
 def test_a_new_size_gives_new_images(gl: rhi.Device, city: Scene) -> None:
@@ -132,10 +140,13 @@ def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
     with Renderer(null, city) as renderer:
         renderer.render(city.views["overview"])
     null.finish()
-    made, gone = null.stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)), null.stream.filter(Op.DESTROY)
-    left = {c.values[0] for c in made} - {c.values[0] for c in gone}
-    shared = {c.values[0] for c in made if "ring" in str(c) or "transient" in str(c)}
-    assert left <= shared, null.stream.filter((Op.CREATE_BUFFER, Op.CREATE_TEXTURE)).format()
+    made = null.stream.filter(
+        (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
+        where=lambda c: getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+    )
+    gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
+    assert len(made) > 5
+    assert {command.values[0] for command in made} <= gone
 
 
 @pytest.mark.parametrize("path", ["ground", "sky"])
@@ -146,7 +157,7 @@ def test_culling_changes_no_pixel_of_a_small_city(gl: rhi.Device, city: Scene, p
 @pytest.mark.slow
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_culling_changes_no_pixel_of_the_city(gl: rhi.Device, path: str) -> None:
-    assert count_different(gl, load_scene("city"), path, list(range(0, 1800, 150))) == 0
+    assert count_different(gl, load_scene("city"), path, list(range(0, 1800, 75))) == 0
 
 
 def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[int]) -> int:

@@ -337,7 +337,7 @@ class GlBackend:
             return
         if self._tests_alpha:
             function, reference = values[AlphaFunction], values[AlphaReference].value
-            self._pipeline = self._programs.find_alpha_tested(self._program, function, float(reference))
+            self._pipeline = self._programs.find_alpha_tested(self._program, function, reference)
         else:
             self._pipeline = self._programs[self._program]
 

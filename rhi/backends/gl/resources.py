@@ -5,7 +5,7 @@
 - A STREAM buffer is mapped once, persistently and coherently; writing it is a copy into that memory, unordered
   as the contract allows.
 - Textures are GL's own (moderngl has no depth formats beyond one, no stencil, views or storage), all with
-  immutable storage. A row of texels is a row of the image, top first, since clip control puts row 0 on top.
+  immutable storage. Rows go over as they are: row 0 is the top row on both sides.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@
   scissor, which GL's clears obey, and a pass of another size moves `Viewport.TARGET`.
 - A depth test that is off lets all pass but must not stop depth writes; GL's disabled test does. So GL's test
   is off only when writes are off too, and else compares with ALWAYS.
-- Window coordinates reach GL as they are, since y counts from the top in what programs give it. Numbers are
-  converted, since users build states of NumPy scalars, which ctypes refuses.
+- Window coordinates reach GL as they are, since y counts from the top in what programs give it. Integers are
+  converted, since users build states of NumPy scalars, and ctypes takes only its floats.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ class States:
             AlphaReference: self._alpha,
             ColorWrite: self._color_write,
             BlendFunction: self._blend,
-            BlendColor: self._blend_color,
+            BlendColor: lambda value: gl.BlendColor(value.red, value.green, value.blue, value.alpha),
             StencilTest: lambda value: self._switch(enums.STENCIL_TEST, value is StencilTest.ON),
             StencilFront: self._stencil_front,
             StencilBack: self._stencil_back,
@@ -245,9 +245,6 @@ class States:
             gl.BlendEquationSeparatei(index, *_blend_equations(function))
             gl.BlendFuncSeparatei(index, *_blend_factors(function))
 
-    def _blend_color(self, value: BlendColor) -> None:
-        self._gl.BlendColor(float(value.red), float(value.green), float(value.blue), float(value.alpha))
-
     def _stencil_front(self, front: StencilFront) -> None:
         self._gl.StencilOpSeparate(enums.FRONT, *_stencil_operations(front))
         self._stencil_functions(None)
@@ -272,8 +269,8 @@ class States:
         if value == _TARGET:
             gl.Viewport(0, 0, *self._size)
         else:
-            gl.ViewportIndexedf(0, float(value.x), float(value.y), float(value.width), float(value.height))
-        depth_range = float(value.near), float(value.far)
+            gl.ViewportIndexedf(0, value.x, value.y, value.width, value.height)
+        depth_range = value.near, value.far
         if depth_range != self._depth_range:
             self._depth_range = depth_range
             gl.DepthRangef(*depth_range)
@@ -290,10 +287,10 @@ class States:
 
     def _offset(self, _: object) -> None:
         offset: PolygonOffset = self.values[PolygonOffset]
-        slope, units = float(offset.slope), float(self.values[DepthBias].units)
+        slope, units = offset.slope, self.values[DepthBias].units
         self._switch(enums.POLYGON_OFFSET_FILL, bool(units or slope))
         if self._has_offset_clamp:
-            self._gl.PolygonOffsetClamp(slope, units, float(offset.clamp))
+            self._gl.PolygonOffsetClamp(slope, units, offset.clamp)
         else:
             self._gl.PolygonOffset(slope, units)
 

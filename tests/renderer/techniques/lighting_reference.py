@@ -45,9 +45,7 @@ def shade_plane(
     return encode(shown * through + np.array(scene.background) * (1 - through))
 
 
-def shade(
-    scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floats, albedo: Floats
-) -> Floats:
+def shade(scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floats, albedo: Floats) -> Floats:
     """Linear light from `hit` to the eye."""
     lights = scene.lights
     sky, ground = np.array(lights.sky), np.array(lights.ground)

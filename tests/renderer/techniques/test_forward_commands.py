@@ -9,8 +9,8 @@ import pytest
 
 import rhi
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, load_scene, scaling, translation
 from renderer.scene import BUILT_IN as MESHES
+from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, load_scene, scaling, translation
 from rhi import Op
 
 
@@ -96,7 +96,11 @@ def test_what_a_scene_lacks_is_not_bound(
     if kind == "haze" or every:
         builder.haze = 0.1
     stream = record(null, builder.build())
-    bound: Any = (count(stream, Op.BIND_STORAGE), count(stream, Op.BIND_UNIFORM), count(stream, Op.BIND_TEXTURE))
+    bound: Any = (
+        count(stream, Op.BIND_STORAGE),
+        count(stream, Op.BIND_UNIFORM),
+        count(stream, Op.BIND_TEXTURE),
+    )
     assert bound == (storages, uniforms, textures)
 
 

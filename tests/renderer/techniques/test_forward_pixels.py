@@ -25,8 +25,8 @@ from renderer.visibility import NoCulling
 
 SIZE = (48, 32)
 LENS = Perspective(fov=0.9, aspect=SIZE[0] / SIZE[1])
-MIDDLE = np.array([1000.0, 20.0, -3000.0])
-"""Far from the origin, where float32 alone would be a quarter of a millimetre off."""
+MIDDLE = np.array([10_000_000.3, 20.2, -30_000_000.3])
+"""Far from the origin, where a step of float32 is a metre and more."""
 
 SLOPE = make_geometry(
     [(-1, 1, -1), (1, -1, -1), (1, -1, 1), (-1, 1, 1)],
@@ -47,7 +47,7 @@ def slope(*, texture: NDArray[np.uint8] | None = None, mirror: bool = False, **m
     stretch = STRETCH * (1, 1, -1) if mirror else STRETCH
     node = builder.add_node(translation(MIDDLE) @ scaling(stretch))
     builder.add_objects(node, builder.add_mesh(SLOPE), made)
-    builder.views["eye"] = Camera.look_at(MIDDLE + (3.0, 4.0, 1.0), MIDDLE, projection=LENS)
+    builder.views["eye"] = Camera.look_at(MIDDLE + np.array([3.4, 4.0, 1.0]), MIDDLE, projection=LENS)
     return builder
 
 
@@ -61,11 +61,13 @@ def add_sun(builder: SceneBuilder) -> None:
 
 
 def add_lamp(builder: SceneBuilder) -> None:
-    builder.lights.add_point(MIDDLE + (1.0, 2.0, -0.5), 4.5, (0.5, 0.8, 1.0), 3.0)
+    builder.lights.add_point(MIDDLE + np.array([1.0, 2.0, -0.5]), 4.5, (0.5, 0.8, 1.0), 3.0)
 
 
 def add_spot(builder: SceneBuilder) -> None:
-    builder.lights.add_spot(MIDDLE + (0.5, 2.5, 0.5), (0.1, -1.0, -0.2), 9.0, 0.2, 0.7, (1.0, 0.6, 0.4), 9.0)
+    builder.lights.add_spot(
+        MIDDLE + np.array([0.5, 2.5, 0.5]), (0.1, -1.0, -0.2), 9.0, 0.2, 0.7, (1.0, 0.6, 0.4), 9.0
+    )
 
 
 def add_haze(builder: SceneBuilder) -> None:
@@ -120,7 +122,7 @@ def test_a_texture_shows_its_first_row_at_v_0_and_its_first_column_at_u_0(gl: rh
     builder.lights.sky = builder.lights.ground = (0.5, 0.5, 0.5)
     scene = builder.build()
     # From above, up is -z (v = 0) and right is +x (u = 1).
-    above = Camera.look_at(MIDDLE + (0, 60, 0), MIDDLE, up=(0, 0, -1), projection=LENS)
+    above = Camera.look_at(MIDDLE + np.array([0, 60, 0]), MIDDLE, up=(0, 0, -1), projection=LENS)
     height, width = SIZE[1], SIZE[0]
     picture = render(gl, scene, above)
     corners = {
@@ -142,7 +144,7 @@ def test_images_of_several_sizes_are_layers_of_one_texture(gl: rhi.Device) -> No
     builder = slope(texture=np.full((4, 4, 4), (255, 0, 0, 255), np.uint8), specular_color=(0, 0, 0))
     wide = builder.add_image(np.full((2, 16, 4), (0, 255, 0, 255), np.uint8))
     other = builder.add_material(texture=wide, base_color=(1, 1, 1), specular_color=(0, 0, 0))
-    node = builder.add_node(translation(MIDDLE + (0, 0.5, 0)) @ scaling((0.5, 0.5, 0.5)))
+    node = builder.add_node(translation(MIDDLE + np.array([0, 0.5, 0])) @ scaling((0.5, 0.5, 0.5)))
     builder.add_objects(node, 0, other)
     picture = render(gl, builder.build())
     middle, edge = picture[SIZE[1] // 2, SIZE[0] // 2], picture[1, 1]
@@ -164,7 +166,7 @@ def test_an_object_is_seen_from_its_front_mirrored_or_not(gl: rhi.Device, mirror
 
 def test_an_object_is_not_seen_from_behind(gl: rhi.Device) -> None:
     scene = slope().build()
-    behind = Camera.look_at(MIDDLE - (3.0, 4.0, 1.0), MIDDLE, projection=LENS)
+    behind = Camera.look_at(MIDDLE - np.array([3.4, 4.0, 1.0]), MIDDLE, projection=LENS)
     picture = render(gl, scene, behind)
     assert (picture == picture[0, 0]).all()
 
@@ -174,7 +176,7 @@ def test_an_object_is_not_seen_from_behind(gl: rhi.Device) -> None:
 def test_what_is_near_hides_what_is_far(gl: rhi.Device, depth: Depth, order: tuple[int, int]) -> None:
     builder = slope(base_color=(1, 0, 0), specular_color=(0, 0, 0))
     green = builder.add_material(base_color=(0, 1, 0), specular_color=(0, 0, 0))
-    raised = builder.add_node(translation(MIDDLE + (0, 0.01, 0)) @ scaling(STRETCH))
+    raised = builder.add_node(translation(MIDDLE + np.array([0, 0.01, 0])) @ scaling(STRETCH))
     builder.add_objects(raised, 0, green)
     scene = builder.build()
     scene.objects.material[:] = scene.objects.material[list(order)]

@@ -371,6 +371,7 @@ def test_a_struct_value_must_fit_its_fields():
         ("count", -1),
         ("count", 1.5),
         ("count", 2**32),
+        ("at", (0, 0, 1e39)),
         ("att", 1),
     ):
         with pytest.raises(ValidationError) as error:

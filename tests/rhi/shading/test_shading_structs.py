@@ -206,6 +206,8 @@ def test_a_struct_with_bools_has_no_dtype_but_can_be_used_in_shaders(run):
     assert run(Uses, out=1)["out"].tolist() == [1]
     with pytest.raises(ShaderError, match="uint"):
         _ = Flags.dtype
+    with pytest.raises(ShaderError, match="uint"):
+        Flags(both=(True, False), on=True).to_bytes()
     assert Part.dtype.itemsize == 32
 
 

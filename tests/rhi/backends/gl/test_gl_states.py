@@ -8,6 +8,7 @@ from gl_kit import FULL, SIZE, GlKit, describe_program
 from rhi.descriptors import Attachment, DepthAttachment, PassDescriptor, QueryKind
 from rhi.formats import Format
 from rhi.states import (
+    AlphaReference,
     BlendColor,
     ColorWrite,
     CullMode,
@@ -29,14 +30,14 @@ def test_clears_ignore_masks_and_scissor_and_leave_them_in_force(gl_kit: GlKit) 
         CullMode.NONE, ColorWrite(red=False), DepthWrite.OFF, StencilWriteMask(0, 0), Scissor(0, 0, 4, 4)
     )
     target = DepthAttachment(depth, clear=0.25, clear_stencil=9)
-    gl_kit.begin(color, (1, 1, 0, 1), depth=target)
-    assert (gl_kit.read(color) == (255, 255, 0, 255)).all()
+    gl_kit.begin(color, (0.2, 1, 0, 1), depth=target)
+    assert (gl_kit.read(color) == (51, 255, 0, 255)).all()
     assert np.allclose(gl_kit.read(depth), 0.25, atol=1e-6)
     assert (gl_kit.read(depth, stencil=True) == 9).all()
     gl_kit.backend.bind_program(program)
     gl_kit.draw(shape)
     image = gl_kit.read(color)
-    assert (image[:4, :4, 0] == 255).all()  # masked
+    assert (image[:4, :4, 0] == 51).all()  # masked
     assert (image[:4, :4, 1] == 0).all()
     assert (image[4:, :, 1] == 255).all()  # cut off
     assert np.allclose(gl_kit.read(depth), 0.25, atol=1e-6)
@@ -64,8 +65,8 @@ def test_clears_and_resolves_ignore_a_condition_that_stays_in_force(gl_kit: GlKi
 def test_depth_is_written_while_its_test_is_off(gl_kit: GlKit) -> None:
     program = gl_kit.program(describe_program())
     shape, color, depth = gl_kit.shape(program, FULL), gl_kit.texture(), gl_kit.texture(Format.D32F)
-    gl_kit.set(CullMode.NONE, DepthTest.OFF)
-    for write, stored in ((DepthWrite.ON, 0.5), (DepthWrite.OFF, 0.75), (DepthWrite.ON, 0.5)):
+    gl_kit.set(CullMode.NONE, DepthWrite.OFF, DepthTest.OFF)
+    for write, stored in ((DepthWrite.ON, 0.5), (DepthWrite.OFF, 0.75)):
         gl_kit.set(write)
         gl_kit.begin(color, depth=DepthAttachment(depth, clear=0.75))
         gl_kit.backend.bind_program(program)
@@ -83,6 +84,7 @@ def test_states_may_hold_numpy_scalars(checked_kit: GlKit) -> None:
         StencilReference(whole, whole),  # type: ignore[arg-type]
         StencilWriteMask(whole, whole),  # type: ignore[arg-type]
         DepthBias(real),  # type: ignore[arg-type]
+        AlphaReference(real),  # type: ignore[arg-type]
         PolygonOffset(real, real),  # type: ignore[arg-type]
     )
 

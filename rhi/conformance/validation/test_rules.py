@@ -1,0 +1,42 @@
+"""The gate: every rule that a user can break has a test here."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rhi import Rule, rules
+
+ELSEWHERE = {
+    rules.CONTAINER_CAPACITY: "no device is needed",
+    rules.CONTAINER_FULL: "no device is needed",
+    rules.CONTAINER_EMPTY: "no device is needed",
+    rules.DEVICE_DRIVER: "needs a machine without a driver",
+    rules.DEVICE_MEMORY: "needs a device without memory",
+    rules.DEVICE_LOST: "needs a device that is lost",
+    rules.DEVICE_DEBUG: "needs a driver that complains",
+    rules.SHADER_DRIVER: "needs native source, which belongs to one backend",
+    rules.TRANSIENT_SIZE: "needs more memory than a test should take",
+    rules.QUERY_UNFINISHED: "depends on the device's speed: asserted on where it shows",
+    rules.NULL_SAMPLES: "a rule of the null device",
+    rules.NULL_ANSWER: "a rule of the null device",
+}
+"""Rules that are not tested here, and why."""
+
+NAMES = sorted(name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE)
+SOURCE = "".join(path.read_text() for path in sorted(Path(__file__).parent.glob("test_*.py")))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_each_rule_has_a_failing_case(name: str) -> None:
+    assert f"refuses(rules.{name}" in SOURCE
+
+
+@pytest.mark.parametrize("name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule)))
+def test_a_rule_is_a_sentence_with_a_name(name: str) -> None:
+    rule: Rule = getattr(rules, name)
+    assert rule.id == rule.id.lower()
+    assert " " not in rule.id
+    assert len(rule.sentence.split()) >= 3
+    assert not rule.sentence.endswith(".")

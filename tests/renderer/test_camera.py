@@ -1,0 +1,155 @@
+"""Cameras: depth conventions, frustum planes, hard values."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from renderer.scene import Camera, Depth, Frustum, Orthographic, Perspective, Plane
+from rhi.errors import ValidationError
+
+
+def clip_depth(lens, distance):
+    clip = lens.matrix @ (0.0, 0.0, -distance, 1.0)
+    return clip[2] / clip[3]
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Perspective(near=0.5, far=80.0),
+        Orthographic(height=4.0, near=-3.0, far=9.0),
+        Perspective(near=1e-3, far=1e7),
+    ],
+)
+def test_reversed_depth_is_one_at_near_and_zero_at_far(lens):
+    assert clip_depth(lens, lens.near) == pytest.approx(1.0, abs=1e-12)
+    assert clip_depth(lens, lens.far) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "lens",
+    [
+        Perspective(near=0.5, far=80.0, depth=Depth.STANDARD),
+        Orthographic(height=4.0, near=-3.0, far=9.0, depth=Depth.STANDARD),
+    ],
+)
+def test_standard_depth_is_zero_at_near_and_one_at_far(lens):
+    assert clip_depth(lens, lens.near) == pytest.approx(0.0, abs=1e-12)
+    assert clip_depth(lens, lens.far) == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("depth", list(Depth))
+def test_an_infinite_far_plane_is_approached_and_has_no_plane(depth):
+    lens = Perspective(near=0.25, depth=depth)
+    assert clip_depth(lens, 0.25) == (1.0 if depth is Depth.REVERSED else 0.0)
+    assert clip_depth(lens, 1e12) == pytest.approx(0.0 if depth is Depth.REVERSED else 1.0, abs=1e-11)
+    assert len(Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens).frustum.planes) == 5
+    far = Camera.look_at((0, 0, 0), (0, 0, -1), projection=Perspective(near=0.25, far=9.0, depth=depth))
+    assert len(far.frustum.planes) == 6
+
+
+def test_view_space_looks_along_minus_z_with_y_up():
+    camera = Camera.look_at((10.0, 2.0, 3.0), (10.0, 2.0, -5.0))
+    assert np.allclose(camera.view @ (10.0, 2.0, -5.0, 1.0), (0.0, 0.0, -8.0, 1.0))
+    assert np.allclose(camera.view @ (11.0, 4.0, 3.0, 1.0), (1.0, 2.0, 0.0, 1.0))
+    assert np.allclose(camera.forward, (0.0, 0.0, -1.0))
+
+
+@pytest.mark.parametrize("target", [(0, 5, 0), (0, -5, 0), (1e-12, 5, 0)])
+def test_looking_along_up_gives_a_rotation(target):
+    rotation = Camera.look_at((0, 0, 0), target).rotation
+    assert np.allclose(rotation @ rotation.T, np.eye(3))
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+
+
+@st.composite
+def views(draw):
+    numbers = st.floats(-1e3, 1e3)
+    eye = [draw(numbers) for _ in range(3)]
+    forward = np.array([draw(st.floats(-1, 1)) for _ in range(3)])
+    forward = forward if np.linalg.norm(forward) > 0.01 else np.array([1.0, 0.0, 0.0])
+    depth = draw(st.sampled_from(list(Depth)))
+    if draw(st.booleans()):
+        far = draw(st.sampled_from([np.inf, 50.0]))
+        lens = Perspective(draw(st.floats(0.1, 2.5)), draw(st.floats(0.3, 3.0)), 0.5, far, depth)
+    else:
+        lens = Orthographic(draw(st.floats(0.1, 50.0)), 1.5, -2.0, 40.0, depth)
+    return Camera.look_at(eye, np.array(eye) + forward, projection=lens)
+
+
+@given(camera=views(), seed=st.integers(0, 2**32 - 1))
+@settings(max_examples=80, deadline=None)
+def test_frustum_planes_hold_exactly_the_points_in_clip_space(camera, seed):
+    points = camera.position + np.random.default_rng(seed).normal(size=(200, 3)) * 30.0
+    planes = camera.frustum.planes
+    assert np.allclose(np.linalg.norm(planes[:, :3], axis=1), 1.0)
+    distance = (points @ planes[:, :3].T + planes[:, 3]).min(1)
+    clip = np.concatenate([points, np.ones((200, 1))], 1) @ camera.view_projection.T
+    x, y, z, w = clip.T
+    inside = (np.abs(x) <= w) & (np.abs(y) <= w) & (z >= 0.0) & (z <= w)
+    clear = np.abs(distance) > 1e-6
+    assert (inside == (distance >= 0.0))[clear].all()
+
+
+def test_the_planes_come_in_the_order_of_their_names():
+    lens = Perspective(fov=np.pi / 2, aspect=1.0, near=1.0, far=9.0)
+    planes = Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens).frustum.planes
+    r = np.sqrt(0.5)
+    assert np.allclose(planes[Plane.LEFT], (r, 0, -r, 0))
+    assert np.allclose(planes[Plane.RIGHT], (-r, 0, -r, 0))
+    assert np.allclose(planes[Plane.BOTTOM], (0, r, -r, 0))
+    assert np.allclose(planes[Plane.TOP], (0, -r, -r, 0))
+    assert np.allclose(planes[Plane.NEAR], (0, 0, -1, -1))
+    assert np.allclose(planes[Plane.FAR], (0, 0, 1, 9))
+
+
+def test_a_frustum_far_from_the_origin_is_as_exact_as_near_it():
+    eye = np.array([1e6, 0.0, 1e6])
+    camera = Camera.look_at(eye, eye + np.eye(3)[0], projection=Perspective(near=0.1, far=100.0))
+    at_origin = Camera.look_at((0, 0, 0), (1.0, 0.0, 0.0), projection=Perspective(near=0.1, far=100.0))
+    moved = camera.frustum.planes
+    assert np.allclose(moved[:, :3] @ eye + moved[:, 3], at_origin.frustum.planes[:, 3], atol=1e-8)
+    assert np.array_equal(camera.relative_view_projection, at_origin.relative_view_projection)
+
+
+def test_a_frustum_from_a_whole_matrix_equals_the_cameras():
+    camera = Camera.look_at((3.0, 4.0, 5.0), (0.0, 1.0, 0.0), projection=Perspective(far=60.0))
+    assert np.allclose(Frustum.from_matrix(camera.view_projection).planes, camera.frustum.planes)
+
+
+def test_another_aspect_changes_the_width_only():
+    camera = Camera.look_at((0, 0, 0), (0, 0, -1))
+    wide = camera.with_aspect(2.0).projection.matrix
+    narrow = camera.with_aspect(1.0).projection.matrix
+    assert wide[0, 0] == pytest.approx(0.5 * narrow[0, 0])
+    assert wide[1, 1] == narrow[1, 1]
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: Perspective(fov=0.0),
+        lambda: Perspective(fov=np.pi),
+        lambda: Perspective(near=0.0),
+        lambda: Perspective(near=1.0, far=1.0),
+        lambda: Perspective(aspect=np.inf),
+        lambda: Perspective(fov=np.nan),
+        lambda: Orthographic(height=0.0),
+        lambda: Orthographic(height=1.0, far=np.inf),
+        lambda: Orthographic(height=1.0, near=2.0, far=2.0),
+        lambda: Camera.look_at((0, 0, 0), (0, 0, 0)),
+        lambda: Camera.look_at((0, np.nan, 0), (0, 0, 1)),
+        lambda: Camera.look_at((0, 0, 0), (0, 0, 1), up=(0, 0, 0)),
+    ],
+)
+def test_values_out_of_range_are_refused(make):
+    with pytest.raises(ValidationError) as error:
+        make()
+    assert error.value.rule.id == "camera-bad-value"
+
+
+def test_values_at_the_edge_of_their_range_are_taken():
+    Perspective(fov=3.14, near=1e-6, far=np.inf)
+    Perspective(near=1.0, far=np.nextafter(1.0, 2.0))
+    Orthographic(height=1e-6, near=0.0)

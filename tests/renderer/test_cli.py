@@ -1,0 +1,261 @@
+"""The command line: what it prints, writes and refuses."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import rhi
+from renderer.cli import main
+
+KEYS = [
+    "backend", "device", "scene", "size", "frames", "milliseconds", "triangles", "draws", "queries",
+    "software_state_changes", "hardware_state_changes", "uploads_bytes", "image",
+]  # fmt: skip
+CITY = "city:blocks=4"
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Run in an empty folder."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("RHI_BACKEND", raising=False)
+    return tmp_path
+
+
+def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
+    assert main(["render", *arguments, "--json"]) == 0
+    report: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return report
+
+
+@pytest.mark.usefixtures("gl")
+def test_render_writes_an_image_and_reports_it(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    report = run_json(capsys, CITY, "--size", "80x60", "--backend", "gl", "--output", "new/picture.png")
+    assert list(report) == KEYS
+    assert report["backend"] == "gl"
+    assert report["size"] == [80, 60]
+    assert report["frames"] == 1
+    assert report["milliseconds"]["min"] == report["milliseconds"]["median"] > 0
+    assert report["image"] == str(Path("new/picture.png"))
+    picture = np.asarray(Image.open(here / "new/picture.png"))
+    assert picture.shape == (60, 80, 3)
+    assert picture.std() > 10
+
+
+@pytest.mark.usefixtures("gl")
+def test_without_an_output_the_image_has_the_scenes_name(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
+    report = run_json(capsys, CITY, "--size", "16x16")
+    assert report["image"] == "city.png"
+    assert (here / "city.png").exists()
+
+
+def test_the_null_device_makes_no_image_and_says_so(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    assert main(["render", CITY, "--backend", "null", "--json"]) == 0
+    output = capsys.readouterr()
+    report = json.loads(output.out)
+    assert list(report) == KEYS
+    assert report["image"] is None
+    assert report["draws"] > 0
+    assert "no image" in output.err
+    assert not list(here.iterdir())
+
+
+def test_frames_of_a_path_are_summed_up(capsys: pytest.CaptureFixture[str]) -> None:
+    report = run_json(
+        capsys, CITY, "--backend", "null", "--camera", "ground", "--frame", "10", "--frames", "4"
+    )
+    assert report["frames"] == 4
+    times = report["milliseconds"]
+    assert times["min"] <= times["median"] <= times["max"]
+
+
+def test_visibility_changes_what_is_drawn(capsys: pytest.CaptureFixture[str]) -> None:
+    draws = [
+        run_json(capsys, CITY, "--backend", "null", "--camera", "street", "--visibility", visibility)["draws"]
+        for visibility in ("none", "frustum")
+    ]
+    assert draws[0] > draws[1]
+
+
+def test_without_json_the_same_is_said_in_lines(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["render", CITY, "--backend", "null"]) == 0
+    names = [line.partition(":")[0].replace(" ", "_") for line in capsys.readouterr().out.splitlines()]
+    assert names == KEYS
+
+
+def test_the_environment_names_the_backend(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "null")
+    assert run_json(capsys, CITY)["backend"] == "null"
+
+
+@pytest.mark.parametrize("depth", ["reversed", "standard"])
+def test_depth_runs_as_asked(capsys: pytest.CaptureFixture[str], depth: str) -> None:
+    changes = run_json(capsys, CITY, "--backend", "null", "--depth", depth, "--frames", "2")
+    assert changes["draws"] > 0
+
+
+def write_model(folder: Path, vertex: str) -> str:
+    path = folder / "model.obj"
+    path.write_text(f"v {vertex}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    return str(path)
+
+
+def test_a_model_file_is_rendered(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    report = run_json(capsys, write_model(here, "0 0 0"), "--backend", "null")
+    assert report["triangles"] == 1
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["render", "ctiy"], "did you mean 'city'"),
+        (["render", "city:block=3"], "scene-unknown-key"),
+        (["render", "city:blocks=0"], "scene-bad-value"),
+        (["render", "missing.glb"], "scene-missing-file"),
+        (["render", CITY, "--backend", "vulkan"], "device-unknown"),
+        (["render", CITY, "--camera", "nowhere"], "camera-unknown-name"),
+        (["render", CITY, "--camera", "-1,nan,2"], "camera-unknown-name"),
+        (["render", CITY, "--camera", "sky", "--frame", "1800"], "camera-frame-range"),
+        (["render", CITY, "--camera", "sky", "--frame", "1799", "--frames", "2"], "camera-frame-range"),
+        (["render", CITY, "--frame", "-1"], "--frame"),
+        (["render", CITY, "--frames", "0"], "--frames"),
+        (["render", CITY, "--size", "0x10"], "--size"),
+        (["render", CITY, "--size", "10x0"], "--size"),
+        (["render", CITY, "--size", "10"], "--size"),
+        (["render", CITY, "--size", "-10x10"], "--size"),
+        (["render", CITY, "--size", "axb"], "--size"),
+        (["render", CITY, "--size", "1000000x10", "--backend", "null"], "texture-size"),
+        (["render", CITY, "--technique", "magic"], "--technique"),
+        (["render", CITY, "--visibility", "magic"], "--visibility"),
+        (["render", CITY, "--depth", "sideways"], "--depth"),
+        (["render", CITY, "--output", "picture.txt"], "--output"),
+        (["render", CITY, "--output", "file/picture.png"], "file"),
+        (["render"], "SCENE"),
+        (["demo", "ctiy"], "did you mean 'city'"),
+        (["paint"], "paint"),
+        ([], "COMMAND"),
+    ],
+    ids=lambda value: " ".join(value) or "nothing" if isinstance(value, list) else "",
+)
+def test_bad_input_is_one_line_and_exit_code_2(
+    capsys: pytest.CaptureFixture[str], here: Path, arguments: list[str], said: str
+) -> None:
+    (here / "file").write_text("not a folder")
+    with pytest.raises(SystemExit) as exit:
+        main(arguments)
+    output = capsys.readouterr()
+    assert exit.value.code == 2
+    assert output.out == ""
+    assert output.err.startswith("error: ")
+    assert output.err.count("\n") == 1
+    assert said in output.err
+    assert [path.name for path in here.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("vertex", "rule"), [("nan 0 0", "scene-bad-vertices"), ("inf 0 0", "scene-bad-vertices")]
+)
+def test_a_model_with_numbers_that_are_none_is_refused(
+    capsys: pytest.CaptureFixture[str], here: Path, vertex: str, rule: str
+) -> None:
+    with pytest.raises(SystemExit) as exit:
+        main(["render", write_model(here, vertex), "--backend", "null"])
+    error = capsys.readouterr().err
+    assert exit.value.code == 2
+    assert error.count("\n") == 1
+    assert rule in error
+
+
+def test_an_empty_model_is_refused(capsys: pytest.CaptureFixture[str], here: Path) -> None:
+    (here / "empty.ply").write_bytes(b"")
+    with pytest.raises(SystemExit) as exit:
+        main(["render", "empty.ply", "--backend", "null"])
+    assert exit.value.code == 2
+    assert "scene-empty-model" in capsys.readouterr().err
+
+
+def test_a_camera_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_json(capsys, CITY, "--backend", "null", "--camera", "-90,40,-90")["draws"] > 0
+
+
+@pytest.mark.parametrize(
+    "command", [[], ["render"], ["demo"], ["scenes"]], ids=lambda c: " ".join(c) or "all"
+)
+def test_help_shows_examples(capsys: pytest.CaptureFixture[str], command: list[str]) -> None:
+    with pytest.raises(SystemExit) as exit:
+        main([*command, "--help"])
+    assert exit.value.code == 0
+    assert "python -m renderer " in capsys.readouterr().out
+
+
+def test_scenes_lists_every_generator_with_its_options(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes"]) == 0
+    listed = capsys.readouterr().out
+    for text in ("city:", "hall:", "grid:", "blocks=44", "seed=0"):
+        assert text in listed
+
+
+def test_demo_without_a_drawing_device_prints_the_null_rows(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, here: Path
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "null")
+    assert main(["demo", CITY, "--frames", "2", "--size", "32x18"]) == 0
+    output = capsys.readouterr()
+    rows = [line.split()[:3] for line in output.out.splitlines()[2:]]
+    assert rows == [[path, way, "null"] for path in ("ground", "sky") for way in ("none", "frustum")]
+    assert "no image" in output.err
+    assert not list(here.iterdir())
+
+
+@pytest.mark.usefixtures("gl")
+def test_demo_writes_a_picture_of_each_path_and_a_row_for_each_way(
+    capsys: pytest.CaptureFixture[str], here: Path
+) -> None:
+    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
+    rows = [line.split()[:3] for line in capsys.readouterr().out.splitlines()[2:]]
+    assert rows == [
+        [path, way, backend]
+        for path in ("ground", "sky")
+        for backend in ("gl", "null")
+        for way in ("none", "frustum")
+    ]
+    for name in ("city.png", "city-sky.png"):
+        assert np.asarray(Image.open(here / "pictures" / name)).std() > 5
+
+
+def test_python_m_renderer_is_the_command_line(here: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "renderer", "render", "ctiy"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_missing_driver_is_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(name: str | None = None) -> None:
+        raise rhi.DeviceError(
+            rhi.RULES["device-driver"], "rhi.create_device()", "no EGL", "", "install libegl1"
+        )
+
+    monkeypatch.setattr(rhi, "create_device", fail)
+    with pytest.raises(SystemExit) as exit:
+        main(["render", CITY])
+    error = capsys.readouterr().err
+    assert exit.value.code == 2
+    assert error.count("\n") == 1
+    assert "install libegl1" in error

@@ -1,0 +1,229 @@
+"""Model files: what is kept of them, and what is refused."""
+
+import json
+
+import numpy as np
+import pytest
+
+from renderer.scene import load_model, load_scene
+from rhi.errors import ValidationError
+
+OBJ = """mtllib two.mtl
+v 0 0 0
+v 1 0 0
+v 0 1 0
+v 0 0 1
+vt 0 0
+vt 1 0
+vt 0 1
+usemtl red
+f 1/1 2/2 3/3
+usemtl blue
+f 1/1 3/3 4/2
+"""
+MTL = "newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n"
+PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face {faces}
+property list uchar int vertex_indices
+end_header
+{vertices}
+"""
+STL = """solid one
+facet normal 0 0 1
+outer loop
+vertex 0 0 0
+vertex 1 0 0
+vertex 0 1 0
+endloop
+endfacet
+endsolid one
+"""
+
+
+def write_gltf(folder, positions, nodes, roots):
+    data = np.array(positions, np.float32).tobytes() + np.arange(3, dtype=np.uint32).tobytes()
+    (folder / "data.bin").write_bytes(data)
+    document = {
+        "asset": {"version": "2.0"},
+        "scene": 0,
+        "scenes": [{"nodes": roots}],
+        "nodes": nodes,
+        "materials": [
+            {
+                "pbrMetallicRoughness": {
+                    "baseColorFactor": [0.5, 0.25, 1.0, 1.0],
+                    "roughnessFactor": 0.5,
+                    "metallicFactor": 0.0,
+                }
+            }
+        ],
+        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1, "material": 0}]}],
+        "buffers": [{"uri": "data.bin", "byteLength": len(data)}],
+        "bufferViews": [
+            {"buffer": 0, "byteOffset": 0, "byteLength": 36},
+            {"buffer": 0, "byteOffset": 36, "byteLength": 12},
+        ],
+        "accessors": [
+            {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3"},
+            {"bufferView": 1, "componentType": 5125, "count": 3, "type": "SCALAR"},
+        ],
+    }
+    path = folder / "model.gltf"
+    path.write_text(json.dumps(document))
+    return str(path)
+
+
+TRIANGLE = [[0, 0, 0], [1, 0, 0], [0, 1, 0]]
+
+
+def refusal(path):
+    with pytest.raises(ValidationError) as error:
+        load_model(str(path))
+    assert str(path) in str(error.value)
+    return error.value.rule.id
+
+
+def test_gltf_keeps_its_node_hierarchy(tmp_path):
+    nodes = [
+        {"name": "arm", "translation": [5, 0, 0], "children": [1]},
+        {"name": "hand", "translation": [0, 2, 0], "mesh": 0},
+        {"name": "other", "scale": [2, 2, 2], "mesh": 0},
+    ]
+    scene = load_model(write_gltf(tmp_path, TRIANGLE, nodes, [0, 2]))
+    hand, arm = scene.nodes.find("hand"), scene.nodes.find("arm")
+    assert scene.nodes.parents[hand] == arm
+    assert len(scene.objects) == 2
+    assert len(scene.meshes) == 1
+    by_node = {int(node): row for row, node in enumerate(scene.objects.node)}
+    assert np.allclose(scene.objects.lower[by_node[hand]], (5, 2, 0))
+    assert np.allclose(scene.objects.upper[by_node[scene.nodes.find("other")]], (2, 2, 0))
+
+
+def test_gltf_materials_keep_their_colour_and_roughness(tmp_path):
+    scene = load_model(write_gltf(tmp_path, TRIANGLE, [{"mesh": 0}], [0]))
+    assert scene.materials["base_color"][0] == pytest.approx([0.5, 0.25, 1.0, 1.0], abs=0.01)
+    assert scene.materials["shininess"][0] == pytest.approx(30.0)
+
+
+def test_missing_normals_are_computed(tmp_path):
+    scene = load_model(write_gltf(tmp_path, TRIANGLE, [{"mesh": 0}], [0]))
+    assert np.allclose(scene.meshes.vertices["normal"], (0, 0, 1))
+
+
+def test_obj_keeps_materials_and_texture_coordinates(tmp_path):
+    (tmp_path / "two.mtl").write_text(MTL)
+    (tmp_path / "two.obj").write_text(OBJ)
+    scene = load_model(str(tmp_path / "two.obj"))
+    assert scene.triangle_count == 2
+    colors = scene.materials["base_color"][scene.objects.material][:, :3]
+    assert sorted(colors.tolist()) == [[0, 0, 1], [1, 0, 0]]
+    corner = scene.meshes.vertices[(scene.meshes.vertices["position"] == (0, 1, 0)).all(1)]
+    assert np.allclose(corner["uv"], (0, 0))  # v = 1 in the file is the image's first row
+
+
+def test_a_texture_is_kept_and_its_first_row_is_the_top(tmp_path):
+    from PIL import Image
+
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0] = (255, 0, 0)
+    Image.fromarray(pixels).save(tmp_path / "paint.png")
+    (tmp_path / "two.mtl").write_text("newmtl red\nmap_Kd paint.png\nnewmtl blue\nKd 0 0 1\n")
+    (tmp_path / "two.obj").write_text(OBJ)
+    scene = load_model(str(tmp_path / "two.obj"))
+    assert len(scene.images) == 1
+    assert scene.images[0][0].tolist() == [[255, 0, 0, 255]] * 2
+    assert sorted(scene.materials["texture"].tolist()) == [-1, 0]
+
+
+def test_ply_and_stl_are_read(tmp_path):
+    (tmp_path / "a.ply").write_text(PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 2"))
+    (tmp_path / "a.stl").write_text(STL)
+    for name in ("a.ply", "a.stl"):
+        scene = load_scene(str(tmp_path / name))
+        assert scene.triangle_count == 1
+        assert np.allclose(scene.objects.upper[0], (1, 1, 0))
+        assert {"ground", "sky"} == set(scene.paths)
+        assert np.allclose(np.abs(scene.meshes.vertices["normal"]), (0, 0, 1))
+
+
+def test_a_grid_of_a_model_file(tmp_path):
+    (tmp_path / "a.ply").write_text(PLY.format(faces=1, vertices="5 5 5\n9 5 5\n5 9 5\n3 0 1 2"))
+    scene = load_scene(f"grid:mesh={tmp_path / 'a.ply'},count=3")
+    assert scene.triangle_count == 3
+    assert scene.meshes.upper[0].max() == pytest.approx(1.0)
+
+
+def test_a_model_far_from_its_origin_keeps_its_shape(tmp_path):
+    far = "\n".join(f"{4e6 + x} {y} 0" for x, y in ((0, 0), (0.125, 0), (0, 0.125)))
+    (tmp_path / "far.ply").write_text(
+        PLY.replace("float", "double").format(faces=1, vertices=far + "\n3 0 1 2")
+    )
+    scene = load_model(str(tmp_path / "far.ply"))
+    assert np.allclose(scene.objects.upper - scene.objects.lower, (0.125, 0.125, 0.0), atol=1e-6)
+    assert scene.objects.lower[0, 0] == pytest.approx(4e6)
+    assert np.abs(scene.meshes.vertices["position"]).max() < 1.0
+
+
+def test_a_missing_file_is_refused():
+    assert refusal("no/such/model.glb") == "scene-missing-file"
+
+
+def test_an_unknown_extension_is_refused(tmp_path):
+    (tmp_path / "model.fbx").write_bytes(b"x")
+    with pytest.raises(ValidationError, match=r"\.gltf, \.glb, \.obj, \.ply, \.stl") as error:
+        load_model(str(tmp_path / "model.fbx"))
+    assert error.value.rule.id == "scene-unknown-format"
+
+
+@pytest.mark.parametrize(
+    ("name", "rule"),
+    [
+        ("a.glb", "scene-unreadable-model"),
+        ("a.gltf", "scene-unreadable-model"),
+        ("a.ply", "scene-unreadable-model"),
+        ("a.stl", "scene-empty-model"),  # these two are plain text, in which no triangle is found
+        ("a.obj", "scene-empty-model"),
+    ],
+)
+def test_rubbish_is_refused(tmp_path, name, rule):
+    (tmp_path / name).write_bytes(b"\x00\x01rubbish" * 40)
+    assert refusal(tmp_path / name) == rule
+
+
+def test_a_folder_is_refused(tmp_path):
+    (tmp_path / "folder.obj").mkdir()
+    assert refusal(tmp_path / "folder.obj") == "scene-unreadable-model"
+
+
+@pytest.mark.parametrize("name", ["a.glb", "a.obj", "a.ply", "a.stl"])
+def test_an_empty_file_is_refused(tmp_path, name):
+    (tmp_path / name).write_bytes(b"")
+    assert refusal(tmp_path / name) == "scene-empty-model"
+
+
+def test_points_without_triangles_are_refused(tmp_path):
+    (tmp_path / "points.ply").write_text(PLY.format(faces=0, vertices="0 0 0\n1 0 0\n0 1 0"))
+    assert refusal(tmp_path / "points.ply") == "scene-empty-model"
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf", "1e39"])
+def test_vertices_that_are_not_finite_are_refused(tmp_path, bad):
+    (tmp_path / "bad.ply").write_text(
+        PLY.replace("float", "double").format(faces=1, vertices=f"0 0 0\n1 {bad} 0\n0 1 0\n3 0 1 2")
+    )
+    assert refusal(tmp_path / "bad.ply") == "scene-bad-vertices"
+
+
+def test_a_nan_in_gltf_is_refused(tmp_path):
+    path = write_gltf(tmp_path, [[0, 0, 0], [1, float("nan"), 0], [0, 1, 0]], [{"mesh": 0}], [0])
+    assert refusal(path) == "scene-bad-vertices"
+
+
+def test_a_face_that_names_a_missing_vertex_is_refused(tmp_path):
+    (tmp_path / "bad.ply").write_text(PLY.format(faces=1, vertices="0 0 0\n1 0 0\n0 1 0\n3 0 1 7"))
+    assert refusal(tmp_path / "bad.ply") == "scene-unreadable-model"

@@ -1,0 +1,67 @@
+"""Right use of the device, for mypy --strict; `test_device_typing` breaks it line by line."""
+
+from typing import assert_type
+
+import numpy as np
+
+import rhi
+from rhi import Access, BlendFunction, ColorWrite, CullMode, DepthWrite, Filter, Format, Primitive, SamplerDescriptor
+from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, vec2, vec4
+
+
+class Corner(Struct):
+    position: vec2
+
+
+class Tint(Struct):
+    color: vec4
+
+
+class Other(Struct):
+    color: vec4
+
+
+class Flat(Shader):
+    tint: Uniform[Tint]
+    many: Storage[Tint]
+    albedo: Texture2D
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return self.tint.color
+
+
+class Plain(Shader):
+    def compute(self) -> None:
+        pass
+
+
+def use(device: rhi.Device) -> None:
+    flat, plain = device.program(Flat), device.program(Plain)
+    mesh = device.mesh({"position": np.zeros((3, 2), np.float32)}, primitive=Primitive.QUADS)
+    tint = device.uniform(Tint(color=(1, 0, 0, 1)))
+    other = device.uniform(Other(color=(1, 0, 0, 1)))
+    objects = device.uniform_array(Tint, 4)
+    many = device.storage(Tint, 4)
+    image = device.texture((8, 8), Format.RGBA8)
+    smooth = device.sampler(SamplerDescriptor(magnify=Filter.LINEAR))
+    assert_type(image.samples, int)
+    assert_type(many.count, int)
+    with device.render_pass(image, clear=(0, 0, 0, 1)):
+        with device.states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF.at(1), BlendFunction.ALPHA):
+            device.draw(flat, mesh, tint=tint, many=many, albedo=image)
+        flat.draw(mesh, 2, tint=objects[0], many=many, albedo=image.sampled(smooth))
+        device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)
+        with device.immediate(flat, Primitive.QUADS, tint=tint, many=many, albedo=image) as quads:
+            quads.vertex(position=(0, 0))
+    device.dispatch(plain, (1, 1, 1))
+    with many.lock(Access.WRITE, 0, 2) as rows:
+        rows["color"] = 1
+    tint.write(Tint(color=(0, 0, 0, 0)))
+    query = device.occlusion_query()
+    with device.conditional(query):
+        assert_type(query.visible_samples, int)
+    assert_type(device.signal(), int)
+    other.destroy()

@@ -1,0 +1,69 @@
+"""mypy --strict on the device: what is right passes, each mistake is refused on its line."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+api = pytest.importorskip("mypy.api")
+
+RIGHT = Path(__file__).with_name("device_right.py")
+DRAW = "device.draw(flat, mesh, tint=tint, many=many, albedo=image)"
+MANY = "device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)"
+
+# (what to replace, by what, the error that mypy must give)
+MISTAKES = [
+    # a wrong state value
+    ("CullMode.NONE, DepthWrite.OFF,", "CullMode.OFF, DepthWrite.OFF,", 'has no attribute "OFF"'),
+    ("CullMode.NONE, DepthWrite.OFF,", '"none", DepthWrite.OFF,', 'Argument 1 to "states"'),
+    ("ColorWrite.OFF.at(1)", "Format.R8", 'Argument 3 to "states"'),
+    ("ColorWrite.OFF.at(1)", 'ColorWrite.OFF.at("1")', 'Argument 1 to "at"'),
+    # a wrong kind of resource
+    (DRAW, DRAW.replace("tint=tint", "tint=other"), 'expected "UniformRange[Tint]"'),
+    (DRAW, DRAW.replace("tint=tint", "tint=many"), 'expected "UniformRange[Tint]"'),
+    (DRAW, DRAW.replace("albedo=image", "albedo=tint"), 'expected "TextureBinding"'),
+    (DRAW, DRAW.replace("flat, mesh", "mesh, mesh"), 'Argument 1 to "draw"'),
+    (DRAW, DRAW.replace("flat, mesh", "flat, image"), 'Argument 2 to "draw"'),
+    ("flat.draw(mesh, 2, tint=objects[0]", "flat.draw(mesh, 2, tint=objects", 'expected "UniformRange[Tint]"'),
+    ("device.render_pass(image", "device.render_pass(tint", 'Argument 1 to "render_pass"'),
+    ("device.conditional(query)", "device.conditional(image)", 'Argument 1 to "conditional"'),
+    # a missing or misspelt argument
+    (DRAW, DRAW.replace(", albedo=image", ""), 'Missing named argument "albedo"'),
+    (MANY, MANY.replace("tint=tint, ", ""), 'Missing named argument "tint"'),
+    (MANY, MANY.replace("mesh.draws(), ", ""), "Too few arguments"),
+    ("quads.vertex(position=(0, 0))", "quads.vortex(position=(0, 0))", 'has no attribute "vortex"'),
+    (DRAW, DRAW.replace("many=many", "mny=many"), 'Unexpected keyword argument "mny"'),
+    ("device.dispatch(plain, (1, 1, 1))", "device.dispatch(plain)", "Too few arguments"),
+    # a wrong value
+    ("device.texture((8, 8), Format.RGBA8)", 'device.texture((8, 8), "rgba8")', 'Argument 2 to "texture"'),
+    ("primitive=Primitive.QUADS", "primitive=4", 'Argument "primitive" to "mesh"'),
+    ("Access.WRITE, 0, 2", '"w", 0, 2', 'Argument 1 to "lock"'),
+    ("tint.write(Tint(color=(0, 0, 0, 0)))", "tint.write(Other(color=(0, 0, 0, 0)))", 'Argument 1 to "write"'),
+    ("Tint(color=(1, 0, 0, 1))", "Tint(colour=(1, 0, 0, 1))", 'Unexpected keyword argument "colour"'),
+    ("magnify=Filter.LINEAR", "magnify=True", 'Argument "magnify"'),
+]
+
+
+def check(*paths: Path) -> tuple[str, int]:
+    out, _, status = api.run(["--strict", "--no-error-summary", "--hide-error-context", *map(str, paths)])
+    return out, status
+
+
+def test_right_use_passes_mypy_strict() -> None:
+    assert check(RIGHT) == ("", 0)
+
+
+def test_every_mistake_is_refused_on_its_line(tmp_path: Path) -> None:
+    source = RIGHT.read_text()
+    paths = []
+    for number, (old, new, _) in enumerate(MISTAKES):
+        assert source.count(old) >= 1, old
+        paths.append(tmp_path / f"device_mistake_{number}.py")
+        paths[-1].write_text(source.replace(old, new, 1))
+    out, _ = check(*paths)
+    for path, (old, new, says) in zip(paths, MISTAKES, strict=True):
+        line = source[: source.index(old)].count("\n") + 1
+        errors = [row for row in out.splitlines() if re.search(rf"{path.name}:{line}: error", row)]
+        assert any(says in row for row in errors), (new, errors or "accepted")
