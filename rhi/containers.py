@@ -41,11 +41,11 @@ class FixedStack(Generic[T]):
 
     def push(self, value: T) -> None:
         """Put `value` on top; `container-full` when there is no room, leaving the stack as it was."""
-        index = self._index
-        if index == self.capacity:
-            refuse(CONTAINER_FULL, "FixedStack.push", f"{index} elements", f"at most {self.capacity}")
-        self._data[index] = value
-        self._index = index + 1
+        try:
+            self._data[self._index] = value
+        except IndexError:
+            refuse(CONTAINER_FULL, "FixedStack.push", f"{self._index} elements", f"at most {self.capacity}")
+        self._index += 1
 
     def pop(self) -> T:
         """Take the top element off and return it; `container-empty` when there is none."""

@@ -384,10 +384,9 @@ class Device:
             try:
                 if program.core is not self._core:
                     self._check_program(program, "device.draw")
-                program.draw(mesh, instances, **bindings)
-            except (TypeError, AttributeError):
+                program.draw_with(mesh, instances, bindings)
+            except AttributeError:
                 self._check_program(program, "device.draw")
-                program.check_names(set(bindings))
                 raise
 
     def draw_many(
@@ -484,8 +483,7 @@ class Device:
         most = self._core.capabilities.max_dispatch
         if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
             refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
-        program.check_names(set(bindings))
-        program.bind(program.ready_to_dispatch, None, **bindings)
+        program.bind(program.ready_to_dispatch, None, bindings)
         if 0 not in sizes:
             self._core.backend.dispatch(*sizes)
             self._core.dispatches += 1
@@ -506,8 +504,7 @@ class Device:
         self._core.check_usable(plain, call)
         if offset < 0 or offset % 4 or offset + 12 > plain.size:
             refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {plain.size - 12}")
-        program.check_names(set(bindings))
-        program.bind(program.ready_to_dispatch, None, **bindings)
+        program.bind(program.ready_to_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(plain.id, offset)
         self._core.dispatches += 1
 
@@ -607,12 +604,11 @@ class Device:
 
     def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
         """Everything a draw needs but the draw itself; returns the vertex array."""
-        program.check_names(set(bindings))
         core = self._core
         core.program = None  # many draws at once are worth a full check
         program.ready_to_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
-        program.bind(program.ready_to_draw, mesh, **bindings)
+        program.bind(program.ready_to_draw, mesh, bindings)
         if core.states.wanted is not core.states.hardware:
             core.flush_states()
         return vertex_array

@@ -190,7 +190,7 @@ class Immediate(Generic[S]):
     def __init__(
         self, memory: TransientMemory, program: Program[Any], primitive: Primitive, bindings: dict[str, Any]
     ) -> None:
-        program.check_names(set(bindings))
+        program.check_names(bindings)
         if not program.descriptor.attributes:
             refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
                    "a program with vertex inputs")  # fmt: skip
@@ -245,10 +245,13 @@ class Immediate(Generic[S]):
         if not len(array):
             return
         # Everything is checked before the vertices go into the ring.
-        self._program.bind(self._program.ready_to_draw, EMPTY_MESH, **self._bindings)
-        self._program.draw(
-            self._memory.mesh(self._program, array, None, self._primitive), 1, **self._bindings
-        )
+        program, core = self._program, self._program.core
+        program.bind(program.ready_to_draw, EMPTY_MESH, self._bindings)
+        mesh = self._memory.mesh(program, array, None, self._primitive)
+        if core.states.wanted is not core.states.hardware:
+            core.flush_states()
+        program.draw_unprepared(mesh, 1)
+        core.draws += 1
 
     def _pending(self) -> NDArray[Any]:
         rows, self._rows = self._rows, []

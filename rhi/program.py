@@ -1,24 +1,21 @@
-"""Programs, and the draw function generated for each.
+"""Programs: what a draw or dispatch runs, and what must hold before it does.
 
-- A draw checks everything first and applies after: what is refused leaves no trace.
-- It compares by identity what is bound with what is given, per binding; only a change is checked and sent.
-  What isn't current any more (another program drew, a pass ended, something was destroyed or locked) clears
-  `core.program`, and the next draw starts from nothing.
-- The function is generated from the program's bindings because a loop over them costs more than the draw:
-  with two bindings per draw 1.15× of the bare OpenGL calls against 1.5× (`benchmarks/draw_cost.py`).
-- Of a range (uniform or storage) that changed within a resource already checked, only the type is compared.
+- A draw checks everything first and applies after: what is refused leaves no trace. The functions that do so are
+  generated per program (`rhi.draw_code`) and compare by identity what is bound with what is given.
+- The checks themselves, which say what is wrong and what is allowed, are here, off the fast path.
 """
 
 from __future__ import annotations
 
 import keyword
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
 from typing_extensions import ParamSpec
 
 from rhi.core import Core, describe
 from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
+from rhi.draw_code import MISSING, generate
 from rhi.errors import refuse
 from rhi.formats import Format, Kind
 from rhi.mesh import Mesh
@@ -46,7 +43,6 @@ P = ParamSpec("P")
 _RESERVED = frozenset(
     {"program", "mesh", "instances", "groups", "draws", "arguments", "buffer", "offset", "self"}
 )
-_MISSING = object()
 _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
@@ -59,10 +55,23 @@ class Program(Generic[P]):
         name: the shader class's name.
     """
 
-    __slots__ = ("_output_formats", "bind", "core", "descriptor", "destroyed", "draw", "id", "name")
+    __slots__ = (
+        "_output_formats",
+        "bind",
+        "core",
+        "descriptor",
+        "destroyed",
+        "draw",
+        "draw_with",
+        "id",
+        "name",
+    )
 
-    bind: Callable[..., None]
-    """Check and apply bindings for anything but a plain draw: `bind(ready, subject, **bindings)`."""
+    draw_with: Callable[[Mesh, int, dict[str, Any]], None]
+    """`draw` with the bindings in a dictionary: `draw_with(mesh, instances, bindings)`."""
+
+    bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
+    """Check and apply bindings for anything but a plain draw: `bind(ready, mesh, bindings)`."""
 
     if TYPE_CHECKING:
 
@@ -77,9 +86,11 @@ class Program(Generic[P]):
         self.destroyed = False
         self.id = core.create_id()
         core.backend.create_program(self.id, descriptor)
-        generated = _generate(self)
-        self.draw = generated["draw"]  # type: ignore[method-assign]
-        self.bind = generated["bind"]
+        code = generate(self, descriptor.bindings)
+        self.draw = code.draw  # type: ignore[method-assign]
+        self.draw_with = code.draw_with
+        self.bind = code.bind
+        core.draw_counters.append(code.take_draws)
         self._output_formats: object = None
 
     @property
@@ -172,7 +183,7 @@ class Program(Generic[P]):
         """Refuse `value` for the binding at `index` unless it is of the right kind, alive and unlocked."""
         binding = self.descriptor.bindings[index]
         call = f"{binding.name}= of program {self.name!r}"
-        if value is _MISSING or value is None:
+        if value is MISSING or value is None:
             refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
         match binding.kind:
             case BindingKind.UNIFORM | BindingKind.STORAGE:
@@ -241,7 +252,7 @@ class Program(Generic[P]):
 
     def explain(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
         """Turn a Python error of the generated functions into the rule that was broken."""
-        if mesh is not _MISSING and not isinstance(mesh, Mesh):
+        if mesh is not None and not isinstance(mesh, Mesh):
             refuse(
                 DEVICE_ARGUMENT,
                 f"draw of program {self.name!r}",
@@ -252,8 +263,9 @@ class Program(Generic[P]):
             self.check(index, value)
         raise error
 
-    def check_names(self, names: set[str]) -> None:
+    def check_names(self, given: Iterable[str]) -> None:
         """Refuse bindings that the program doesn't have or that are missing."""
+        names = set(given)
         wanted = {binding.name for binding in self.descriptor.bindings}
         call = f"draw of program {self.name!r}"
         shown = ", ".join(sorted(wanted)) or "no bindings"
@@ -319,110 +331,3 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     for binding in descriptor.bindings:
         if binding.name in _RESERVED or keyword.iskeyword(binding.name):
             refuse(BINDING_NAME, call, binding.name, f"none of {', '.join(sorted(_RESERVED))}")
-
-
-# -- the generated functions -----------------------------------------------------------------------------
-
-
-def _generate(program: Program[Any]) -> dict[str, Callable[..., None]]:
-    """`draw` and `bind` for a program's bindings."""
-    core = program.core
-    source = "\n".join(_source(program.descriptor.bindings))
-    backend = core.backend
-    scope: dict[str, Any] = {"__rhi_internal__": True, "__name__": __name__}
-    exec(compile(source, f"<draw of {program.name}>", "exec"), scope)
-    draw, bind, take_draws = scope["make"](
-        core=core,
-        states=core.states,
-        program=program,
-        types=tuple(binding.type for binding in program.descriptor.bindings),
-        bind_storage=backend.bind_storage,
-        bind_texture=backend.bind_texture,
-        bind_image=backend.bind_image,
-        missing=_MISSING,
-        unbound=object(),
-    )
-    core.draw_counters.append(take_draws)
-    return {"draw": draw, "bind": bind}
-
-
-_APPLY = {
-    BindingKind.UNIFORM: "{name}.owner.bind_uniform({slot}, {name}.offset, {name}.size)",
-    BindingKind.STORAGE: "_bind_storage({slot}, {name}.buffer, {name}.offset, {name}.size)",
-    BindingKind.TEXTURE: "_bind_texture({slot}, {name}.texture, {name}.sampler)",
-    BindingKind.IMAGE: (
-        "_bind_image({slot}, {name}.texture, {name}.level, -1 if {name}.layer is None else {name}.layer)"
-    ),
-}
-
-
-def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
-    """The text of `make`, which returns `draw` and `bind`; internal names start with an underscore and a
-    digit-free word, which binding names (checked) and Python's own attribute names keep clear of."""
-    given = ("core", "states", "program", "types", "bind_storage", "bind_texture",
-             "bind_image", "missing", "unbound")  # fmt: skip
-    yield f"def make({', '.join(given)}):"
-    for name in given:
-        yield f"    _{name} = {name}"
-    bound = [f"_bound_{i}" for i in range(len(bindings))]
-    owners = [f"_owner_{i}" for i in range(len(bindings))]
-    for variable in bound + owners:
-        yield f"    {variable} = _unbound"
-    yield "    _draws = 0  # counted in a cell of the function, at half the price of an attribute"
-    for i in range(len(bindings)):
-        yield f"    _type_{i} = types[{i}]"
-    parameters = "".join(f", {binding.name}=_missing" for binding in bindings)
-    keywords = f", *{parameters}" if bindings else ""
-    arguments = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
-
-    def body(ready: str) -> Iterator[str]:
-        yield f"        nonlocal {', '.join(['_draws', *bound, *owners])}"
-        yield "        try:"
-        yield from ("            " + line for line in check(ready))
-        yield "        except AttributeError as _error:"
-        yield f"            _program.explain({'mesh' if ready == 'draw' else '_missing'}, {arguments}, _error)"
-        yield "        if _fresh:"
-        yield "            _program.enter()"
-        for i, binding in enumerate(bindings):
-            yield f"        if {binding.name} is not _bound_{i}:"
-            yield "            " + _APPLY[binding.kind].format(slot=binding.slot, name=binding.name)
-            yield f"            _bound_{i} = {binding.name}"
-
-    def check(ready: str) -> Iterator[str]:
-        if ready == "draw":
-            yield "try:"
-            yield "    _draw = mesh.calls[_program]"
-            yield "except KeyError:"
-            yield "    _draw = _program.attach(mesh)"
-            yield "if instances != 1: _program.check_instances(instances)"
-        yield "_fresh = _core.program is not _program"
-        yield "if _fresh:"
-        yield "    _program.ready_to_draw(mesh)" if ready == "draw" else "    _ready(_subject)"
-        if bindings:
-            yield f"    {' = '.join(bound + owners)} = _unbound"
-        for i, binding in enumerate(bindings):
-            name = binding.name
-            if binding.kind in _RANGES:
-                changed = f"{name}.owner is not _owner_{i} or {name}.type is not _type_{i}"
-                yield f"if {name} is not _bound_{i} and ({changed}):"
-                yield f"    _program.check({i}, {name})"
-                yield f"    _owner_{i} = {name}.owner"
-            else:
-                yield f"if {name} is not _bound_{i}: _program.check({i}, {name})"
-
-    yield f"    def draw(mesh, instances=1{keywords}):"
-    yield from body("draw")
-    yield "        if _states.wanted is not _states.hardware:"
-    yield "            _core.flush_states()"
-    yield "        if _core.tests_alpha:"
-    yield "            _program.draw_unprepared(mesh, instances)"
-    yield "        else:"
-    yield "            _draw(instances)"
-    yield "        _draws += 1"
-    yield f"    def bind(_ready, _subject{keywords}):"
-    yield from body("bind")
-    yield "    def take_draws():"
-    yield "        nonlocal _draws"
-    yield "        taken, _draws = _draws, 0"
-    yield "        return taken"
-    yield "    return draw, bind, take_draws"

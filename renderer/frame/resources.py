@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from renderer import shaders
+from renderer.frame.lists import list_lights
 from renderer.scene import Camera, Scene, normal_matrices
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer
 from rhi.shading import Struct, vec4
@@ -44,32 +45,31 @@ class MirroredArray(Generic[T]):
 
         From the first to the last row that differ, rows are uploaded.
         """
-        rows = (
-            np.ascontiguousarray(array).view(np.uint8).reshape(len(array), array.nbytes // max(len(array), 1))
-        )
-        if rows.shape != self._rows.shape:
+        if not len(array):
             self.destroy()
-            if len(array):
-                self.buffer = self._device.storage(self._element, len(array), label=self._label)
-                self._upload(rows, 0)
+            return
+        rows = np.ascontiguousarray(array).view(np.uint8).reshape(len(array), -1)
+        if self.buffer is None or rows.shape != self._rows.shape:
+            self.destroy()
+            self.buffer = self._device.storage(self._element, len(array), label=self._label)
+            self._upload(self.buffer, rows, 0)
         else:
             changed = np.flatnonzero((rows != self._rows).any(1))
             if not changed.size:
                 return
             first, last = int(changed[0]), int(changed[-1])
-            self._upload(rows[first : last + 1], first)
+            self._upload(self.buffer, rows[first : last + 1], first)
         self._rows = rows.copy()
 
-    def _upload(self, rows: NDArray[np.uint8], first: int) -> None:
-        assert self.buffer is not None
-        base, shape = self.buffer.dtype.subdtype or (self.buffer.dtype, ())
-        self.buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
+    @staticmethod
+    def _upload(buffer: StorageBuffer[T], rows: NDArray[np.uint8], first: int) -> None:
+        base, shape = buffer.dtype.subdtype or (buffer.dtype, ())
+        buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
 
     def destroy(self) -> None:
         if self.buffer is not None:
             self.buffer.destroy()
             self.buffer = None
-        self._rows = np.zeros((0, 0), np.uint8)
 
 
 class MirroredValue(Generic[S]):
@@ -96,7 +96,8 @@ class SceneResources:
         mesh: all meshes in one; draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform turns its triangles round.
         images: the scene's images as layers, None without any.
-        objects, positions, materials, directional, point, spot: what shaders read, row by row.
+        objects, positions, materials, directional, point, spot, light_rows: what shaders read, row by row;
+            point and spot lights are left out if none of them reaches an object.
         view, ambient, haze: constants of the frame.
     """
 
@@ -118,6 +119,9 @@ class SceneResources:
         self.directional = MirroredArray(device, shaders.DirectionalLight, "directional lights")
         self.point = MirroredArray(device, shaders.PointLight, "point lights")
         self.spot = MirroredArray(device, shaders.SpotLight, "spot lights")
+        self.light_rows = MirroredArray(device, int, "light rows")
+        self._lit: tuple[NDArray[Any], ...] = ()  # what the lists were made from
+        self._reaching = (False, False)  # whether point lights are on them, and spot lights
         self.view = MirroredValue(device, shaders.View(relative_view_projection=np.eye(4)))
         self.ambient = MirroredValue(device, _ambient(scene))
         self.haze = MirroredValue(device, _haze(scene))
@@ -125,22 +129,21 @@ class SceneResources:
         self._rows["material"] = objects.material
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._transform(np.arange(len(objects)))
-        self.objects.write(self._rows)
 
     def update(self, camera: Camera) -> None:
         """Bring the device up to date with the scene as `camera` sees it."""
         scene, eye = self.scene, camera.position
-        if scene.objects.dynamic_rows.size:
-            self._transform(scene.objects.dynamic_rows)
-            self.objects.write(self._rows)
+        self._transform(scene.objects.dynamic_rows)
+        self._list_lights()
+        self.objects.write(self._rows)
         positions = np.zeros((len(scene.objects), 4), np.float32)
         positions[:, :3] = scene.nodes.world[:, :3, 3][scene.objects.node] - eye
         self.positions.write(positions)
         self.materials.write(scene.materials)
         lights = scene.lights.relative_to(eye)
         self.directional.write(lights.directional)
-        self.point.write(lights.point)
-        self.spot.write(lights.spot)
+        self.point.write(lights.point if self._reaching[0] else lights.point[:0])
+        self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
         self.view.write(shaders.View(relative_view_projection=camera.relative_view_projection))
         self.ambient.write(_ambient(scene))
         self.haze.write(_haze(scene))
@@ -150,16 +153,42 @@ class SceneResources:
         world = self.scene.nodes.world[self.scene.objects.node[rows]]
         normal = normal_matrices(world)
         largest = np.abs(normal).max(axis=(1, 2), keepdims=True)  # no float32 under- or overflow
-        part = np.zeros(len(rows), self._rows.dtype)
-        part["material"] = self._rows["material"][rows]
+        part = self._rows[rows]
         part["linear"][:, :, :3] = world[:, :3, :3]
         part["normal"][:, :, :3] = normal / np.where(largest > 0.0, largest, 1.0)
         self._rows[rows] = part
         self.mirrored[rows] = np.linalg.det(world[:, :3, :3]) < 0.0
 
+    def _list_lights(self) -> None:
+        """Give each object the lights that reach it.
+
+        Lists of what can't move come first, so that what moves doesn't move them.
+        """
+        objects, lights = self.scene.objects, self.scene.lights
+        positions = np.concatenate([lights.point["position"], lights.spot["position"]])
+        ranges = np.concatenate([lights.point["range"], lights.spot["range"]]).astype(np.float64)
+        rows, points = objects.dynamic_rows, len(lights.point)
+        state = (np.array([points]), positions, ranges, objects.lower[rows], objects.upper[rows])
+        if self._lit and all(map(np.array_equal, self._lit, state)):
+            return
+        self._lit = state
+        order = np.concatenate([objects.static_rows, rows])
+        ends, listed = list_lights(objects.lower[order], objects.upper[order], positions, ranges)
+        is_spot = listed >= points
+        spots = np.concatenate([[0], np.cumsum(is_spot)])[ends]
+        self._rows["lights_begin"][order] = ends[:-1]
+        self._rows["points_end"][order] = ends[1:] - np.diff(spots)
+        self._rows["lights_end"][order] = ends[1:]
+        room = 1 << (len(listed) - 1).bit_length() if len(listed) else 0  # not another buffer for each frame
+        light_rows = np.zeros(room, np.int32)
+        light_rows[: len(listed)] = np.where(is_spot, listed - points, listed)
+        self.light_rows.write(light_rows)
+        self._reaching = (not is_spot.all(), bool(is_spot.any()))
+
     def destroy(self) -> None:
         """Give everything back."""
         arrays = (self.objects, self.positions, self.materials, self.directional, self.point, self.spot)
+        self.light_rows.destroy()
         for resource in (self.mesh, self.view, self.ambient, self.haze, *arrays):
             resource.destroy()
         if self.images is not None:

@@ -1,4 +1,4 @@
-"""The forward shader: each fragment is lit by all lights, in one pass.
+"""The forward shader: each fragment is lit by all lights that reach its object, in one pass.
 
 What a scene hasn't got costs nothing: `ForwardShader` knows no lights and no textures, each of the classes
 below adds one kind of them with its binding, and `forward_variant` combines what is needed.
@@ -38,6 +38,7 @@ from rhi.shading import (
     Uniform,
     exp,
     instance_index,
+    ivec3,
     length,
     mix,
     vec2,
@@ -65,6 +66,7 @@ class ForwardShader(Shader):
             normal=thing.normal @ v.normal,
             uv=v.uv,
             material=thing.material,
+            lights=ivec3(thing.lights_begin, thing.points_end, thing.lights_end),
         )
 
     def fragment(self, v: Varying) -> vec4:
@@ -79,7 +81,9 @@ class ForwardShader(Shader):
         )
         color = surface.base_color * material.emission
         color += ambient_light(surface, self.ambient, material.rim_strength, material.rim_power)
-        color += self.sunlight(surface) + self.pointlight(surface) + self.spotlight(surface)
+        color += self.sunlight(surface)
+        color += self.pointlight(surface, v.lights.x, v.lights.y)
+        color += self.spotlight(surface, v.lights.y, v.lights.z)
         return vec4(self.through_air(tone_map(color), v.position), 1.0)
 
     def texel(self, image: int, uv: vec2) -> vec3:
@@ -88,10 +92,10 @@ class ForwardShader(Shader):
     def sunlight(self, surface: Surface) -> vec3:
         return vec3(0.0)
 
-    def pointlight(self, surface: Surface) -> vec3:
+    def pointlight(self, surface: Surface, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
-    def spotlight(self, surface: Surface) -> vec3:
+    def spotlight(self, surface: Surface, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
     def through_air(self, color: vec3, position: vec3) -> vec3:
@@ -126,12 +130,14 @@ class WithPointLights(ForwardShader):
     """Adds point lights."""
 
     point_lights: Storage[PointLight]
+    light_rows: Storage[int]
 
-    def pointlight(self, surface: Surface) -> vec3:
+    def pointlight(self, surface: Surface, begin: int, end: int) -> vec3:
         color = vec3(0.0)
-        for i in range(len(self.point_lights)):
-            if in_range(surface, self.point_lights[i].position, self.point_lights[i].range):
-                color += point_light(surface, self.point_lights[i])
+        for i in range(begin, end):
+            row = self.light_rows[i]
+            if in_range(surface, self.point_lights[row].position, self.point_lights[row].range):
+                color += point_light(surface, self.point_lights[row])
         return color
 
 
@@ -139,12 +145,14 @@ class WithSpotLights(ForwardShader):
     """Adds spot lights."""
 
     spot_lights: Storage[SpotLight]
+    light_rows: Storage[int]
 
-    def spotlight(self, surface: Surface) -> vec3:
+    def spotlight(self, surface: Surface, begin: int, end: int) -> vec3:
         color = vec3(0.0)
-        for i in range(len(self.spot_lights)):
-            if in_range(surface, self.spot_lights[i].position, self.spot_lights[i].range):
-                color += spot_light(surface, self.spot_lights[i])
+        for i in range(begin, end):
+            row = self.light_rows[i]
+            if in_range(surface, self.spot_lights[row].position, self.spot_lights[row].range):
+                color += spot_light(surface, self.spot_lights[row])
         return color
 
 

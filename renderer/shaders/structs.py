@@ -7,7 +7,7 @@ std430 layout, so that the array is uploaded as it stands.
 
 from __future__ import annotations
 
-from rhi.shading import Struct, mat3, mat4, vec2, vec3, vec4
+from rhi.shading import Struct, ivec3, mat3, mat4, vec2, vec3, vec4
 
 
 class View(Struct):
@@ -31,14 +31,19 @@ class Haze(Struct):
 
 
 class Object(Struct):
-    """What changes when an object moves: all of its transform but the position, and its material.
+    """What changes when an object moves: all of its transform but the position, its material and its lights.
 
-    `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale.
+    `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale. The
+    object's lights are `light_rows[lights_begin:points_end]`, rows of the point lights, and
+    `light_rows[points_end:lights_end]`, rows of the spot lights.
     """
 
     linear: mat3
     normal: mat3
     material: int
+    lights_begin: int
+    points_end: int
+    lights_end: int
 
 
 class Material(Struct):
@@ -98,6 +103,7 @@ class Varying(Struct):
     normal: vec3
     uv: vec2
     material: int
+    lights: ivec3
 
 
 class Surface(Struct):

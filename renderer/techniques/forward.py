@@ -1,4 +1,4 @@
-"""Forward shading: one pass, in which each fragment is lit by all lights.
+"""Forward shading: one pass, in which each fragment is lit by all lights that reach its object.
 
 One `draw_many` draws all visible objects, front to back, so that early depth tests spare the shading of what
 is hidden; a second one draws those whose transform mirrors them, if there are any.
@@ -58,8 +58,10 @@ def bind_forward(device: Device, resources: SceneResources) -> tuple[Program[Any
         "spot_lights": resources.spot.buffer,
         "haze": resources.haze.buffer if resources.scene.haze > 0.0 else None,
     }
-    present = {name: resource for name, resource in optional.items() if resource is not None}
+    present: dict[str, Any] = {name: value for name, value in optional.items() if value is not None}
     program: Program[Any] = device.program(forward_variant(*present))
+    if resources.light_rows.buffer is not None:
+        present["light_rows"] = resources.light_rows.buffer
     return program, present | {
         "view": resources.view.buffer,
         "ambient": resources.ambient.buffer,

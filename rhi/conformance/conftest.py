@@ -9,15 +9,26 @@ from collections.abc import Iterator
 import pytest
 
 import rhi
-from rhi.conformance.plugin import get_backend_names
+from rhi.conformance.plugin import PROPERTY, get_backend_names
 
 pytest.register_assert_rewrite("rhi.conformance.compare")
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Every test runs once per backend that was asked for."""
+    """Every test runs once per backend that was asked for; those marked `recorded_too` also through a recorder."""
     if "backend" in metafunc.fixturenames:
         metafunc.parametrize("backend", get_backend_names(metafunc.config), scope="session")
+    if "route" in metafunc.fixturenames:
+        twice = metafunc.definition.get_closest_marker("recorded_too") is not None
+        metafunc.parametrize("route", ["direct", "recorded"] if twice else ["direct"], scope="session")
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Note the test's place on the scoreboard: its backend, and a group such as "operation · depth"."""
+    parameters = getattr(item, "callspec", None)
+    backend = parameters.params.get("backend", "any") if parameters is not None else "any"
+    group = f"{item.path.parent.name} · {item.path.stem.removeprefix('test_').replace('_', ' ')}"
+    item.user_properties.append((PROPERTY, (backend, group)))
 
 
 @pytest.fixture(scope="session")
@@ -35,10 +46,19 @@ def recording_device(backend: str) -> Iterator[rhi.Device]:
 
 
 @pytest.fixture
-def device(shared_device: rhi.Device, request: pytest.FixtureRequest) -> rhi.Device:
-    """The shared device; skips the test if it lacks what the test `needs`."""
-    skip_unless_capable(shared_device, request)
-    return shared_device
+def device(
+    shared_device: rhi.Device, recording_device: rhi.Device, route: str, request: pytest.FixtureRequest
+) -> rhi.Device:
+    """The shared device; skips the test if it lacks what the test `needs`.
+
+    Where a backend prepares draws, a device without a recorder calls other methods than one with: both ways
+    must give the same pixels.
+    """
+    device = shared_device if route == "direct" else recording_device
+    skip_unless_capable(device, request)
+    if route == "recorded":
+        device.stream.clear()
+    return device
 
 
 @pytest.fixture

@@ -1,19 +1,21 @@
-"""The kit's pytest plugin: the `--rhi-backend` option, the `needs` marker and the scoreboard.
+"""The kit's pytest plugin: the `--rhi-backend` option, its markers and the scoreboard.
 
 It is registered as an entry point, since an option that is defined in a conftest below `--pyargs` is unknown
-when pytest reads its command line. It imports nothing, so that it costs other test runs nothing.
+when pytest reads its command line. It needs nothing of `rhi` itself, but pytest imports the package to find it.
 """
 
 from __future__ import annotations
 
 import os
+from collections import Counter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pytest
 
 OPTION = "--rhi-backend"
-KIT = "rhi/conformance/"
+PROPERTY = "rhi-conformance"
+"""Under which the kit notes in its tests' reports which backend and group they belong to."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -27,8 +29,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the kit's marker."""
+    """Declare the kit's markers."""
     config.addinivalue_line("markers", "needs(*capabilities): skipped where the device declares one missing")
+    config.addinivalue_line(
+        "markers", "recorded_too: runs without and with a recorder in front of the backend"
+    )
 
 
 def get_backend_names(config: pytest.Config) -> list[str]:
@@ -38,38 +43,33 @@ def get_backend_names(config: pytest.Config) -> list[str]:
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Print the scoreboard: per group of the kit how many tests passed, failed and were skipped."""
-    outcomes = ("passed", "failed", "error", "skipped")
-    board: dict[str, dict[str, int]] = {}
-    missing: dict[str, int] = {}
-    for outcome in outcomes:
+    """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were skipped."""
+    boards: dict[str, dict[str, Counter[str]]] = {}
+    reasons: dict[str, Counter[str]] = {}
+    for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.stats.get(outcome, ()):
-            _, found, path = report.nodeid.split("::")[0].rpartition(KIT)
-            if not found:
-                # With --pyargs a node id is relative to the invocation directory, or to the package.
-                path = report.nodeid.split("::")[0]
-                if not path.startswith(("operation/", "validation/")):
-                    continue
-            group = path.removesuffix(".py").replace("/test_", " · ").replace("_", " ")
-            board.setdefault(group, dict.fromkeys(outcomes, 0))[outcome] += 1
+            place = dict(getattr(report, "user_properties", ())).get(PROPERTY)
+            if place is None:  # not a test of the kit
+                continue
+            backend, group = place
+            boards.setdefault(backend, {}).setdefault(group, Counter())[outcome] += 1
             if outcome == "skipped":
-                reason = str(report.longrepr[-1]).removeprefix("Skipped: ")
-                missing[reason] = missing.get(reason, 0) + 1
-    if not board:
-        return
-    terminalreporter.section("rhi conformance: " + ", ".join(get_backend_names(terminalreporter.config)))
-    width = max(map(len, board))
-    for group in sorted(board):
-        counts = board[group]
-        failed = counts["failed"] + counts["error"]
-        line = f"{group:<{width}}  {counts['passed']:4} passed"
-        line += f"  {failed:3} failed" if failed else ""
-        line += f"  {counts['skipped']:3} skipped" if counts["skipped"] else ""
-        terminalreporter.write_line(line, red=bool(failed))
-    total = {outcome: sum(counts[outcome] for counts in board.values()) for outcome in outcomes}
-    terminalreporter.write_line(
-        f"{'total':<{width}}  {total['passed']:4} passed  {total['failed'] + total['error']:3} failed"
-        f"  {total['skipped']:3} skipped", bold=True,
-    )  # fmt: skip
-    for reason, count in sorted(missing.items()):
-        terminalreporter.write_line(f"  {count:4} × {reason}")
+                reasons.setdefault(backend, Counter())[report.longrepr[-1].removeprefix("Skipped: ")] += 1
+    for backend, board in boards.items():
+        terminalreporter.section(f"rhi conformance: {backend}")
+        width = max(map(len, board))
+        for group in sorted(board):
+            _write_row(terminalreporter, f"{group:<{width}}", board[group])
+        _write_row(terminalreporter, f"{'total':<{width}}", sum(board.values(), Counter()), bold=True)
+        for reason, count in sorted(reasons.get(backend, {}).items()):
+            terminalreporter.write_line(f"  {count:4} × {reason}")
+
+
+def _write_row(
+    reporter: pytest.TerminalReporter, name: str, counts: Counter[str], *, bold: bool = False
+) -> None:
+    failed = counts["failed"] + counts["error"]
+    row = f"{name}  {counts['passed']:5} passed"
+    row += f"  {failed:4} failed" if failed or bold else ""
+    row += f"  {counts['skipped']:4} skipped" if counts["skipped"] or bold else ""
+    reporter.write_line(row, red=bool(failed), bold=bold)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from rhi.shading import Flat, FragmentDepth, Shader, Struct, ivec4, uvec4, vec2, vec4
 
+
 class Corner(Struct):
     """A vertex in clip space, with a color."""
 

@@ -37,7 +37,9 @@ def rectangle(
     return corners([a, b, c, a, c, d], color, depth)
 
 
-def texel_rectangle(x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any) -> Rows:
+def texel_rectangle(
+    x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any
+) -> Rows:
     """A rectangle in texels from the top left of a (width, height) target."""
     w, h = size
     return rectangle(2 * x / w - 1, 1 - 2 * (y + height) / h, 2 * (x + width) / w - 1, 1 - 2 * y / h, **more)

@@ -133,6 +133,19 @@ def test_the_plane_that_culled_last_time_saves_tests():
     assert again.planes < first.planes
 
 
+def test_what_a_far_plane_culled_is_found_by_a_camera_without_one():
+    lower = np.arange(400)[:, None] * (0.0, 0.0, -1.0)  # a row of cubes ahead
+    upper = lower + 0.5
+    culler = Culler(build_by_area(lower, upper), lower, upper)
+    planes = [
+        Camera.look_at((0, 0, 1), (0, 0, -1), projection=Perspective(far=far)).frustum.planes
+        for far in (50.5, np.inf)
+    ]
+    for _ in range(2):
+        assert len(cull(culler, planes[0])) == 51
+    assert len(cull(culler, planes[1])) == 400
+
+
 def test_planes_that_a_node_lies_inside_are_not_tested_below_it():
     lower = np.arange(64)[:, None] * (1.0, 0.0, 0.0)  # a row of cubes
     upper = lower + 1.0

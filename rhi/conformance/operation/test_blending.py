@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, ColorWrite, Device, Format
+from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, ColorWrite, Device, Format, Primitive
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.reference import blend
 from rhi.conformance.shaders import Colored, UintColored
@@ -92,7 +92,10 @@ def test_any_function_blends_as_numpy_does(device: Device, function: BlendFuncti
 
 
 def test_without_a_scope_nothing_blends(device: Device) -> None:
-    with device.texture((2, 2), Format.RGBA8) as image, device.mesh(rectangle(color=(0.2, 0.2, 0.2, 0.2))) as mesh:
+    with (
+        device.texture((2, 2), Format.RGBA8) as image,
+        device.mesh(rectangle(color=(0.2, 0.2, 0.2, 0.2))) as mesh,
+    ):
         with device.render_pass(image, clear=(1, 1, 1, 1)):
             device.draw(device.program(Colored), mesh)
         assert_same(image.read(), 51)
@@ -125,8 +128,6 @@ def test_many_primitives_of_one_draw_blend_in_order(device: Device) -> None:
 def test_overlapping_points_all_add_up(device: Device) -> None:
     count = 100
     rows = corners(np.repeat(centers([(1, 1)], (3, 3)), count, axis=0), (1, 0, 0, 1))
-    from rhi import Primitive
-
     with device.texture((3, 3), Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh)
@@ -141,14 +142,20 @@ def test_integer_targets_do_not_blend(device: Device) -> None:
 
 
 def test_half_float_targets_blend(device: Device) -> None:
-    with device.texture((2, 2), Format.RGBA16F) as image, device.mesh(rectangle(color=(3, -4, 0.5, 1))) as mesh:
+    with (
+        device.texture((2, 2), Format.RGBA16F) as image,
+        device.mesh(rectangle(color=(3, -4, 0.5, 1))) as mesh,
+    ):
         with device.render_pass(image, clear=(1, 1, 1, 1)), device.states(BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh)
         assert_same(image.read(), (4, -3, 1.5, 2))
 
 
 def test_srgb_targets_blend_in_linear_light(device: Device) -> None:
-    with device.texture((2, 2), Format.RGBA8_SRGB) as image, device.mesh(rectangle(color=(1, 1, 1, 0.5))) as mesh:
+    with (
+        device.texture((2, 2), Format.RGBA8_SRGB) as image,
+        device.mesh(rectangle(color=(1, 1, 1, 0.5))) as mesh,
+    ):
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(BlendFunction.ALPHA):
             device.draw(device.program(Colored), mesh)
         assert_near(image.read(), (187.5, 187.5, 187.5, 127.5), 1.0, "half of the light is 188 in sRGB")

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import gc
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from rhi import Access, BufferUsage, Device
 from rhi.conformance.compare import assert_same
@@ -13,7 +15,7 @@ from rhi.conformance.compare import assert_same
 POINT = np.dtype([("position", "<f4", (3,)), ("color", "u1", (4,)), ("id", "<u2"), ("pad", "<u2")])
 
 
-def numbers(count: int, dtype: str = "u4") -> np.ndarray:
+def numbers(count: int, dtype: str = "u4") -> NDArray[Any]:
     """Numbers of which no two neighbours, and no byte runs, are alike."""
     return (np.arange(count, dtype=np.uint64) * 2654435761 % (1 << 32)).astype(dtype)
 
@@ -96,6 +98,16 @@ def test_a_write_changes_its_range_only(device: Device, first: int, count: int) 
     with device.buffer(numbers(16)) as buffer:
         buffer.write(np.full(count, 99, "u4"), first)
         assert_same(buffer.read(), expected)
+
+
+@pytest.mark.parametrize("size", [4097, 65_536, 1_000_003])
+def test_large_arrays_are_written_whole(device: Device, size: int) -> None:
+    data = numbers(size, "u1")
+    with device.buffer(data) as buffer, device.buffer(size) as other:
+        assert_same(buffer.read(), data)
+        other.write(data[: size // 2], size - size // 2)
+        assert_same(other.read(size - size // 2), data[: size // 2])
+        assert_same(other.read(0, size - size // 2), 0)
 
 
 def test_an_array_that_is_not_contiguous_is_written_in_its_order(device: Device) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from rhi import Device, Format, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.formats import require_format
+from rhi.conformance.formats import random_texels, require_format, squeezed
 from rhi.conformance.reference import encode, rounding
 from rhi.shading import (
     Array,
@@ -50,7 +50,7 @@ from rhi.shading import (
     vec4,
 )
 
-pytestmark = pytest.mark.needs("shading", "compute")
+pytestmark = [pytest.mark.needs("shading", "compute"), pytest.mark.recorded_too]
 
 
 # -- dispatches --------------------------------------------------------------------------------------------
@@ -69,7 +69,9 @@ class Places(Shader):
         height = group_count().y * 2
         i = g.x + width * (g.y + height * g.z)
         self.places[i] = uvec4(uint(group_id().x), uint(group_id().y), uint(group_id().z), uint(i))
-        self.locals[i] = uvec4(uint(local_id().x), uint(local_id().y), uint(local_id().z), uint(local_index()))
+        self.locals[i] = uvec4(
+            uint(local_id().x), uint(local_id().y), uint(local_id().z), uint(local_index())
+        )
 
 
 @pytest.mark.parametrize("groups", [(1, 1, 1), (3, 1, 1), (1, 5, 1), (1, 1, 4), (3, 2, 2)], ids=str)
@@ -78,10 +80,10 @@ def test_every_invocation_runs_once_and_knows_its_place(device: Device, groups: 
     count = int(np.prod(shape))
     with device.storage(uvec4, count) as where, device.storage(uvec4, count) as local:
         device.dispatch(device.program(Places), groups, places=where, locals=local)
-        g, l = where.read().reshape(*shape, 4), local.read().reshape(*shape, 4)
+        group, inside = where.read().reshape(*shape, 4), local.read().reshape(*shape, 4)
     z, y, x = np.indices(shape)
-    assert_same(g, np.stack([x // 4, y // 2, z, np.arange(count).reshape(shape)], axis=-1))
-    assert_same(l, np.stack([x % 4, y % 2, z * 0, x % 4 + 4 * (y % 2)], axis=-1))
+    assert_same(group, np.stack([x // 4, y // 2, z, np.arange(count).reshape(shape)], axis=-1))
+    assert_same(inside, np.stack([x % 4, y % 2, z * 0, x % 4 + 4 * (y % 2)], axis=-1))
 
 
 class Count(Shader):
@@ -94,7 +96,9 @@ class Count(Shader):
         atomic_add(self.total[0], uint(1))
 
 
-@pytest.mark.parametrize(("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)])
+@pytest.mark.parametrize(
+    ("groups", "expected"), [(5, 40), ((2, 3), 48), ((2, 2, 2), 64), (0, 0), ((4, 0), 0)]
+)
 def test_a_number_of_groups_has_one_to_three_dimensions(device: Device, groups: Any, expected: int) -> None:
     with device.storage(uint, 1) as total:
         device.dispatch(device.program(Count), groups, total=total)
@@ -178,7 +182,7 @@ class ReadMixed(Shader):
         self.results[5] = vec4(r.h.axis.y, r.i[1].z, float(r.j), r.k[3][1])
 
 
-MIXED = {
+MIXED: dict[str, Any] = {
     "a": 1.0,
     "b": (2.0, 3.0, 4.0),
     "c": 5.0,
@@ -296,7 +300,11 @@ def test_each_element_of_a_uniform_array_is_bound_by_itself(device: Device) -> N
 
 
 def test_a_uniform_written_between_dispatches_holds_for_the_later_one(device: Device) -> None:
-    with device.uniform(Pick(value=1.0)) as pick, device.storage(float, 1) as first, device.storage(float, 1) as second:
+    with (
+        device.uniform(Pick(value=1.0)) as pick,
+        device.storage(float, 1) as first,
+        device.storage(float, 1) as second,
+    ):
         device.dispatch(device.program(ReadPick), 1, pick=pick, results=first)
         pick.write(Pick(value=2.0))
         device.dispatch(device.program(ReadPick), 1, pick=pick, results=second)
@@ -451,14 +459,8 @@ IMAGE_FORMATS = [
 @pytest.mark.parametrize(("format", "annotation"), IMAGE_FORMATS, ids=lambda v: getattr(v, "name", ""))
 def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format, annotation: Any) -> None:
     require_format(device, format)
-    rng = np.random.default_rng(4)
-    if format.dtype.kind == "f":
-        data = rng.normal(size=(3, 5, format.channels)).astype(format.dtype)
-    else:
-        limits = np.iinfo(format.dtype)
-        low = -limits.max if limits.min else 0
-        data = rng.integers(low, limits.max, (3, 5, format.channels), dtype=format.dtype, endpoint=True)
-    plain = data[..., 0] if format.channels == 1 else data
+    data = random_texels(format, 3, 5)
+    plain = squeezed(format, data)
     with device.texture(plain, format) as source, device.texture((5, 3), format) as target:
         program = device.program(image_copy(format, annotation))
         device.dispatch(program, (5, 3), source=source.image(), target=target.image())
@@ -527,7 +529,9 @@ class StoreVolume(Shader):
 
 
 @pytest.mark.parametrize(
-    ("kind", "shader"), [(TextureKind.D2_ARRAY, StoreLayers), (TextureKind.D3, StoreVolume)], ids=["array", "3d"]
+    ("kind", "shader"),
+    [(TextureKind.D2_ARRAY, StoreLayers), (TextureKind.D3, StoreVolume)],
+    ids=["array", "3d"],
 )
 def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any) -> None:
     with device.texture((3, 2), Format.R32F, kind=kind, layers=4) as target:

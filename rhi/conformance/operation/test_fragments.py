@@ -7,7 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import DRAW_UNINDEXED, BlendFunction, ColorWrite, DepthFunction, Device, Format, IndirectDraws, Primitive
+from rhi import (
+    DRAW_UNINDEXED,
+    BlendFunction,
+    ColorWrite,
+    DepthFunction,
+    Device,
+    Format,
+    IndirectDraws,
+    Primitive,
+)
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import centers, corners, rectangle
@@ -26,7 +35,7 @@ from rhi.shading import (
     vertex_index,
 )
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
 
@@ -149,7 +158,11 @@ def test_with_early_depth_a_discarded_fragment_has_already_written_depth(device:
 def test_a_fragment_s_own_depth_replaces_the_triangle_s(device: Device) -> None:
     rows = rectangle(depth=0.1)
     rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
-    with device.texture(SIZE, Format.D32F) as depth, device.texture(SIZE, Format.R8) as image, device.mesh(rows) as mesh:
+    with (
+        device.texture(SIZE, Format.D32F) as depth,
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rows) as mesh,
+    ):
         with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5):
             device.draw(device.program(DepthFromColor), mesh)
         ramp = np.broadcast_to((np.arange(8) + 0.5) / 8, (8, 8))

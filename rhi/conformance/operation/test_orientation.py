@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from rhi import Device, Filter, Format, Region, SamplerDescriptor, Wrap
+from rhi import Device, Filter, Format, Region, SamplerDescriptor, Viewport, Wrap
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.shaders import Colored, Place, PlaceVarying, Shade, Corner
+from rhi.conformance.shaders import Colored, Corner, Place, PlaceVarying, Shade
 from rhi.conformance.shapes import WHITE, corners, rectangle
 from rhi.shading import (
     Image2D,
@@ -30,12 +33,12 @@ from rhi.shading import (
     vec4,
 )
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
 
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wrap.CLAMP)
 
 
-def texels(width: int, height: int) -> np.ndarray:
+def texels(width: int, height: int) -> NDArray[Any]:
     """Every texel its own color."""
     y, x = np.mgrid[0:height, 0:width]
     return np.stack([x, y, 255 - x, 255 - y], axis=-1).astype(np.uint8)
@@ -81,7 +84,7 @@ class Textured(Shader):
         return self.source.sample(v.uv)
 
 
-def placed(uvs: object) -> np.ndarray:
+def placed(uvs: object) -> NDArray[Any]:
     """A full rectangle whose corners (lower left, lower right, upper right, upper left) have these uv."""
     rows = np.zeros(6, Place.dtype)
     rows["position"] = rectangle()["position"]
@@ -156,8 +159,6 @@ def test_fragment_coordinates_count_from_the_top_left(device: Device) -> None:
 
 
 def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> None:
-    from rhi import Viewport
-
     with device.texture((8, 8), Format.RGBA32F) as target, device.mesh(rectangle()) as mesh:
         with device.render_pass(target), device.states(Viewport(4, 2, 4, 4)):
             device.draw(device.program(FragmentPlace), mesh)
@@ -333,7 +334,8 @@ def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
 
 def test_white_is_white(device: Device) -> None:
     """The control of all of these: nothing else is drawn but what a test asks for."""
-    with device.texture((2, 2), Format.RGBA8) as target, device.mesh(corners([(-1, -1), (3, -1), (-1, 3)], WHITE)) as mesh:
+    whole = corners([(-1, -1), (3, -1), (-1, 3)], WHITE)
+    with device.texture((2, 2), Format.RGBA8) as target, device.mesh(whole) as mesh:
         with device.render_pass(target):
             device.draw(device.program(Colored), mesh)
         assert_same(target.read(), 255)

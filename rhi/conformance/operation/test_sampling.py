@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rhi import Comparison, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.formats import require_format
+from rhi.conformance.formats import random_texels, require_format, squeezed
 from rhi.conformance.reference import compare, decode
 from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import rectangle
@@ -131,17 +131,12 @@ def texel_centers(width: int, height: int) -> NDArray[np.float64]:
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=identity)
 def test_a_shader_reads_what_the_format_means(device: Device, format: Format) -> None:
     require_format(device, format)
-    rng = np.random.default_rng(1)
-    if format.dtype.kind == "f":
-        data = rng.normal(0, 10, (4, 8, format.channels)).astype(format.dtype)
-    else:
-        limits = np.iinfo(format.dtype)
-        data = rng.integers(limits.min, limits.max, (4, 8, format.channels), dtype=format.dtype, endpoint=True)
-        data.reshape(-1)[:2] = limits.min, limits.max
-    with device.texture(data[..., 0] if format.channels == 1 else data, format) as texture:
+    data = random_texels(format, 4, 8)
+    with device.texture(squeezed(format, data), format) as texture:
         back = sampled(device, Sample2D, texture.sampled(NEAREST), texel_centers(8, 4))
-    slack = 2e-3 if format.kind is Kind.SRGB else 1e-6
-    reason = "sRGB curves may be tables" if format.kind is Kind.SRGB else "conversion in float32"
+    slack, reason = (
+        (2e-3, "sRGB curves may be tables") if format.kind is Kind.SRGB else (1e-6, "conversion in float32")
+    )
     assert_near(back, decode(format, data).reshape(-1, 4), slack, reason)
 
 
@@ -170,23 +165,24 @@ class LoadInt(Shader):
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=identity)
 def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
     require_format(device, format)
-    limits = np.iinfo(format.dtype)
-    data = np.random.default_rng(2).integers(
-        limits.min, limits.max, (2, 4, format.channels), dtype=format.dtype, endpoint=True
-    )
+    data = random_texels(format, 2, 4)
     expected = np.zeros((8, 4))
     expected[:, 3] = 1
     expected[:, : format.channels] = data.reshape(8, -1)
-    shader, element = (LoadUint, uvec4) if format.kind is Kind.UINT else (LoadInt, ivec4)
+    shader, element = cast(
+        "tuple[Any, Any]", (LoadUint, uvec4) if format.kind is Kind.UINT else (LoadInt, ivec4)
+    )
     with (
-        device.texture(data[..., 0] if format.channels == 1 else data, format) as texture,
+        device.texture(squeezed(format, data), format) as texture,
         device.storage(element, 8) as results,
     ):
         device.dispatch(device.program(shader), (4, 2), source=texture, results=results)
         assert_same(results.read(), expected)
 
 
-@pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity)
+@pytest.mark.parametrize(
+    "format", [Format.D16, Format.D24, Format.D32F, Format.D24S8, Format.D32FS8], ids=identity
+)
 def test_depth_is_read_as_red(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((4, 4), format) as depth:
@@ -300,9 +296,8 @@ def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis
     places = np.full((len(index), 2), 0.5)
     places[:, axis] = (index + 0.5) / 4
     border = (0.5, 0.25, 1.0, 0.75)
-    wraps = [Wrap.CLAMP, Wrap.CLAMP]
-    wraps[axis] = wrap
-    descriptor = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, *wraps, border=border)
+    wrap_u, wrap_v = (wrap, Wrap.CLAMP) if axis == 0 else (Wrap.CLAMP, wrap)
+    descriptor = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, wrap_u, wrap_v, border=border)
     data = np.zeros((4, 4, 4), np.float32)
     data[:] = np.array([(i, 10 + i, 20 + i, 30 + i) for i in range(4)])[None, :]
     if axis == 1:
@@ -315,7 +310,9 @@ def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis
 
 
 def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
-    descriptor = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1))
+    descriptor = SamplerDescriptor(
+        Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1)
+    )
     with device.texture(np.zeros((1, 4), np.uint8), Format.R8) as texture:
         back = sampled(device, Sample2D, texture.sampled(descriptor), [(0.0, 0.5), (0.125, 0.5), (-1.0, 0.5)])
     assert_near(back[:, 0], (0.5, 0, 1), 1 / 256, FILTERED)
@@ -344,7 +341,11 @@ def ladder(device: Device, levels: int = 4) -> Any:
 
 @pytest.mark.parametrize(
     ("mip", "expected"),
-    [(None, [0, 0, 0, 0, 0, 0]), (Filter.NEAREST, [0, 0, 10, 20, 30, 30]), (Filter.LINEAR, [0, 2.5, 7.5, 20, 30, 30])],
+    [
+        (None, [0, 0, 0, 0, 0, 0]),
+        (Filter.NEAREST, [0, 0, 10, 20, 30, 30]),
+        (Filter.LINEAR, [0, 2.5, 7.5, 20, 30, 30]),
+    ],
     ids=["none", "nearest", "linear"],
 )
 def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expected: list[float]) -> None:
@@ -404,7 +405,13 @@ def test_an_array_s_layer_is_chosen_by_its_number(device: Device) -> None:
 def test_a_volume_is_filtered_in_three_directions(device: Device) -> None:
     data = np.arange(8, dtype="f4").reshape(2, 2, 2, 1)
     with device.texture(data, Format.R32F, kind=TextureKind.D3) as texture:
-        places = [(0.25, 0.25, 0.25), (0.75, 0.25, 0.25), (0.25, 0.75, 0.25), (0.25, 0.25, 0.75), (0.5, 0.5, 0.5)]
+        places = [
+            (0.25, 0.25, 0.25),
+            (0.75, 0.25, 0.25),
+            (0.25, 0.75, 0.25),
+            (0.25, 0.25, 0.75),
+            (0.5, 0.5, 0.5),
+        ]
         back = sampled(device, Sample3D, texture.sampled(LINEAR), places)
     assert_near(back[:, 0], (0, 1, 2, 4, 3.5), 7 / 256, FILTERED)
 
@@ -429,7 +436,8 @@ def face_place(face: int, direction: tuple[float, float, float]) -> tuple[float,
 def test_a_cube_s_faces_are_turned_as_in_opengl(device: Device) -> None:
     data = np.arange(96, dtype="f4").reshape(6, 4, 4, 1)
     rng = np.random.default_rng(5)
-    directions, expected = [], []
+    directions: list[NDArray[np.float64]] = []
+    expected: list[float] = []
     while len(directions) < 60:
         d = rng.normal(size=3)
         face = int(np.abs(d).argmax()) * 2 + int(d[np.abs(d).argmax()] < 0)
@@ -494,11 +502,18 @@ def test_a_comparison_is_reference_against_texel(device: Device, function: Compa
 
 def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
     """Half of the texels are nearer: half of the answer, whatever their depths are."""
-    sampler = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS)
-    with device.texture((2, 2), Format.D32F) as depth, device.mesh(rectangle(-1, -1, 0, 1, depth=0.9)) as left:
+    sampler = SamplerDescriptor(
+        Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS
+    )
+    with (
+        device.texture((2, 2), Format.D32F) as depth,
+        device.mesh(rectangle(-1, -1, 0, 1, depth=0.9)) as left,
+    ):
         with device.render_pass(depth=depth, clear_depth=0.1):
             device.draw(device.program(Colored), left)
-        back = sampled(device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)])
+        back = sampled(
+            device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (0.25, 0.5, 0.5), (0.75, 0.5, 0.5)]
+        )
     assert_near(back[:, 0], (0.5, 1, 0), 1 / 128, FILTERED)
 
 

@@ -97,7 +97,10 @@ def test_states_hold_across_passes(recording: Device) -> None:
 
 def test_states_of_one_target_leave_the_others(recording: Device) -> None:
     def act(draw: object) -> None:
-        with recording.states(BlendFunction.ALPHA), recording.states(BlendFunction.ADDITIVE.at(2), ColorWrite.OFF.at(1)):
+        with (
+            recording.states(BlendFunction.ALPHA),
+            recording.states(BlendFunction.ADDITIVE.at(2), ColorWrite.OFF.at(1)),
+        ):
             draw()  # type: ignore[operator]
 
     (states,) = states_of_draws(recording, act)
@@ -119,7 +122,11 @@ def test_equal_values_of_different_states_stay_apart(recording: Device) -> None:
 
 
 def sent(device: Device, since: int) -> list[type]:
-    return [change.type for command in device.stream[since:].filter(Op.SET_STATES) for change in command["changes"]]
+    return [
+        change.type
+        for command in device.stream[since:].filter(Op.SET_STATES)
+        for change in command["changes"]
+    ]
 
 
 def test_only_differences_are_sent(recording: Device) -> None:

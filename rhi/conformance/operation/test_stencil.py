@@ -64,14 +64,21 @@ def test_a_stencil_function_compares_reference_with_stored(device: Device, funct
 
 @pytest.mark.parametrize("operation", list(StencilOperation), ids=lambda f: f.name)
 @pytest.mark.parametrize("stored", [0, 1, 100, 254, 255])
-def test_an_operation_changes_what_is_stored(device: Device, operation: StencilOperation, stored: int) -> None:
+def test_an_operation_changes_what_is_stored(
+    device: Device, operation: StencilOperation, stored: int
+) -> None:
     _, value = after(device, StencilFront(both_pass=operation), StencilReference(77), stored=stored)
     assert_same(value, stencil(operation, stored, 77))
 
 
 @pytest.mark.parametrize(
     ("function", "depth", "expected"),
-    [(Comparison.NEVER, 0.0, 1), (Comparison.NEVER, 1.0, 1), (Comparison.ALWAYS, 1.0, 0), (Comparison.ALWAYS, 0.0, 255)],
+    [
+        (Comparison.NEVER, 0.0, 1),
+        (Comparison.NEVER, 1.0, 1),
+        (Comparison.ALWAYS, 1.0, 0),
+        (Comparison.ALWAYS, 0.0, 255),
+    ],
     ids=["stencil fails", "both fail", "depth fails", "both pass"],
 )
 def test_each_outcome_has_its_own_operation(

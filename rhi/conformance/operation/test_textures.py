@@ -10,29 +10,11 @@ import pytest
 
 from rhi import Access, Device, Format, Region, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.formats import require_format, require_renderable
-from rhi.conformance.reference import decode, encode, halve, rounding
+from rhi.conformance.formats import random_texels, require_format, require_renderable, squeezed
+from rhi.conformance.reference import decode, encode, halve, largest, rounding
 from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
 
 FILTERABLE = tuple(f for f in COLOR_FORMATS if not f.is_integer)
-
-
-def texels(format: Format, *shape: int, seed: int = 0) -> np.ndarray:
-    """Random texels that use the format's whole range; the last axis is the channels."""
-    rng = np.random.default_rng([seed, *shape])
-    full = (*shape, format.channels)
-    if format.dtype.kind == "f":
-        return rng.normal(0, 100, full).astype(format.dtype)
-    limits = np.iinfo(format.dtype)
-    values = rng.integers(limits.min, limits.max, full, dtype=format.dtype, endpoint=True)
-    if format.kind is Kind.SNORM:
-        values = np.maximum(values, -limits.max)  # the two smallest numbers both mean −1
-    return values
-
-
-def squeeze(format: Format, array: np.ndarray) -> np.ndarray:
-    """As `Texture.read` gives it: without the axis of a single channel."""
-    return array[..., 0] if format.channels == 1 else array
 
 
 def identity(value: Any) -> str:
@@ -42,7 +24,7 @@ def identity(value: Any) -> str:
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
 def test_a_color_format_reads_back_as_written(device: Device, format: Format) -> None:
     require_format(device, format)
-    data = squeeze(format, texels(format, 5, 7))
+    data = squeezed(format, random_texels(format, 5, 7))
     with device.texture((7, 5), format) as texture:
         texture.write(data)
         back = texture.read()
@@ -70,14 +52,14 @@ def test_new_stencil_holds_zeros(device: Device, format: Format) -> None:
 
 @pytest.mark.parametrize("size", [(1, 1), (1, 9), (9, 1), (3, 5), (31, 33), (256, 2)], ids=str)
 def test_every_size_reads_back_as_written(device: Device, size: tuple[int, int]) -> None:
-    data = texels(Format.RG8, size[1], size[0])
+    data = random_texels(Format.RG8, size[1], size[0])
     with device.texture(data, Format.RG8) as texture:
         assert texture.size == size
         assert_same(texture.read(), data)
 
 
 def test_a_texture_can_be_made_from_its_texels(device: Device) -> None:
-    data = texels(Format.RGBA8, 3, 6)
+    data = random_texels(Format.RGBA8, 3, 6)
     with device.texture(data, Format.RGBA8) as texture:
         assert texture.size == (6, 3)
         assert_same(texture.read(), data)
@@ -85,12 +67,12 @@ def test_a_texture_can_be_made_from_its_texels(device: Device) -> None:
 
 @pytest.mark.parametrize("format", [Format.R8, Format.RGBA8, Format.R16, Format.RGBA32F], ids=identity)
 def test_a_write_changes_its_region_only(device: Device, format: Format) -> None:
-    expected = texels(format, 6, 9)
-    part = texels(format, 2, 3, seed=1)
-    with device.texture(squeeze(format, expected), format) as texture:
-        texture.write(squeeze(format, part), x=5, y=3)
+    expected = random_texels(format, 6, 9)
+    part = random_texels(format, 2, 3, seed=1)
+    with device.texture(squeezed(format, expected), format) as texture:
+        texture.write(squeezed(format, part), x=5, y=3)
         expected[3:5, 5:8] = part
-        assert_same(texture.read(), squeeze(format, expected))
+        assert_same(texture.read(), squeezed(format, expected))
 
 
 @pytest.mark.parametrize("format", [Format.R8, Format.RGBA8, Format.RG16F], ids=identity)
@@ -98,14 +80,14 @@ def test_a_write_changes_its_region_only(device: Device, format: Format) -> None
 def test_a_read_of_a_region_gives_that_region(
     device: Device, format: Format, box: tuple[int, int, int, int]
 ) -> None:
-    data = squeeze(format, texels(format, 6, 9))
+    data = squeezed(format, random_texels(format, 6, 9))
     x, y, width, height = box
     with device.texture(data, format) as texture:
         assert_same(texture.read(region=Region(x, y, width, height)), data[y : y + height, x : x + width])
 
 
 def test_rows_of_an_odd_byte_count_are_not_padded(device: Device) -> None:
-    data = texels(Format.R8, 5, 3)[..., 0]
+    data = random_texels(Format.R8, 5, 3)[..., 0]
     with device.texture(data, Format.R8) as texture:
         texture.write(data[1:4, :1].copy(), x=2, y=2)
         expected = data.copy()
@@ -114,7 +96,7 @@ def test_rows_of_an_odd_byte_count_are_not_padded(device: Device) -> None:
 
 
 def test_texels_that_are_not_contiguous_are_written_in_their_order(device: Device) -> None:
-    data = texels(Format.RGBA8, 8, 8)
+    data = random_texels(Format.RGBA8, 8, 8)
     with device.texture((4, 8), Format.RGBA8) as texture:
         texture.write(data[::-1, ::2])
         assert_same(texture.read(), data[::-1, ::2])
@@ -122,7 +104,7 @@ def test_texels_that_are_not_contiguous_are_written_in_their_order(device: Devic
 
 def test_each_level_holds_its_own_texels(device: Device) -> None:
     sizes = [(8, 4), (4, 2), (2, 1), (1, 1)]
-    data = [texels(Format.RGBA8, h, w, seed=level) for level, (w, h) in enumerate(sizes)]
+    data = [random_texels(Format.RGBA8, h, w, seed=level) for level, (w, h) in enumerate(sizes)]
     with device.texture((8, 4), Format.RGBA8, levels=4) as texture:
         for level, values in enumerate(data):
             texture.write(values, level=level)
@@ -134,7 +116,7 @@ def test_each_level_holds_its_own_texels(device: Device) -> None:
     ("kind", "layers"), [(TextureKind.D2_ARRAY, 3), (TextureKind.D3, 4), (TextureKind.CUBE, 6)], ids=identity
 )
 def test_each_layer_holds_its_own_texels(device: Device, kind: TextureKind, layers: int) -> None:
-    data = texels(Format.RGBA8, layers, 4, 4)
+    data = random_texels(Format.RGBA8, layers, 4, 4)
     with device.texture((4, 4), Format.RGBA8, kind=kind, layers=layers) as texture:
         for layer in reversed(range(layers)):
             texture.write(data[layer], layer=layer)
@@ -147,7 +129,7 @@ def test_each_layer_holds_its_own_texels(device: Device, kind: TextureKind, laye
     ("kind", "layers"), [(TextureKind.D2_ARRAY, 4), (TextureKind.D3, 4), (TextureKind.CUBE, 6)], ids=identity
 )
 def test_several_layers_are_written_at_once(device: Device, kind: TextureKind, layers: int) -> None:
-    data = texels(Format.RG16, 2, 3, 2)
+    data = random_texels(Format.RG16, 2, 3, 2)
     with device.texture((4, 4), Format.RG16, kind=kind, layers=layers) as texture:
         texture.write(data, layer=1, x=2, y=1)
         expected = np.zeros((layers, 4, 4, 2))
@@ -158,7 +140,7 @@ def test_several_layers_are_written_at_once(device: Device, kind: TextureKind, l
 def test_the_depth_of_a_3d_texture_shrinks_with_its_levels(device: Device) -> None:
     with device.texture((4, 4), Format.R8, kind=TextureKind.D3, layers=4, levels=3) as texture:
         assert [len(texture.read_layers(level)) for level in range(3)] == [4, 2, 1]
-        data = texels(Format.R8, 2, 2, 2)
+        data = random_texels(Format.R8, 2, 2, 2)
         texture.write(data, level=1)
         assert_same(texture.read_layers(1), data)
         assert_same(texture.read_layers(0), 0)
@@ -166,7 +148,7 @@ def test_the_depth_of_a_3d_texture_shrinks_with_its_levels(device: Device) -> No
 
 def test_the_layers_of_an_array_stay_with_its_levels(device: Device) -> None:
     with device.texture((4, 4), Format.R8, kind=TextureKind.D2_ARRAY, layers=3, levels=3) as texture:
-        data = texels(Format.R8, 3, 1, 1)
+        data = random_texels(Format.R8, 3, 1, 1)
         texture.write(data, level=2)
         assert_same(texture.read_layers(2), data)
 
@@ -175,13 +157,13 @@ def test_the_layers_of_an_array_stay_with_its_levels(device: Device) -> None:
 
 
 def test_a_read_lock_shows_the_texels(device: Device) -> None:
-    data = texels(Format.RGBA8, 4, 4)
+    data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture, texture.lock(Access.READ) as array:
         assert_same(array, data)
 
 
 def test_a_write_lock_replaces_its_region(device: Device) -> None:
-    data = texels(Format.RGBA8, 4, 4)
+    data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture:
         with texture.lock(Access.WRITE, region=Region(1, 2, 2, 1)) as array:
             assert array.shape == (1, 2, 4)
@@ -191,7 +173,7 @@ def test_a_write_lock_replaces_its_region(device: Device) -> None:
 
 
 def test_a_read_write_lock_changes_what_it_shows(device: Device) -> None:
-    data = texels(Format.R32F, 2, 3)
+    data = random_texels(Format.R32F, 2, 3)
     with device.texture(data[..., 0], Format.R32F) as texture:
         with texture.lock(Access.READ_WRITE) as array:
             assert_same(array, data)
@@ -200,7 +182,7 @@ def test_a_read_write_lock_changes_what_it_shows(device: Device) -> None:
 
 
 def test_an_exception_inside_a_texture_lock_writes_nothing(device: Device) -> None:
-    data = texels(Format.RGBA8, 4, 4)
+    data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture:
         with pytest.raises(ZeroDivisionError), texture.lock(Access.WRITE) as array:
             array[:] = 0
@@ -214,14 +196,14 @@ def test_an_exception_inside_a_texture_lock_writes_nothing(device: Device) -> No
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
 def test_a_copy_carries_the_bits(device: Device, format: Format) -> None:
     require_format(device, format)
-    data = squeeze(format, texels(format, 4, 6))
+    data = squeezed(format, random_texels(format, 4, 6))
     with device.texture(data, format) as source, device.texture((6, 4), format) as target:
         source.copy_to(target)
         assert_same(target.read(), data)
 
 
 def test_a_copy_moves_its_region_only(device: Device) -> None:
-    data, old = texels(Format.RGBA8, 6, 6), texels(Format.RGBA8, 6, 8, seed=1)
+    data, old = random_texels(Format.RGBA8, 6, 6), random_texels(Format.RGBA8, 6, 8, seed=1)
     with device.texture(data, Format.RGBA8) as source, device.texture(old, Format.RGBA8) as target:
         source.copy_to(target, region=Region(1, 3, 4, 2), x=3, y=1)
         old[1:3, 3:7] = data[3:5, 1:5]
@@ -229,7 +211,7 @@ def test_a_copy_moves_its_region_only(device: Device) -> None:
 
 
 def test_a_copy_goes_between_levels_and_layers(device: Device) -> None:
-    data = texels(Format.RGBA8, 2, 4, 4)
+    data = random_texels(Format.RGBA8, 2, 4, 4)
     with (
         device.texture((4, 4), Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=2) as source,
         device.texture((8, 8), Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=4, levels=2) as target,
@@ -242,7 +224,7 @@ def test_a_copy_goes_between_levels_and_layers(device: Device) -> None:
 
 
 def test_a_copy_within_a_texture_moves_to_where_nothing_overlaps(device: Device) -> None:
-    data = texels(Format.RGBA8, 4, 4)
+    data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture:
         texture.copy_to(texture, region=Region(0, 0, 2, 4), x=2)
         assert_same(texture.read()[:, 2:], data[:, :2])
@@ -252,7 +234,9 @@ def test_a_copy_within_a_texture_moves_to_where_nothing_overlaps(device: Device)
 def test_a_copy_carries_depth_and_stencil(device: Device, format: Format) -> None:
     require_format(device, format)
     with device.texture((4, 4), format) as source, device.texture((4, 4), format) as target:
-        with device.render_pass(depth=source, clear_depth=0.25, clear_stencil=77 if format.has_stencil else None):
+        with device.render_pass(
+            depth=source, clear_depth=0.25, clear_stencil=77 if format.has_stencil else None
+        ):
             pass
         source.copy_to(target)
         assert_near(target.read(), 0.25, 2.0**-16, "16 bits of depth")
@@ -262,7 +246,13 @@ def test_a_copy_carries_depth_and_stencil(device: Device, format: Format) -> Non
 
 # -- clears ------------------------------------------------------------------------------------------------
 
-COLORS = [(0.0, 0.0, 0.0, 0.0), (1.0, 1.0, 1.0, 1.0), (0.25, 0.5, 0.75, 0.125), (0.2, 0.3, 0.7, 0.9), (-0.4, 2.0, -3.0, 0.6)]
+COLORS = [
+    (0.0, 0.0, 0.0, 0.0),
+    (1.0, 1.0, 1.0, 1.0),
+    (0.25, 0.5, 0.75, 0.125),
+    (0.2, 0.3, 0.7, 0.9),
+    (-0.4, 2.0, -3.0, 0.6),
+]
 
 
 @pytest.mark.parametrize("color", COLORS, ids=str)
@@ -315,7 +305,7 @@ def test_a_clear_of_stencil_stores_it_and_leaves_depth(device: Device, format: F
 
 
 def test_a_pass_without_clear_keeps_what_is_there(device: Device) -> None:
-    data = texels(Format.RGBA8, 4, 4)
+    data = random_texels(Format.RGBA8, 4, 4)
     with device.texture(data, Format.RGBA8) as texture:
         with device.render_pass(texture):
             pass
@@ -361,19 +351,21 @@ def test_a_clear_of_one_level_leaves_the_others(device: Device) -> None:
 @pytest.mark.parametrize("format", FILTERABLE, ids=identity)
 def test_mipmaps_are_boxes_of_two_by_two(device: Device, format: Format) -> None:
     require_format(device, format)
-    data = texels(format, 8, 16)
+    data = random_texels(format, 8, 16)
     with device.texture((16, 8), format, levels=None) as texture:
-        texture.write(squeeze(format, data))
+        texture.write(squeezed(format, data))
         texture.generate_mipmaps()
         level0 = texture.read(0)
         levels = [texture.read(level).reshape(8 >> level, 16 >> level, -1) for level in range(1, 4)]
-    assert_same(level0, squeeze(format, data))
+    assert_same(level0, squeezed(format, data))
     above = data
     for level in levels:
         # Each level is judged by the one above it, so that roundings don't add up.
         expected = halve(format, above)
         if format.dtype.kind == "f":
-            slack: Any = np.abs(above.astype(np.float64)).max() * (2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22)
+            slack: Any = np.abs(above.astype(np.float64)).max() * (
+                2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22
+            )
         elif format.kind is Kind.SRGB:
             slack = 1.5
         else:
@@ -393,7 +385,9 @@ def test_mipmaps_of_srgb_are_averaged_in_linear_light(device: Device) -> None:
 
 @pytest.mark.parametrize(("kind", "layers"), [(TextureKind.D2_ARRAY, 3), (TextureKind.CUBE, 6)], ids=identity)
 def test_mipmaps_of_layers_do_not_mix(device: Device, kind: TextureKind, layers: int) -> None:
-    data = np.broadcast_to(np.arange(layers, dtype=np.uint8)[:, None, None, None] * 40, (layers, 4, 4, 4)).copy()
+    data = np.broadcast_to(
+        np.arange(layers, dtype=np.uint8)[:, None, None, None] * 40, (layers, 4, 4, 4)
+    ).copy()
     with device.texture((4, 4), Format.RGBA8, kind=kind, layers=layers, levels=3) as texture:
         texture.write(data)
         texture.generate_mipmaps()
@@ -425,8 +419,7 @@ def test_mipmaps_of_odd_sizes_stay_within_the_range_of_their_texels(device: Devi
 def test_the_reference_conversion_is_its_own_inverse() -> None:
     """The judge is judged: `encode` after `decode` gives every stored number back."""
     for format in (Format.RGBA8, Format.RGBA8_SRGB, Format.RGBA8_SNORM, Format.RGBA16):
-        limits = np.iinfo(format.dtype)
-        low = -limits.max if format.kind is Kind.SNORM else 0
-        stored: Sequence[int] = range(low, limits.max + 1)
+        top = largest(format)
+        stored: Sequence[int] = range(-top if format.kind is Kind.SNORM else 0, top + 1)
         numbers = np.stack([np.array(stored)] * 4, axis=-1)
-        assert_near(encode(format, decode(format, numbers)), numbers, 1e-9 * limits.max, "float64")
+        assert_near(encode(format, decode(format, numbers)), numbers, 1e-9 * top, "float64")

@@ -144,7 +144,7 @@ def test_nothing_is_destroyed_twice(recording: Device) -> None:
 
 
 def test_ids_are_never_used_twice(device: Device) -> None:
-    seen = set()
+    seen: set[int] = set()
     for _ in range(20):
         with device.buffer(4) as buffer, device.texture((1, 1), Format.R8) as texture:
             assert not seen & {buffer.id, texture.id}

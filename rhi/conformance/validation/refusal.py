@@ -7,7 +7,6 @@ from types import TracebackType
 
 from rhi import Device, Op, RhiError, Rule, ValidationError
 
-
 MEMOS = frozenset({Op.CREATE_VERTEX_ARRAY, Op.CREATE_SAMPLER})
 """Made once for a mesh and program, or a descriptor, and kept: the user can't tell whether they are there."""
 
@@ -22,7 +21,9 @@ class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
 
     error: RhiError
 
-    def __init__(self, rule: Rule, device: Device | None = None, kind: type[RhiError] = ValidationError) -> None:
+    def __init__(
+        self, rule: Rule, device: Device | None = None, kind: type[RhiError] = ValidationError
+    ) -> None:
         self._rule = rule
         self._kind = kind
         self._stream = None if device is None else device.stream

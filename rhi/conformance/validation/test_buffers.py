@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -75,9 +78,12 @@ def test_the_refusal_of_a_dtype_shows_both_layouts(recording: Device) -> None:
 
 
 @pytest.mark.parametrize(
-    ("offset", "target", "size"), [(0, 0, 17), (8, 0, 9), (0, 8, 9), (-1, 0, 4), (0, -4, 4), (0, 0, 0), (16, 0, None)]
+    ("offset", "target", "size"),
+    [(0, 0, 17), (8, 0, 9), (0, 8, 9), (-1, 0, 4), (0, -4, 4), (0, 0, 0), (16, 0, None)],
 )
-def test_a_copy_must_lie_in_both_buffers(recording: Device, offset: int, target: int, size: int | None) -> None:
+def test_a_copy_must_lie_in_both_buffers(
+    recording: Device, offset: int, target: int, size: int | None
+) -> None:
     with recording.buffer(16) as one, recording.buffer(16) as two:
         with refuses(rules.BUFFER_RANGE, recording):
             one.copy_to(two, size=size, offset=offset, target_offset=target)
@@ -159,7 +165,7 @@ def test_a_uniform_array_wants_its_own_dtype(recording: Device) -> None:
 
 
 def test_a_uniform_takes_values_of_its_own_struct(recording: Device) -> None:
-    zero = {"position": (0, 0, 0), "color": (0, 0, 0), "power": 0.0}
+    zero: dict[str, Any] = {"position": (0, 0, 0), "color": (0, 0, 0), "power": 0.0}
     with recording.uniform(Light(**zero)) as light:
         with refuses(rules.LAYOUT_MISMATCH, recording):
             light.write(Sun(**zero))  # type: ignore[arg-type]
@@ -206,7 +212,7 @@ def test_a_lock_made_twice_is_entered_once(recording: Device) -> None:
 @pytest.mark.parametrize("use", ["read", "write", "clear", "copy from", "copy to"])
 def test_a_locked_buffer_is_not_used(recording: Device, use: str) -> None:
     with recording.buffer(8, U4) as buffer, recording.buffer(8, U4) as other:
-        uses = {
+        uses: dict[str, Callable[[], Any]] = {
             "read": buffer.read,
             "write": lambda: buffer.write(np.ones(8, U4)),
             "clear": lambda: buffer.clear(1),
@@ -253,7 +259,7 @@ def test_an_open_lock_is_named_when_the_device_closes(fresh_device: Device) -> N
 @pytest.mark.parametrize("use", ["read", "write", "lock", "clear", "copy from", "copy to"])
 def test_a_destroyed_buffer_is_not_used(recording: Device, use: str) -> None:
     buffer, other = recording.buffer(8, U4), recording.buffer(8, U4)
-    uses = {
+    uses: dict[str, Callable[[], Any]] = {
         "read": buffer.read,
         "write": lambda: buffer.write(np.ones(8, U4)),
         "lock": lambda: buffer.lock(Access.READ).__enter__(),

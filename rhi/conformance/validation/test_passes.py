@@ -127,7 +127,14 @@ def test_targets_have_one_number_of_samples(recording: Device) -> None:
 
 @pytest.mark.parametrize(
     "clear",
-    [(0, 0, 0), (0, 0, 0, 0, 0), (float("nan"), 0, 0, 0), (float("inf"), 0, 0, 0), [(0, 0, 0, 0)] * 2, ("a", 0, 0, 0)],
+    [
+        (0, 0, 0),
+        (0, 0, 0, 0, 0),
+        (float("nan"), 0, 0, 0),
+        (float("inf"), 0, 0, 0),
+        [(0, 0, 0, 0)] * 2,
+        ("a", 0, 0, 0),
+    ],
     ids=str,
 )
 def test_a_clear_is_four_finite_numbers_per_target(recording: Device, clear: Any) -> None:
@@ -278,7 +285,10 @@ def test_a_scope_takes_states_only(recording: Device, wrong: Any) -> None:
 def test_a_scope_sets_a_state_once(recording: Device) -> None:
     with refuses(rules.STATE_DUPLICATE, recording), recording.states(CullMode.NONE, CullMode.FRONT):
         pass
-    with refuses(rules.STATE_DUPLICATE, recording), recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(1)):
+    with (
+        refuses(rules.STATE_DUPLICATE, recording),
+        recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(1)),
+    ):
         pass
     with recording.states(ColorWrite.OFF.at(1), ColorWrite.ON.at(2)):
         pass
@@ -286,7 +296,10 @@ def test_a_scope_sets_a_state_once(recording: Device) -> None:
 
 def test_a_refused_scope_leaves_no_trace(recording: Device) -> None:
     before = recording.statistics
-    with refuses(rules.STATE_DUPLICATE, recording), recording.states(Scissor(0, 0, 1, 1), CullMode.NONE, CullMode.NONE):
+    with (
+        refuses(rules.STATE_DUPLICATE, recording),
+        recording.states(Scissor(0, 0, 1, 1), CullMode.NONE, CullMode.NONE),
+    ):
         pass
     after = recording.statistics
     assert after.software_state_changes == before.software_state_changes
@@ -323,7 +336,10 @@ def test_a_state_s_numbers_are_checked_when_it_is_made(recording: Device, wrong:
 
 def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
     capabilities = recording.capabilities
-    for state, lacking in ((AlphaTest.ON, not capabilities.alpha_test), (StencilTest.ON, not capabilities.stencil)):
+    for state, lacking in (
+        (AlphaTest.ON, not capabilities.alpha_test),
+        (StencilTest.ON, not capabilities.stencil),
+    ):
         if lacking:
             with refuses(rules.STATE_CAPABILITY, recording), recording.states(state):
                 pass

@@ -24,7 +24,9 @@ ELSEWHERE = {
 }
 """Rules that are not tested here, and why."""
 
-NAMES = sorted(name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE)
+NAMES = sorted(
+    name for name, value in vars(rules).items() if isinstance(value, Rule) and value not in ELSEWHERE
+)
 SOURCE = "".join(path.read_text() for path in sorted(Path(__file__).parent.glob("test_*.py")))
 
 
@@ -33,7 +35,9 @@ def test_each_rule_has_a_failing_case(name: str) -> None:
     assert f"refuses(rules.{name}" in SOURCE
 
 
-@pytest.mark.parametrize("name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule)))
+@pytest.mark.parametrize(
+    "name", sorted(name for name, value in vars(rules).items() if isinstance(value, Rule))
+)
 def test_a_rule_is_a_sentence_with_a_name(name: str) -> None:
     rule: Rule = getattr(rules, name)
     assert rule.id == rule.id.lower()

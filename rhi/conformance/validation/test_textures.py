@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from rhi import Access, Device, Format, Region, TextureKind, rules
+from rhi import Access, Device, Format, Op, Region, TextureKind, rules
 from rhi.conformance.compare import assert_same
 from rhi.conformance.validation.refusal import refuses
 from rhi.formats import DEPTH_FORMATS
@@ -45,7 +46,9 @@ def test_a_size_is_two_whole_numbers(recording: Device, size: Any) -> None:
     ],
     ids=str,
 )  # fmt: skip
-def test_each_kind_has_its_number_of_layers(recording: Device, kind: TextureKind, layers: int, fits: bool) -> None:
+def test_each_kind_has_its_number_of_layers(
+    recording: Device, kind: TextureKind, layers: int, fits: bool
+) -> None:
     if fits:
         recording.texture((4, 4), Format.R8, kind=kind, layers=layers).destroy()
     else:
@@ -68,7 +71,14 @@ def test_the_faces_of_a_cube_are_square(recording: Device) -> None:
 
 @pytest.mark.parametrize(
     ("size", "levels", "fits"),
-    [((8, 8), 4, True), ((8, 8), 5, False), ((8, 8), 0, False), ((1, 1), 2, False), ((9, 3), 4, True), ((9, 3), 5, False)],
+    [
+        ((8, 8), 4, True),
+        ((8, 8), 5, False),
+        ((8, 8), 0, False),
+        ((1, 1), 2, False),
+        ((9, 3), 4, True),
+        ((9, 3), 5, False),
+    ],
     ids=str,
 )
 def test_levels_end_at_one_texel(recording: Device, size: tuple[int, int], levels: int, fits: bool) -> None:
@@ -123,19 +133,14 @@ def test_a_texture_made_from_wrong_texels_leaves_nothing_behind(recording: Devic
     with refuses(rules.TEXTURE_DATA):
         recording.texture(np.zeros((4, 4, 4), "f4"), Format.RGBA8)
     recording.finish()
-    made = recording.stream.filter(rhi_op("CREATE_TEXTURE"))
-    gone = {command["resource"] for command in recording.stream.filter(rhi_op("DESTROY"))}
+    made = recording.stream.filter(Op.CREATE_TEXTURE)
+    gone = {command["resource"] for command in recording.stream.filter(Op.DESTROY)}
     assert recording.statistics.creations == creations or made[-1]["texture"] in gone
 
 
-def rhi_op(name: str) -> Any:
-    from rhi import Op
-
-    return Op[name]
-
-
 @pytest.mark.parametrize(
-    ("x", "y", "width", "height"), [(1, 0, 4, 4), (0, 1, 4, 4), (-1, 0, 2, 2), (0, -1, 2, 2), (4, 0, 1, 1), (0, 0, 5, 1)]
+    ("x", "y", "width", "height"),
+    [(1, 0, 4, 4), (0, 1, 4, 4), (-1, 0, 2, 2), (0, -1, 2, 2), (4, 0, 1, 1), (0, 0, 5, 1)],
 )
 def test_a_region_must_lie_in_the_level(recording: Device, x: int, y: int, width: int, height: int) -> None:
     with recording.texture((4, 4), Format.R8) as texture, recording.texture((8, 8), Format.R8) as other:
@@ -230,7 +235,10 @@ def test_a_copy_within_a_texture_must_not_overlap(recording: Device, x: int, ove
 
 
 def test_samples_are_resolved_not_read(recording: Device) -> None:
-    with recording.texture((4, 4), Format.RGBA8, samples=2) as samples, recording.texture((4, 4), Format.RGBA8) as plain:
+    with (
+        recording.texture((4, 4), Format.RGBA8, samples=2) as samples,
+        recording.texture((4, 4), Format.RGBA8) as plain,
+    ):
         with refuses(rules.TEXTURE_SAMPLES, recording):
             samples.read()
         with refuses(rules.TEXTURE_SAMPLES, recording):
@@ -260,7 +268,10 @@ def test_a_resolve_goes_from_several_samples_to_one(recording: Device) -> None:
 
 @pytest.mark.parametrize(("size", "format"), [((5, 4), Format.RGBA8), ((4, 4), Format.RGBA16F)], ids=str)
 def test_a_resolve_keeps_size_and_format(recording: Device, size: tuple[int, int], format: Format) -> None:
-    with recording.texture((4, 4), Format.RGBA8, samples=2) as samples, recording.texture(size, format) as target:
+    with (
+        recording.texture((4, 4), Format.RGBA8, samples=2) as samples,
+        recording.texture(size, format) as target,
+    ):
         with refuses(rules.TEXTURE_FORMAT, recording):
             samples.resolve_to(target)
 
@@ -282,8 +293,11 @@ def test_a_texture_locked_for_reading_is_not_locked_again(recording: Device) -> 
 
 @pytest.mark.parametrize("use", ["read", "write", "copy", "mipmaps", "clear", "sampled"])
 def test_a_locked_texture_is_not_used(recording: Device, use: str) -> None:
-    with recording.texture((4, 4), Format.R8, levels=2) as texture, recording.texture((4, 4), Format.R8) as other:
-        uses = {
+    with (
+        recording.texture((4, 4), Format.R8, levels=2) as texture,
+        recording.texture((4, 4), Format.R8) as other,
+    ):
+        uses: dict[str, Callable[[], Any]] = {
             "read": texture.read,
             "write": lambda: texture.write(np.ones((4, 4), "u1")),
             "copy": lambda: texture.copy_to(other),

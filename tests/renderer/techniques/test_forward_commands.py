@@ -73,11 +73,12 @@ def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
     [
         ("nothing", 3, 2, 0),
         ("directional", 4, 2, 0),
-        ("point", 4, 2, 0),
-        ("spot", 4, 2, 0),
+        ("point", 5, 2, 0),
+        ("spot", 5, 2, 0),
         ("texture", 3, 2, 1),
         ("haze", 3, 3, 0),
-        ("everything", 6, 3, 1),
+        ("a point light out of reach", 3, 2, 0),
+        ("everything", 7, 3, 1),
     ],
 )
 def test_what_a_scene_lacks_is_not_bound(
@@ -89,6 +90,8 @@ def test_what_a_scene_lacks_is_not_bound(
         builder.lights.add_directional((0, -1, 0))
     if kind == "point" or every:
         builder.lights.add_point((0, 5, 0), 9.0)
+    if kind == "a point light out of reach":
+        builder.lights.add_point((0, 5, 0), 4.4)
     if kind == "spot" or every:
         builder.lights.add_spot((0, 5, 0), (0, -1, 0), 9.0, 0.3, 0.5)
     if kind == "texture" or every:

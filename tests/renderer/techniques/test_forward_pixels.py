@@ -10,6 +10,7 @@ from lighting_reference import shade_plane
 from numpy.typing import NDArray
 
 import rhi
+from renderer.frame import resources
 from renderer.renderer import Renderer
 from renderer.scene import (
     Camera,
@@ -17,6 +18,7 @@ from renderer.scene import (
     Perspective,
     Scene,
     SceneBuilder,
+    load_scene,
     make_geometry,
     scaling,
     translation,
@@ -185,3 +187,27 @@ def test_what_is_near_hides_what_is_far(gl: rhi.Device, depth: Depth, order: tup
     picture = render(gl, scene, camera)
     near = 1 if order == (0, 1) else 0
     assert (picture[..., near] > 4 * picture[..., 1 - near] + 20).all()
+
+
+@pytest.mark.parametrize("text", ["city:blocks=8", "hall:columns=8,flags=4"])
+def test_lights_that_do_not_reach_an_object_are_left_out_without_a_trace(
+    gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
+    scene = load_scene(text)
+    cameras = [scene.paths[path].camera(frame) for path in ("ground", "sky") for frame in (200, 900)]
+    assert len(scene.lights.point)
+    assert len(scene.lights.spot)
+    listed = [render(gl, scene, camera) for camera in cameras]
+
+    def list_all(lower: Any, upper: Any, positions: Any, ranges: Any) -> Any:
+        objects, lights = len(lower), len(positions)
+        return np.arange(objects + 1) * lights, np.tile(np.arange(lights), objects)
+
+    monkeypatch.setattr(resources, "list_lights", list_all)
+    everything = [render(gl, scene, camera) for camera in cameras]
+    assert np.array_equal(listed, everything)
+    monkeypatch.setattr(
+        resources, "list_lights", lambda lower, *_: (np.zeros(len(lower) + 1, int), np.zeros(0, int))
+    )
+    nothing = [render(gl, scene, camera) for camera in cameras]
+    assert not np.array_equal(listed, nothing)  # the control: lights are seen

@@ -1,0 +1,31 @@
+"""Which lights reach which objects: so that a fragment asks only the lights that may reach it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Rows = NDArray[np.int64]
+
+_PAIRS = 1 << 20  # (object, light) pairs looked at together: 60 MB
+
+
+def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats) -> tuple[Rows, Rows]:
+    """Lists of the lights within whose range a box begins, ascending, one after the other.
+
+    Args:
+        lower, upper: (n, 3) boxes. positions, ranges: (l, 3) and (l,) of the lights.
+
+    Returns:
+        Where each list ends (n + 1,), from 0 on: object i has `lights[ends[i]:ends[i + 1]]`; and the lights.
+    """
+    step = max(_PAIRS // max(len(positions), 1), 1)
+    counts, lists = [np.zeros(1, np.int64)], [np.zeros(0, np.int64)]
+    for start in range(0, len(lower), step):
+        low, high = lower[start : start + step, None], upper[start : start + step, None]
+        away = positions - np.clip(positions, low, high)
+        reached = (away * away).sum(-1) < ranges * ranges
+        counts.append(reached.sum(1))
+        lists.append(np.nonzero(reached)[1])
+    return np.cumsum(np.concatenate(counts)), np.concatenate(lists)

@@ -1,0 +1,153 @@
+"""The functions generated for each program: its draw, and the checks and bindings before any other call.
+
+- Generated because a loop over the bindings costs more than the draw: with two bindings 1.2× of the bare OpenGL
+  calls against 1.5× (`benchmarks/draw_cost.py`).
+- All state they keep lies in cells that they share: what is bound (compared by identity) and whose ranges are
+  known to be good. What isn't current any more clears `core.program`, and the next call starts from nothing.
+- Up to `enter` everything may be refused; from there on nothing is. So what is refused leaves no trace.
+- `draw` takes bindings as keywords, for the program's own draw; `draw_with` and `bind` take them as the dictionary
+  that `device.draw(**bindings)` has anyway: to unpack it again would cost 70 ns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any, Final, NamedTuple
+
+from rhi.descriptors import Binding, BindingKind
+
+__rhi_internal__ = True
+
+MISSING: Final = object()
+"""Stands for a binding that was not given."""
+
+_RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
+
+_APPLY: Final = {
+    BindingKind.UNIFORM: "{name}.owner.bind_uniform({slot}, {name}.offset, {name}.size)",
+    BindingKind.STORAGE: "_backend.bind_storage({slot}, {name}.buffer, {name}.offset, {name}.size)",
+    BindingKind.TEXTURE: "_backend.bind_texture({slot}, {name}.texture, {name}.sampler)",
+    BindingKind.IMAGE: (
+        "_backend.bind_image({slot}, {name}.texture, {name}.level, -1 if {name}.layer is None else {name}.layer)"
+    ),
+}
+
+
+class DrawCode(NamedTuple):
+    """What is generated.
+
+    `draw(mesh, instances=1, **bindings)`, `draw_with(mesh, instances, bindings)`,
+    `bind(ready, mesh, bindings)` (which calls `ready(mesh)` when everything must be checked), and
+    `take_draws()`: how many draws there were since it was last asked.
+    """
+
+    draw: Callable[..., None]
+    draw_with: Callable[[Any, int, dict[str, Any]], None]
+    bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
+    take_draws: Callable[[], int]
+
+
+def generate(program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
+    """The functions of a `Program`."""
+    source = "\n".join(_source(bindings))
+    scope: dict[str, Any] = {"__rhi_internal__": True, "__name__": __name__}
+    exec(compile(source, f"<draw of {program.name}>", "exec"), scope)
+    core = program.core
+    types = tuple(binding.type for binding in bindings)
+    return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object()))
+
+
+def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
+    """The text of a function `make` that returns the fields of `DrawCode`. Names of its own start with an
+    underscore and a letter; bindings keep clear of `mesh` and `instances` by rule."""
+    cells = [f"_{what}_{i}" for what in ("bound", "owner") for i in range(len(bindings))]
+    keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
+    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound):"
+    yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
+    yield "    _draws = 0  # counted in a cell, at half the price of an attribute"
+    for i in range(len(bindings)):
+        yield f"    _type_{i} = _types[{i}]"
+
+    yield f"    def draw(mesh, instances=1{', *' if bindings else ''}{keywords}):"
+    yield from _draw(bindings, cells, unpack=False)
+    yield "    def draw_with(mesh, instances, _given):"
+    yield from _draw(bindings, cells, unpack=True)
+    yield "    def bind(_ready, mesh, _given):"
+    yield from _nonlocal(cells)
+    yield from _unpack(bindings)
+    yield from _bind(bindings, cells, ready="_ready(mesh)", find=())
+    yield "    def take_draws():"
+    yield "        nonlocal _draws"
+    yield "        taken, _draws = _draws, 0"
+    yield "        return taken"
+    yield "    return draw, draw_with, bind, take_draws"
+
+
+def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool) -> Iterator[str]:
+    yield from _nonlocal([*cells, "_draws"])
+    if unpack:
+        yield from _unpack(bindings)
+    find = (
+        "try:",
+        "    _draw = mesh.calls[_program]",
+        "except KeyError:",
+        "    _draw = _program.attach(mesh)",
+        "if instances != 1:",
+        "    _program.check_instances(instances)",
+    )
+    yield from _bind(bindings, cells, ready="_program.ready_to_draw(mesh)", find=find)
+    yield "        if _states.wanted is not _states.hardware:"
+    yield "            _core.flush_states()"
+    yield "        if _core.tests_alpha:"
+    yield "            _program.draw_unprepared(mesh, instances)"
+    yield "        else:"
+    yield "            _draw(instances)"
+    yield "        _draws += 1"
+
+
+def _nonlocal(cells: list[str]) -> Iterator[str]:
+    if cells:
+        yield f"        nonlocal {', '.join(cells)}"
+
+
+def _unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
+    """From the dictionary, with the right names and no others."""
+    yield f"        if len(_given) != {len(bindings)}:"
+    yield "            _program.check_names(_given)"
+    if bindings:
+        yield "        try:"
+        for binding in bindings:
+            yield f"            {binding.name} = _given[{binding.name!r}]"
+        yield "        except KeyError:"
+        yield "            _program.check_names(_given)"
+
+
+def _bind(
+    bindings: tuple[Binding, ...], cells: list[str], ready: str, find: tuple[str, ...]
+) -> Iterator[str]:
+    """Check everything, then apply what changed."""
+    values = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
+    yield "        try:"
+    for line in find:
+        yield f"            {line}"
+    yield "            _fresh = _core.program is not _program"
+    yield "            if _fresh:"
+    yield f"                {ready}"
+    if cells:
+        yield f"                {' = '.join(cells)} = _unbound"
+    for i, binding in enumerate(bindings):
+        name = binding.name
+        # Of a range that changed within an owner already checked, only the type is compared.
+        known = f" and ({name}.owner is not _owner_{i} or {name}.type is not _type_{i})"
+        yield f"            if {name} is not _bound_{i}{known if binding.kind in _RANGES else ''}:"
+        yield f"                _program.check({i}, {name})"
+        if binding.kind in _RANGES:
+            yield f"                _owner_{i} = {name}.owner"
+    yield "        except AttributeError as _error:"
+    yield f"            _program.explain(mesh, {values}, _error)"
+    yield "        if _fresh:"
+    yield "            _program.enter()"
+    for i, binding in enumerate(bindings):
+        yield f"        if {binding.name} is not _bound_{i}:"
+        yield "            " + _APPLY[binding.kind].format(slot=binding.slot, name=binding.name)
+        yield f"            _bound_{i} = {binding.name}"

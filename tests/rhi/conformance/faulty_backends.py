@@ -1,0 +1,217 @@
+"""Backends with one fault each, and a run of the kit against all of them.
+
+`python faulty_backends.py` prints a line of JSON: for each fault how many tests of its group failed.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import rhi
+import rhi.conformance
+from rhi import registry
+
+KIT = Path(rhi.conformance.__file__).parent
+
+
+class Faulty:
+    """A backend that does all as `inner` does, by its contract alone: it prepares no draws."""
+
+    def __init__(self, inner: Any) -> None:
+        self._inner = inner
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("prepare_"):
+            raise AttributeError(name)
+        return getattr(self._inner, name)
+
+
+class Preparing(Faulty):
+    """The same, with prepared draws."""
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+
+class PreparedFromTheFirst(Preparing):
+    def prepare_draw(self, program: int, array: int, primitive: Any, first: int, *rest: Any) -> Any:
+        return self._inner.prepare_draw(program, array, primitive, 0, *rest)
+
+
+class PreparedOnce(Preparing):
+    def prepare_draw(self, *a: Any) -> Any:
+        draw = self._inner.prepare_draw(*a)
+        return lambda instances: draw(1)
+
+
+class PreparedAtZero(Preparing):
+    def prepare_uniform(self, buffer: int) -> Any:
+        bind = self._inner.prepare_uniform(buffer)
+        return lambda slot, offset, size: bind(slot, 0, size)
+
+
+class UpsideDown(Faulty):
+    def read_texture(self, *a: Any) -> Any:
+        return self._inner.read_texture(*a)[:, ::-1].copy()
+
+
+class NoFirst(Faulty):
+    def draw(self, array: int, primitive: Any, first: int, *rest: Any) -> None:
+        self._inner.draw(array, primitive, 0, *rest)
+
+
+class NoBaseInstance(Faulty):
+    def draw(self, *a: Any) -> None:
+        self._inner.draw(*a[:-1], 0)
+
+
+class NoCount(Faulty):
+    def draw_indirect(self, *a: Any) -> None:
+        self._inner.draw_indirect(*a[:-2], 0, 0)
+
+
+class NoUniformOffset(Faulty):
+    def bind_uniform(self, slot: int, buffer: int, offset: int, size: int) -> None:
+        self._inner.bind_uniform(slot, buffer, 0, size)
+
+
+class NoMipmaps(Faulty):
+    def generate_mipmaps(self, texture: int) -> None:
+        pass
+
+
+class CopyToCorner(Faulty):
+    def copy_texture(
+        self, source: int, level: int, region: Any, target: int, to: int, x: int, y: int, layer: int
+    ) -> None:
+        self._inner.copy_texture(source, level, region, target, to, 0, 0, layer)
+
+
+class ShortWrite(Faulty):
+    def write_buffer(self, buffer: int, offset: int, data: Any) -> None:
+        self._inner.write_buffer(buffer, offset, bytes(data)[:-1] if len(data) > 4096 else data)
+
+
+class EarlyFence(Faulty):
+    def completed(self) -> int:
+        return 1 << 40
+
+
+class ZeroForUnfinished(Faulty):
+    def read_query(self, query: int) -> int:
+        return 0
+
+
+class NoStencilClear(Faulty):
+    def begin_pass(self, descriptor: Any) -> None:
+        if descriptor.depth is not None:
+            depth = dataclasses.replace(descriptor.depth, clear_stencil=None)
+            descriptor = dataclasses.replace(descriptor, depth=depth)
+        self._inner.begin_pass(descriptor)
+
+
+class Deaf(Faulty):
+    """Doesn't hear of one state."""
+
+    state: type
+
+    def set_states(self, changes: Any) -> None:
+        self._inner.set_states(tuple(change for change in changes if change.type is not self.state))
+
+
+class OneBlendForAll(Faulty):
+    def set_states(self, changes: Any) -> None:
+        self._inner.set_states(
+            tuple(
+                change._replace(value=(change.value[0],) * 8) if change.type is rhi.BlendFunction else change
+                for change in changes
+            )
+        )
+
+
+CONTROL = "no fault"
+FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
+    "upside down": (UpsideDown, "orientation"),
+    "no first": (NoFirst, "meshes"),
+    "no base instance": (NoBaseInstance, "meshes"),
+    "no count": (NoCount, "meshes"),
+    "no uniform offset": (NoUniformOffset, "transient"),
+    "prepared from the first": (PreparedFromTheFirst, "meshes"),
+    "prepared once": (PreparedOnce, "meshes"),
+    "prepared at zero": (PreparedAtZero, "transient"),
+    "no mipmaps": (NoMipmaps, "textures"),
+    "copy to corner": (CopyToCorner, "textures"),
+    "short write": (ShortWrite, "buffers"),
+    "early fence": (EarlyFence, "time"),
+    "zero for unfinished": (ZeroForUnfinished, "queries"),
+    "no stencil clear": (NoStencilClear, "textures"),
+    "one blend for all": (OneBlendForAll, "targets"),
+}
+GROUPS = {
+    rhi.CullMode: "rasterisation",
+    rhi.FrontFace: "rasterisation",
+    rhi.Scissor: "rasterisation",
+    rhi.Viewport: "rasterisation",
+    rhi.DepthTest: "depth",
+    rhi.DepthWrite: "depth",
+    rhi.DepthFunction: "depth",
+    rhi.DepthBias: "depth",
+    rhi.PolygonOffset: "depth",
+    rhi.ColorWrite: "blending",
+    rhi.BlendFunction: "blending",
+    rhi.BlendColor: "blending",
+    rhi.StencilTest: "stencil",
+    rhi.StencilFront: "stencil",
+    rhi.StencilBack: "stencil",
+    rhi.StencilReference: "stencil",
+    rhi.StencilReadMask: "stencil",
+    rhi.StencilWriteMask: "stencil",
+    rhi.AlphaToCoverage: "targets",
+}
+"""Which group must see that a state is not heard of."""
+for _state, _group in GROUPS.items():
+    FAULTS[f"deaf to {_state.__name__}"] = (type("Deaf", (Deaf,), {"state": _state}), _group)
+
+
+class Count:
+    """A pytest plugin that counts the tests that fail."""
+
+    def __init__(self) -> None:
+        self.failed = 0
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        self.failed += report.failed
+
+
+def count_failures(fault: Callable[[Any], Any], *groups: str) -> int:
+    """Run groups of the kit against gl with a fault, up to the first test that fails."""
+    real = registry._entry_points()["gl"].load()
+    point = SimpleNamespace(load=lambda: lambda *, validation: fault(real(validation=validation)))
+    known = registry._entry_points
+    registry._entry_points = lambda: {"gl": point}  # type: ignore[assignment, dict-item]
+    count = Count()
+    options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "rhi.conformance.plugin", "-c", os.devnull]
+    files = [str(KIT / "operation" / f"test_{group}.py") for group in groups]
+    try:
+        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+            status = pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *files], [count])
+    finally:
+        registry._entry_points = known
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        raise RuntimeError(f"the kit did not run: {status!r}")
+    return count.failed
+
+
+if __name__ == "__main__":
+    failures = {name: count_failures(*fault) for name, fault in FAULTS.items()}
+    failures[CONTROL] = count_failures(Faulty, *sorted({group for _, group in FAULTS.values()}))
+    print(json.dumps(failures))
