@@ -26,7 +26,6 @@ from rhi import ColorWrite, CullMode, DepthWrite
 from rhi.backends.gl.backend import GlBackend
 from rhi.shading import Shader, Struct, Uniform, vec2, vec4
 
-
 RASTERIZER_DISCARD = 0x8C89
 
 

@@ -122,8 +122,8 @@ class Wrap(enum.Enum):
 class SamplerDescriptor:
     """How texels are read.
 
-    `mip` None reads level 0 only (loads of single texels still name their level); `compare` makes a depth comparison sampler that
-    gives 1 where `reference compare texel` holds.
+    `mip` None reads level 0 only (loads of single texels still name their level); `compare` makes a depth
+    comparison sampler that gives 1 where `reference compare texel` holds.
     """
 
     minify: Filter = Filter.LINEAR

@@ -5,7 +5,17 @@ from typing import assert_type
 import numpy as np
 
 import rhi
-from rhi import Access, BlendFunction, ColorWrite, CullMode, DepthWrite, Filter, Format, Primitive, SamplerDescriptor
+from rhi import (
+    Access,
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthWrite,
+    Filter,
+    Format,
+    Primitive,
+    SamplerDescriptor,
+)
 from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, vec2, vec4
 
 
