@@ -119,7 +119,8 @@ class Backend(Protocol):
     """
 
     @property
-    def capabilities(self) -> Capabilities: ...
+    def capabilities(self) -> Capabilities:
+        """What this device can do; the same object all its life."""
 
     def close(self) -> None:
         """Let go of everything; no call follows."""
@@ -132,13 +133,17 @@ class Backend(Protocol):
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
         """Contents of all levels start as zeros."""
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None: ...
+    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+        """How textures are read; the device asks once per distinct descriptor."""
 
-    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None: ...
+    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+        """Compile what `descriptor.emit` gives in this backend's language."""
 
-    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None: ...
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        """Where the vertex stage of one program reads its inputs; its buffers exist and outlive it."""
 
-    def create_query(self, query: Id, kind: QueryKind) -> None: ...
+    def create_query(self, query: Id, kind: QueryKind) -> None:
+        """Has no answer until it was used."""
 
     def destroy(self, resource: Id) -> None:
         """Of any kind. The device calls it only once the GPU is done with the resource."""
@@ -190,11 +195,14 @@ class Backend(Protocol):
     def bind_program(self, program: Id) -> None:
         """Graphics or compute. What is bound to slots stays bound."""
 
-    def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None: ...
+    def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+        """`offset` is a multiple of `capabilities.uniform_alignment`."""
 
-    def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None: ...
+    def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+        """`offset` is a multiple of `capabilities.storage_alignment`. Read and write."""
 
-    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None: ...
+    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
+        """All levels and layers, read through the sampler."""
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
         """`layer` −1 binds all layers. Read and write."""
@@ -238,7 +246,8 @@ class Backend(Protocol):
     def begin_query(self, query: Id) -> None:
         """Start an OCCLUSION query. One at a time."""
 
-    def end_query(self, query: Id) -> None: ...
+    def end_query(self, query: Id) -> None:
+        """Stop counting; the answer comes some time later."""
 
     def write_query(self, query: Id) -> None:
         """Take a COUNTER or TIMESTAMP at this point of the stream."""
@@ -250,11 +259,14 @@ class Backend(Protocol):
         """Draws until `end_conditional` are dropped if the query counted no sample (`inverted`: if it
         counted any); an unfinished query is waited for by the device, not by the CPU."""
 
-    def end_conditional(self) -> None: ...
+    def end_conditional(self) -> None:
+        """Draws happen again."""
 
-    def push_label(self, text: str) -> None: ...
+    def push_label(self, text: str) -> None:
+        """Name the commands up to the matching `pop_label`; for tools."""
 
-    def pop_label(self) -> None: ...
+    def pop_label(self) -> None:
+        """The end of the innermost label."""
 
     def present(self, texture: Id) -> None:
         """The end of a frame; `texture` is its image, 0 for none."""

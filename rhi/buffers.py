@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rhi.core import Core, describe
 from rhi.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.errors import refuse
-from rhi.layout import compare_layouts
+from rhi.layout import accepts, compare_layouts
 from rhi.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -256,6 +256,7 @@ class UniformBuffer(UniformRange[T]):
         self.owner._upload_bytes(value.to_bytes(), 0)  # type: ignore[attr-defined]
 
     def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it."""
         self.owner.destroy()
 
     def __enter__(self) -> Self:
@@ -297,13 +298,14 @@ class UniformArray(Generic[T]):
         Raises:
             ValidationError: `layout-mismatch` with both layouts when the dtype is not `dtype`.
         """
-        check_layout(rows, self.dtype, "UniformArray.write")
-        self.buffer.write(rows, first)
+        self.buffer.write(match_layout(rows, self.dtype, "UniformArray.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> BufferLock:
+        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self.buffer.lock(access, first, count)
 
     def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it."""
         self.buffer.destroy()
 
     def __enter__(self) -> Self:
@@ -333,10 +335,10 @@ class StorageBuffer(StorageRange[T]):
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on; `layout-mismatch` when the dtype is not `dtype`."""
-        check_layout(rows, self.dtype, "StorageBuffer.write")
-        self._typed().write(rows, first)
+        self._typed().write(match_layout(rows, self.dtype, "StorageBuffer.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> BufferLock:
+        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self._typed().lock(access, first, count)
 
     def clear(self, value: int = 0) -> None:
@@ -344,6 +346,7 @@ class StorageBuffer(StorageRange[T]):
         self.owner.clear(value)
 
     def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it."""
         self.owner.destroy()
 
     def __enter__(self) -> Self:
@@ -377,17 +380,14 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
-def check_layout(array: NDArray[Any], expected: np.dtype[Any], call: str) -> None:
-    """Refuse an array whose dtype isn't the layout, with both layouts side by side."""
+def match_layout(array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
+    """The array as one of the layout's dtype; refuses another layout, with both side by side."""
     given = np.asarray(array)
     base, shape = expected.subdtype or (expected, ())
-    if given.dtype != base or (shape and given.shape[-len(shape) :] != shape):
-        refuse(
-            LAYOUT_MISMATCH,
-            call,
-            f"shape {given.shape} of\n{compare_layouts(base, given.dtype)}",
-            str(shape or ""),
-        )
+    if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
+        table = compare_layouts(base, given.dtype)
+        refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
+    return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
 
 def check_struct(value: object, expected: object, call: str) -> None:

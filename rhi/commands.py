@@ -17,9 +17,9 @@ from types import CodeType
 from typing import Any, Final, overload
 
 from rhi.command_text import describe_call
-from rhi.descriptors import Id, PassDescriptor
+from rhi.descriptors import Id, PassDescriptor, ProgramDescriptor
 from rhi.errors import CallSite, RhiError, refuse
-from rhi.ops import CONTEXT_OPS, DRAWS, WIDTHS, Context, Op, States
+from rhi.ops import CONTEXT_OPS, DRAWS, WIDTHS, Context, Descriptor, Op, States
 from rhi.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
 
 __rhi_internal__ = True
@@ -38,8 +38,8 @@ class Failure:
 class Command:
     """One call, with its arguments: `command.op`, `command["count"]`, `command.site`.
 
-    What is derived from the commands before it (labels, states, program, render_pass) can be had until the
-    stream is cleared (`command-cleared` after that).
+    What is derived from the commands before it (labels, states, program, bindings, resources, render_pass)
+    can be had until the stream is cleared (`command-cleared` after that).
     """
 
     __slots__ = ("_code", "_generation", "_stream", "failure", "index", "offset", "op", "values")
@@ -99,6 +99,20 @@ class Command:
     def render_pass(self) -> PassDescriptor | None:
         """The open pass, None outside."""
         return self._context().render_pass
+
+    def resource(self, resource: Id) -> Descriptor | None:
+        """What a resource that is alive at this command was made from."""
+        return self._context().resources.get(resource)
+
+    @property
+    def bindings(self) -> dict[str, tuple[int, ...]]:
+        """What the bound program reads, by the names of its bindings: (buffer, offset, size) of a uniform or
+        storage range, (texture, sampler) of a texture, (texture, level, layer) of an image."""
+        context = self._context()
+        program = context.resources.get(context.program)
+        bindings = program.bindings if isinstance(program, ProgramDescriptor) else ()
+        slots = context.slots
+        return {b.name: slots[b.kind, b.slot] for b in bindings if (b.kind, b.slot) in slots}
 
     def _context(self) -> Context:
         if self._generation != self._stream.generation:
@@ -233,6 +247,7 @@ class CommandStream(Commands):
         self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context has followed
 
     def indices(self) -> range:
+        """All places: 0 to the number of commands."""
         return range(len(self))
 
     def __len__(self) -> int:

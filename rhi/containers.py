@@ -65,6 +65,7 @@ class FixedStack(Generic[T]):
         return self._data[self._index - 1]  # type: ignore[return-value]
 
     def clear(self) -> None:
+        """Take all elements out."""
         self._data[: self._index] = [None] * self._index
         self._index = 0
 
@@ -125,9 +126,11 @@ class FixedQueue(Generic[T]):
 
     @property
     def is_full(self) -> bool:
+        """Whether the next push would be refused."""
         return self._count == self.capacity
 
     def clear(self) -> None:
+        """Take all elements out."""
         self._data = [None] * (self._mask + 1)
         self._read = self._count = 0
 

@@ -107,11 +107,15 @@ class TextureDescriptor:
 
 
 class Filter(enum.Enum):
+    """One texel, or a weighted mean of the nearest ones."""
+
     NEAREST = "nearest"
     LINEAR = "linear"
 
 
 class Wrap(enum.Enum):
+    """What lies outside 0…1: the image again, mirrored at each turn, its edge texels, or the border color."""
+
     REPEAT = "repeat"
     MIRROR = "mirror"
     CLAMP = "clamp"
@@ -273,6 +277,8 @@ class QueryKind(enum.Enum):
 
 
 class Stage(enum.Enum):
+    """A part of a program."""
+
     VERTEX = "vertex"
     FRAGMENT = "fragment"
     COMPUTE = "compute"

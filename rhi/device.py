@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from typing_extensions import ParamSpec
 
 from rhi.backend import Backend, Capabilities
-from rhi.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, check_layout
+from rhi.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
 from rhi.commands import CommandStream
 from rhi.core import Core, Statistics
 from rhi.descriptors import (
@@ -126,6 +126,7 @@ class Device:
 
     @property
     def closed(self) -> bool:
+        """Whether `close` was called; nothing else can be, then."""
         return self._core.closed
 
     @property
@@ -144,6 +145,7 @@ class Device:
         return self._core.statistics()
 
     def reset_statistics(self) -> None:
+        """Count from zero again."""
         self._core.reset_statistics()
 
     @property
@@ -225,8 +227,7 @@ class Device:
         count = int(source) if isinstance(source, (int, np.integer)) else 0
         name = label or f"{getattr(element, '__name__', element)}[]"
         if not isinstance(source, (int, np.integer)):
-            array = np.asarray(source)
-            check_layout(array, dtype, "device.storage")
+            array = match_layout(source, dtype, "device.storage")
             count = array.size // int(np.prod(dtype.shape, initial=1))
         storage: StorageBuffer[T] = StorageBuffer(
             Buffer(self._core, count, dtype, label=name), element, dtype

@@ -95,6 +95,7 @@ class Format(enum.Enum):
 
     @property
     def has_stencil(self) -> bool:
+        """Whether it holds 8 bits of stencil beside the depth."""
         return self.kind is Kind.DEPTH_STENCIL
 
     @property

@@ -283,6 +283,16 @@ def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> I
         yield from describe_layout(field, f"{prefix}.{name}" if prefix else name, start + offset)
 
 
+def accepts(wanted: np.dtype[Any], given: np.dtype[Any]) -> bool:
+    """Whether elements of `given` are elements of `wanted` as they lie: every wanted field has its name, type and
+    offset, and elements are of one size. More fields, such as named padding, do no harm."""
+    if wanted == given:
+        return True
+    if wanted.names is None or given.names is None or wanted.itemsize != given.itemsize:
+        return False
+    return set(describe_layout(wanted)) <= set(describe_layout(given))
+
+
 def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
     """Two layouts side by side: field, offset and type of each, with a mark where they differ."""
     left = {row.name: row for row in describe_layout(wanted)}

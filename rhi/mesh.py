@@ -226,6 +226,7 @@ class Mesh:
 
     @property
     def vertex_count(self) -> int:
+        """Vertices of the whole mesh."""
         return self.data.vertex_count
 
     @property
@@ -235,18 +236,22 @@ class Mesh:
 
     @property
     def is_indexed(self) -> bool:
+        """Whether draws go through indices."""
         return self.data.index_count is not None
 
     @property
     def vertices(self) -> Buffer | None:
+        """The vertex buffer, None for vertices without attributes."""
         return self.data.vertices
 
     @property
     def indices(self) -> Buffer | None:
+        """The index buffer, None without indices."""
         return self.data.index_buffer
 
     @property
     def instances(self) -> Buffer | None:
+        """The buffer of per-instance data, None without."""
         return self.data.instances
 
     @property

@@ -2,8 +2,8 @@
 
 - The names, order and types of a command's arguments come from the signatures of `rhi.backend.Backend` and
   are said nowhere else.
-- States, labels, program and pass at a command aren't stored with it but derived, by a `Context` that is fed
-  the commands before it.
+- States, labels, program, bindings, resources and pass at a command aren't stored with it but derived, by a
+  `Context` that is fed the commands before it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,17 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeAlias
 
 from rhi.backend import Backend
-from rhi.descriptors import Id, PassDescriptor
+from rhi.descriptors import (
+    BindingKind,
+    BufferDescriptor,
+    Id,
+    PassDescriptor,
+    ProgramDescriptor,
+    QueryKind,
+    SamplerDescriptor,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+)
 from rhi.state_cache import StateChange, default_values
 from rhi.states import STATE_TYPES
 
@@ -91,6 +101,16 @@ WIDTHS: Final = tuple(1 + len(op.parameters) + 2 for op in Op)
 States: TypeAlias = dict[type, object]
 """The value of each state type; for those that exist per target a tuple of 8, one per target."""
 
+Descriptor: TypeAlias = (
+    BufferDescriptor
+    | TextureDescriptor
+    | SamplerDescriptor
+    | ProgramDescriptor
+    | VertexArrayDescriptor
+    | QueryKind
+)
+"""What a resource is made from."""
+
 
 class Context:
     """What holds at a point of a stream. Its methods are the commands that change it.
@@ -100,15 +120,52 @@ class Context:
         labels: the open labels, outermost first.
         program: the bound program, 0 for none.
         render_pass: the open pass, None outside.
+        resources: what each living resource was made from, by id.
+        slots: what is bound, by kind and slot: the arguments of the binding command after the slot.
     """
 
-    __slots__ = ("labels", "program", "render_pass", "states")
+    __slots__ = ("labels", "program", "render_pass", "resources", "slots", "states")
 
     def __init__(self) -> None:
         self.states: States = dict(zip(STATE_TYPES, default_values(), strict=True))
         self.labels: tuple[str, ...] = ()
         self.program: Id = 0
         self.render_pass: PassDescriptor | None = None
+        self.resources: dict[Id, Descriptor] = {}
+        self.slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
+
+    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+        self.resources[buffer] = descriptor
+
+    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+        self.resources[texture] = descriptor
+
+    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+        self.resources[sampler] = descriptor
+
+    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+        self.resources[program] = descriptor
+
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        self.resources[vertex_array] = descriptor
+
+    def create_query(self, query: Id, kind: QueryKind) -> None:
+        self.resources[query] = kind
+
+    def destroy(self, resource: Id) -> None:
+        self.resources.pop(resource, None)
+
+    def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+        self.slots[BindingKind.UNIFORM, slot] = (buffer, offset, size)
+
+    def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+        self.slots[BindingKind.STORAGE, slot] = (buffer, offset, size)
+
+    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
+        self.slots[BindingKind.TEXTURE, slot] = (texture, sampler)
+
+    def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
+        self.slots[BindingKind.IMAGE, slot] = (texture, level, layer)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
         self.states.update(changes)
@@ -132,6 +189,7 @@ class Context:
         twin = Context()
         twin.states = self.states.copy()
         twin.labels, twin.program, twin.render_pass = self.labels, self.program, self.render_pass
+        twin.resources, twin.slots = self.resources.copy(), self.slots.copy()
         return twin
 
     def follow(self, op: int, arguments: Sequence[Any]) -> None:

@@ -95,6 +95,7 @@ class Program(Generic[P]):
 
     @property
     def label(self) -> str:
+        """Its name, as resources have labels."""
         return self.name
 
     def __repr__(self) -> str:
@@ -275,6 +276,7 @@ class Program(Generic[P]):
             refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
     def check_instances(self, instances: Any) -> None:
+        """Refuse what is no number of instances."""
         if not isinstance(instances, int) or instances < 0:
             refuse(DRAW_COUNT, f"draw of program {self.name!r}", f"instances={instances!r}", "0 or more")
 

@@ -145,15 +145,19 @@ class Recorder(CommandMethods):
 
     @property
     def capabilities(self) -> Capabilities:
+        """Those of the backend behind."""
         return self.backend.capabilities
 
     def close(self) -> None:
+        """Close the backend; the stream stays."""
         self.backend.close()
 
     def completed(self) -> int:
+        """As the backend says; not a command."""
         return self.backend.completed()
 
     def read_query(self, query: Id) -> int | None:
+        """As the backend says; not a command."""
         return self.backend.read_query(query)
 
     @contextmanager

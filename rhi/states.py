@@ -72,6 +72,8 @@ class DepthTest(enum.Enum):
 
 
 class DepthWrite(enum.Enum):
+    """OFF leaves the stored depth as it is."""
+
     OFF = "off"
     ON = "on"
 
@@ -218,6 +220,8 @@ ColorWrite.OFF = ColorWrite(False, False, False, False)
 
 
 class BlendFactor(enum.Enum):
+    """What source or destination is multiplied by; CONSTANT is the `BlendColor`."""
+
     ZERO = "zero"
     ONE = "one"
     SOURCE_COLOR = "source_color"
@@ -324,6 +328,8 @@ class BlendColor(_Value):
 
 
 class StencilOperation(enum.Enum):
+    """What becomes of the stored stencil value; the plain INCREMENT and DECREMENT stop at 255 and 0."""
+
     KEEP = "keep"
     ZERO = "zero"
     REPLACE = "replace"

@@ -65,6 +65,7 @@ class TextureTarget:
 
     @property
     def size(self) -> tuple[int, int]:
+        """(width, height) of the level."""
         return self.texture.descriptor.level_size(self.level)
 
 
@@ -96,26 +97,32 @@ class Texture(TextureBinding):
 
     @property
     def format(self) -> Format:
+        """The texel format."""
         return self.descriptor.format
 
     @property
     def kind(self) -> TextureKind:
+        """2D, array, 3D or cube."""
         return self.descriptor.kind
 
     @property
     def layers(self) -> int:
+        """Array layers, 6 for a cube, the depth of a 3D texture."""
         return self.descriptor.layers
 
     @property
     def levels(self) -> int:
+        """Mip levels."""
         return self.descriptor.levels
 
     @property
     def samples(self) -> int:
+        """Samples a texel; 1 unless it is multi-sampled."""
         return self.descriptor.samples
 
     @property
     def label(self) -> str:
+        """Its name in messages and tools."""
         return self.descriptor.label
 
     def __repr__(self) -> str:

@@ -26,6 +26,7 @@ class Targets:
         return self.color.size
 
     def destroy(self) -> None:
+        """Give the targets back."""
         self.color.destroy()
         self.depth.destroy()
 

@@ -67,6 +67,7 @@ class MirroredArray(Generic[T]):
         buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
 
     def destroy(self) -> None:
+        """Give the buffer back."""
         if self.buffer is not None:
             self.buffer.destroy()
             self.buffer = None
@@ -86,6 +87,7 @@ class MirroredValue(Generic[S]):
             self._value = value
 
     def destroy(self) -> None:
+        """Give the buffer back."""
         self.buffer.destroy()
 
 

@@ -45,7 +45,8 @@ class Projection(Protocol):
     """What a camera needs of its lens."""
 
     @property
-    def depth(self) -> Depth: ...
+    def depth(self) -> Depth:
+        """Which way depth runs."""
     @property
     def matrix(self) -> Floats:
         """(4, 4) float64, view space to clip space."""
@@ -74,6 +75,7 @@ class Perspective:
 
     @property
     def matrix(self) -> Floats:
+        """(4, 4) float64: view to clip space."""
         focal = 1.0 / np.tan(0.5 * self.fov)
         near, far = self.near, self.far
         m = np.zeros((4, 4))
@@ -89,6 +91,7 @@ class Perspective:
         return m
 
     def with_aspect(self, aspect: float) -> Perspective:
+        """The same for another width over height."""
         return replace(self, aspect=aspect)
 
 
@@ -110,6 +113,7 @@ class Orthographic:
 
     @property
     def matrix(self) -> Floats:
+        """(4, 4) float64: view to clip space."""
         length = self.far - self.near
         m = np.zeros((4, 4))
         m[0, 0], m[1, 1], m[3, 3] = 2.0 / (self.height * self.aspect), 2.0 / self.height, 1.0
@@ -120,6 +124,7 @@ class Orthographic:
         return m
 
     def with_aspect(self, aspect: float) -> Orthographic:
+        """The same for another width over height."""
         return replace(self, aspect=aspect)
 
 
@@ -215,6 +220,7 @@ class Camera:
         return Frustum(planes)
 
     def with_projection(self, projection: Projection) -> Camera:
+        """The same place and view through another projection."""
         return replace(self, projection=projection)
 
     def with_aspect(self, aspect: float) -> Camera:

@@ -52,6 +52,7 @@ class Geometry:
 
     @property
     def triangle_count(self) -> int:
+        """Triangles of the geometry."""
         return len(self.indices) // 3
 
     @property

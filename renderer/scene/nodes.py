@@ -73,10 +73,12 @@ class Nodes:
 
     @property
     def local(self) -> Floats:
+        """(n, 4, 4) float64: each node relative to its parent."""
         return _read_only(self._local)
 
     @property
     def world(self) -> Floats:
+        """(n, 4, 4) float64: node to world, as of the latest update."""
         return _read_only(self._world)
 
     def find(self, name: str) -> int:

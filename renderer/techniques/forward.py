@@ -26,6 +26,7 @@ class Forward:
     name: Final = "forward"
 
     def render(self, device: Device, frame: Frame) -> None:
+        """One pass: what the algorithm lets through, front to back, lit as it is drawn."""
         resources, targets = frame.resources, frame.targets
         far, nearer = _DEPTH[frame.camera.projection.depth]
         background = (*resources.scene.background, 1.0)

@@ -19,6 +19,7 @@ class NoCulling:
         self._rows: Rows = np.arange(len(scene.objects))
 
     def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        """Draw every object."""
         draw(self._rows)
         return Statistics(len(self._rows), len(self._rows))
 
@@ -38,6 +39,7 @@ class FrustumCulling:
         self._static = Culler(self.hierarchy, lower, upper)
 
     def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        """Draw the objects whose bounds meet the frustum."""
         objects = self._scene.objects
         planes = camera.frustum.planes
         static, counts = self._static.find_visible(planes)

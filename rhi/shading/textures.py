@@ -207,14 +207,18 @@ _SHAPES: Final = {_D2: "2D", _ARRAY: "2DArray", _D3: "3D", _CUBE: "Cube"}
 
 for _kind, _shape in _SHAPES.items():
     for _scalar, _prefix in ((FLOAT, ""), (INT, "Int"), (UINT, "Uint")):
+        _values = {"": "floats", "Int": "ints", "Uint": "uints"}[_prefix]
         _space: dict[str, Any] = {"__module__": __name__, "shading_type": TextureType(_kind, _scalar)}
+        _space["__doc__"] = f"A {_shape} texture that is read as {_values}, through a sampler."
         _name = f"{_prefix}Texture{_shape}"
         globals()[_name] = type(_name, (Texture,), _space)
         if _kind in _NOT_CUBE:
             _name = f"{_prefix}Image{_shape}"
             _space = {"__module__": __name__, "kind": _kind, "scalar": _scalar}
+            _space["__doc__"] = f"One level of a {_shape} texture, loaded and stored as {_values}."
             globals()[_name] = type(_name, (Image,), _space)
     if _kind in _NOT_3D:
         _name = f"DepthTexture{_shape}"
         _space = {"__module__": __name__, "shading_type": TextureType(_kind, FLOAT, True)}
+        _space["__doc__"] = f"A {_shape} depth texture that is compared with a reference when it is read."
         globals()[_name] = type(_name, (Texture,), _space)

@@ -419,6 +419,8 @@ class GlBackend:
     ) -> None:  # fmt: skip
         """As triangles. The indices of indexed quads are expanded by the CPU, which waits for them."""
         gl, count = self.gl, count // 4 * 6
+        if not count:  # no indices to read
+            return
 
         def draw(index_format: IndexFormat, base: int) -> None:
             index_type = INDEX_TYPES[index_format]
@@ -468,12 +470,20 @@ class GlBackend:
     def dispatch(self, x: int, y: int, z: int) -> None:
         if _current is not self:
             self._activate()
-        self._pipeline.dispatch(x, y, z)
+        if self._condition is None:
+            self._pipeline.dispatch(x, y, z)
+        else:  # a condition is for draws; OpenGL would drop this, too
+            with self._unmasked(False, False, False):
+                self._pipeline.dispatch(x, y, z)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         if _current is not self:
             self._activate()
-        self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
+        if self._condition is None:
+            self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
+        else:
+            with self._unmasked(False, False, False):
+                self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
 
     # -- time --------------------------------------------------------------------------------------------
 

@@ -77,6 +77,14 @@ class Queries:
         """Whether draws must be passed to `add_draw` one by one."""
         return self._samples is not None
 
+    @property
+    def counter(self) -> int | None:
+        """The running counter of samples, None since it passed a draw that nobody knows."""
+        return self._counter
+
+    def kind(self, query: Id) -> QueryKind:
+        return self._queries[query].kind
+
     # -- commands ----------------------------------------------------------------------------------------
 
     def create_query(self, query: Id, kind: QueryKind) -> None:

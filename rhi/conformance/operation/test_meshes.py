@@ -412,6 +412,16 @@ def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
         assert_same(image.read()[0, 5], (5, 12, 0, 1))
 
 
+def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: Device) -> None:
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(Numbered), mesh.view(3, 2))
+        assert_same(image.read()[0, 3:5], [(3, 0, 0, 1), (4, 0, 0, 1)])
+
+
 class FullTriangle(Shader):
     """A triangle over the whole target, from vertex numbers alone."""
 
@@ -460,6 +470,30 @@ def test_many_draws_without_indices(device: Device) -> None:
     assert_same(row[6:], [(6, 3, 0, 1), (7, 3, 0, 1)])
     assert_same(row[0], (0, 9, 1, 1))
     assert_same(row[1:6], 0)
+
+
+def test_many_draws_read_the_instances_of_their_base(device: Device) -> None:
+    with device.texture(ROW, Format.R32F) as image, instanced(device) as mesh:
+        draws = mesh.draws(0, 1, instances=[2, 1, 0], base_instance=[1, 6, 0])
+        with device.render_pass(image):
+            device.draw_many(device.program(ShowInstances), mesh, draws)
+        assert_same(image.read()[0], [0, 2, 3, 0, 0, 0, 7, 0])
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.buffer(draws) as buffer:
+            device.draw_indirect(device.program(ShowInstances), mesh, IndirectDraws(buffer, 3))
+        assert_same(image.read()[0], [0, 2, 3, 0, 0, 0, 7, 0])
+
+
+@pytest.mark.parametrize("dtype", ["u2", "u4"])
+def test_many_draws_add_their_base_vertices(device: Device, dtype: str) -> None:
+    indices = np.array([0, 2, 1], dtype)
+    with (
+        device.texture(ROW, Format.R32F) as image,
+        device.mesh(corners(CENTERS), indices, primitive=Primitive.POINTS) as mesh,
+    ):
+        draws = mesh.draws([0, 1], [2, 2], base_vertex=[5, -1])
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+            device.draw_many(device.program(Colored), mesh, draws)
+        assert_same(image.read()[0], [1, 1, 0, 0, 0, 1, 0, 1])
 
 
 def test_no_draws_draw_nothing(device: Device) -> None:

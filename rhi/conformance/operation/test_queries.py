@@ -26,8 +26,9 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import corners, rectangle, texel_rectangle, window_to_clip
+from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
 
 pytestmark = pytest.mark.needs("shading")
 
@@ -115,6 +116,48 @@ def test_a_query_counts_inside_the_scissor(device: Device, query: OcclusionQuery
 def test_a_query_counts_after_the_stencil_test(device: Device, query: OcclusionQuery) -> None:
     states = (StencilTest.ON, StencilFront(Comparison.NEVER))
     assert count(device, query, rectangle(depth=0.75), *states) == 0
+
+
+class Checkered(Shader):
+    """Every other fragment is thrown away."""
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        at = ivec2(fragment_coordinate().xy)
+        if (at.x + at.y) % 2 == 1:
+            discard()
+        return v.color
+
+
+def test_a_query_does_not_count_what_is_discarded(device: Device, query: OcclusionQuery) -> None:
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(Checkered), mesh)
+        assert query.wait() == 128
+
+
+def test_a_query_does_not_count_clears(device: Device, query: OcclusionQuery) -> None:
+    """Nor what other work between its begin and end does."""
+    with device.texture(SIZE, Format.R8, levels=2) as other, device.texture(SIZE, Format.R8) as image:
+        with device.render_pass(image, clear=(1, 1, 1, 1)), query:
+            other.generate_mipmaps()
+            other.write(np.ones((16, 16), "u1"))
+        assert query.wait() == 0
+
+
+def test_a_query_counts_a_fragment_s_own_depth(device: Device, query: OcclusionQuery) -> None:
+    rows = rectangle(depth=0.9)
+    rows["color"][:, 0] = np.where(rows["position"][:, 0] < 0, 0.0, 1.0)
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(rows) as mesh,
+    ):
+        with device.render_pass(image, depth, clear_depth=0.5), query:
+            device.draw(device.program(DepthFromColor), mesh)
+        assert query.wait() == 128
 
 
 def test_a_query_counts_without_a_depth_buffer(device: Device, query: OcclusionQuery) -> None:

@@ -312,6 +312,25 @@ def test_a_pass_without_clear_keeps_what_is_there(device: Device) -> None:
         assert_same(texture.read(), data)
 
 
+@pytest.mark.parametrize(
+    ("format", "value"),
+    [(Format.R32UI, 2**32 - 1), (Format.R32UI, 2**24 + 1), (Format.R32I, -(2**31)), (Format.R32I, 2**31 - 1)],
+    ids=str,
+)
+def test_a_clear_of_integers_keeps_all_bits(device: Device, format: Format, value: int) -> None:
+    with device.texture((2, 2), format) as texture:
+        with device.render_pass(texture, clear=(float(value), 0, 0, 0)):
+            pass
+        assert_same(texture.read(), value)
+
+
+def test_levels_of_a_texture_made_from_texels_are_filled(device: Device) -> None:
+    data = random_texels(Format.RGBA8, 4, 4)
+    with device.texture(data, Format.RGBA8, levels=None) as texture:
+        assert texture.levels == 3
+        assert_near(texture.read(1), halve(Format.RGBA8, data), 1, "one unit of rounding")
+
+
 def test_each_target_is_cleared_to_its_own_color(device: Device) -> None:
     formats = (Format.RGBA8, Format.R32F, Format.RGBA16UI)
     targets = [device.texture((4, 4), format) for format in formats]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi import CullMode, Device, Format, Primitive
+from rhi import BlendFunction, CullMode, Device, Format, Primitive
 from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
@@ -212,3 +212,101 @@ def test_a_flat_value_is_that_of_the_first_vertex(
         square, color = [(0, 0), (0, 32), (32, 0)], color[:3]
     image = drawn(device, primitive, window_to_clip(square, SIZE), color=color)
     assert_same(image, color[provoking] * 255)
+
+
+# -- quads -------------------------------------------------------------------------------------------------
+
+BOXES = [
+    [(4 * i, y), (4 * i, y + 3), (4 * i + 3, y + 3), (4 * i + 3, y)] for y in (0, 4, 8, 12) for i in range(4)
+]
+
+
+def boxes(chosen: Any) -> NDArray[np.bool_]:
+    """What the quads of these numbers cover, of 16 that lie side by side."""
+    return covered(*(part for i in chosen for part in (BOXES[i][:3], [BOXES[i][0], *BOXES[i][2:]])))
+
+
+@pytest.mark.parametrize("indexed", [None, "u2", "u4"])
+@pytest.mark.parametrize(("first", "count"), [(0, 16), (0, 1), (3, 5), (15, 1), (4, 0)])
+def test_a_view_of_quads_draws_its_quads_only(
+    device: Device, first: int, count: int, indexed: str | None
+) -> None:
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
+    indices = None if indexed is None else np.arange(64, dtype=indexed)
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rows, indices, primitive=Primitive.QUADS) as mesh,
+    ):
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh.view(4 * first, 4 * count))
+        assert_mask(image.read(), boxes(range(first, first + count)))
+
+
+def test_indexed_quads_take_their_corners_from_anywhere(device: Device) -> None:
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
+    order = np.arange(64).reshape(16, 4)[[9, 2, 14]].reshape(-1)
+    shuffled = np.random.default_rng(0).permutation(64)
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(
+            rows[shuffled], np.argsort(shuffled)[order].astype("u2"), primitive=Primitive.QUADS
+        ) as mesh,
+    ):
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        assert_mask(image.read(), boxes((9, 2, 14)))
+
+
+def test_indexed_quads_add_their_base_vertex(device: Device) -> None:
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rows, np.arange(8, dtype="u2"), primitive=Primitive.QUADS) as mesh,
+    ):
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh.view(4, 4, base_vertex=20))
+        assert_mask(image.read(), boxes((6,)))
+
+
+def test_corners_left_over_make_no_quad(device: Device) -> None:
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2))[:11], SIZE))
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rows, primitive=Primitive.QUADS) as mesh:
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        assert_mask(image.read(), boxes((0, 1)))
+
+
+def test_quads_are_drawn_once_per_instance(device: Device) -> None:
+    rows = corners(window_to_clip(np.reshape(BOXES, (-1, 2)), SIZE))
+    with device.texture(SIZE, Format.R32F) as image, device.mesh(rows, primitive=Primitive.QUADS) as mesh:
+        with device.render_pass(image), device.states(CullMode.NONE, BlendFunction.ADDITIVE):
+            device.draw(device.program(Colored), mesh.view(8, 4), 3)
+        assert_same(image.read(), boxes((2,)) * 3)
+
+
+def test_more_quads_than_16_bits_can_count(device: Device) -> None:
+    """20,000 quads of 80,000 vertices: the last ones are where they should be."""
+    positions = np.full((20_000, 4, 2), -3.0)
+    for place, box in ((0, 3), (16_384, 5), (19_999, 12)):
+        positions[place] = window_to_clip(BOXES[box], SIZE)
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(corners(positions.reshape(-1, 2)), primitive=Primitive.QUADS) as mesh,
+    ):
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        assert_mask(image.read(), boxes((3, 5, 12)))
+
+
+def test_a_strip_with_a_base_vertex_restarts_at_the_last_index(device: Device) -> None:
+    """The restart is told by the index itself, before the base is added."""
+    points = [(0, 0), (1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
+    indices = np.array([0, 1, 2, 0xFFFF, 3, 4, 5], "u2")
+    rows = corners(window_to_clip(points, SIZE))
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.mesh(rows, indices, primitive=Primitive.TRIANGLE_STRIP) as mesh,
+    ):
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh.view(base_vertex=1))
+        assert_mask(image.read(), covered(points[1:4], points[4:]))

@@ -1,0 +1,297 @@
+"""What CPU and GPU did when: the timeline of a simulated run (thesis Figures 4.1 and 6.2).
+
+- An `ActivityTimeline` is spans on two lanes. The CPU is busy or stalled (it waits for the GPU); the GPU is
+  busy, starved (it has nothing to do) or halted (an interrupt is being handled, thesis 4.4.2).
+- Times are integers, nanoseconds since the device was made. The same calls give the same timeline.
+- It prints as text, draws itself with matplotlib, and saves itself as a trace for Chrome and Perfetto.
+"""
+
+from __future__ import annotations
+
+import enum
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+__rhi_internal__ = True
+
+
+class Lane(enum.Enum):
+    CPU = "CPU"
+    GPU = "GPU"
+
+
+class Activity(enum.Enum):
+    """What a lane does; the values are its character as text and its color in a picture."""
+
+    BUSY = ("█", "#3b76af")
+    STALLED = ("░", "#d1605e")
+    STARVED = ("·", "#e3a857")
+    HALTED = ("▒", "#7c5295")
+
+    character: str
+    color: str
+
+    def __init__(self, character: str, color: str) -> None:
+        self.character = character
+        self.color = color
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """From `start` to `end` in nanoseconds; `name` says why, or what of."""
+
+    lane: Lane
+    activity: Activity
+    start: int
+    end: int
+    name: str = ""
+
+    @property
+    def nanoseconds(self) -> int:
+        return self.end - self.start
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One frame: what the CPU did between two `present`s, and when the GPU was done with it.
+
+    Attributes:
+        start, presented: of the CPU.
+        done: when the GPU got to the end of the frame; None if it hasn't yet.
+        in_flight: frames presented and not done, this one included, as it was presented.
+    """
+
+    start: int
+    presented: int
+    done: int | None
+    in_flight: int
+
+    @property
+    def latency(self) -> int | None:
+        """From the CPU's start on the frame to the GPU's end of it."""
+        return None if self.done is None else self.done - self.start
+
+
+_OF_LANE: Final = {Lane.CPU: (Activity.BUSY, Activity.STALLED), Lane.GPU: tuple(Activity)}
+
+
+@dataclass(frozen=True, slots=True)
+class ActivityTimeline:
+    """A simulated run up to now.
+
+    Attributes:
+        spans: of each lane in order, without gaps from 0 to `end`.
+        labels: GPU time inside of labels and passes that have ended, by name; they nest.
+        frames: those that were presented.
+        end: now, by the CPU's clock.
+    """
+
+    spans: tuple[Span, ...]
+    labels: tuple[Span, ...]
+    frames: tuple[Frame, ...]
+    end: int
+
+    def lane(self, lane: Lane) -> list[Span]:
+        """The spans of one lane, in order."""
+        return [span for span in self.spans if span.lane is lane]
+
+    def total(self, lane: Lane, activity: Activity, start: int = 0, end: int | None = None) -> int:
+        """Nanoseconds that a lane did this, between `start` and `end`."""
+        end = self.end if end is None else end
+        return sum(
+            max(0, min(span.end, end) - max(span.start, start))
+            for span in self.spans
+            if span.lane is lane and span.activity is activity
+        )
+
+    def format(self, width: int = 72) -> str:
+        """The two lanes as bars of `width` characters with totals, and a row for each frame."""
+        lines = [f"{'':4}0 {_shown(self.end):>{max(1, width - 1)}}"]
+        for lane in Lane:
+            bar = _bar(self.lane(lane), self.end, width)
+            parts = [
+                f"{activity.character} {activity.name.lower()} {_shown(time)}"
+                for activity in _OF_LANE[lane]
+                if (time := self.total(lane, activity)) or activity is not Activity.HALTED
+                if lane is Lane.CPU or activity is not Activity.STALLED
+            ]
+            lines.append(f"{lane.value} {bar}  {', '.join(parts)}")
+        if self.frames:
+            lines.append("frame   cpu busy  cpu stalled     gpu busy  gpu starved      latency  in flight")
+        for number, frame in enumerate(self.frames):
+            times = [
+                _shown(self.total(lane, activity, frame.start, frame.presented))
+                for lane, activity in (
+                    (Lane.CPU, Activity.BUSY), (Lane.CPU, Activity.STALLED),
+                    (Lane.GPU, Activity.BUSY), (Lane.GPU, Activity.STARVED),
+                )
+            ]  # fmt: skip
+            latency = "not done" if frame.latency is None else _shown(frame.latency)
+            lines.append(f"{number:>5} {times[0]:>10} {times[1]:>12} {times[2]:>12} {times[3]:>12} {latency:>12} "
+                         f"{frame.in_flight:>10}")  # fmt: skip
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.format()
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """The timeline as a picture, saved to `path` if one is given. Needs matplotlib."""
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Patch
+
+        scale, unit = _unit(self.end)
+        figure = Figure(figsize=(10, 2.6), layout="constrained")
+        axes = figure.add_subplot()
+        rows = {Lane.CPU: 1.0, Lane.GPU: 0.0}
+        for lane, row in rows.items():
+            spans = self.lane(lane)
+            axes.broken_barh(
+                [(span.start / scale, span.nanoseconds / scale) for span in spans],
+                (row - 0.35, 0.7),
+                facecolors=[span.activity.color for span in spans],
+            )
+        for depth, span in zip(_depths(self.labels), self.labels, strict=True):
+            top = -0.55 - 0.3 * depth
+            bar = (span.start / scale, span.nanoseconds / scale)
+            axes.broken_barh([bar], (top - 0.22, 0.22), facecolors="#cccccc", edgecolors="white")
+            if span.nanoseconds > self.end / 25:  # else the text would run into the next
+                axes.text(sum(bar) - bar[1] / 2, top - 0.11, span.name, ha="center", va="center", fontsize=7, clip_on=True)
+        for frame in self.frames:
+            axes.axvline(frame.presented / scale, color="black", linewidth=0.6, linestyle=":")
+        axes.set_yticks(list(rows.values()), [lane.value for lane in rows])
+        axes.set_xlim(0, max(self.end, 1) / scale)
+        axes.set_xlabel(unit)
+        axes.spines[["top", "right", "left"]].set_visible(False)
+        axes.tick_params(axis="y", length=0)
+        used = [activity for activity in Activity if any(span.activity is activity for span in self.spans)]
+        handles = [Patch(color=activity.color, label=activity.name.lower()) for activity in used]
+        axes.legend(handles=handles, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
+        if path is not None:
+            figure.savefig(path, dpi=120)
+        return figure
+
+    def save(self, path: str | Path) -> None:
+        """A trace in the JSON format of Chrome (`chrome://tracing`), which Perfetto reads too."""
+        threads = {"CPU": 1, "GPU": 2, "GPU labels": 3}
+        events: list[dict[str, Any]] = [
+            {"ph": "M", "name": "thread_name", "pid": 1, "tid": tid, "args": {"name": name}}
+            for name, tid in threads.items()
+        ]
+        for span in self.spans:
+            name = span.activity.name.lower()
+            events.append(_slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name))
+        events += [_slice(span, threads["GPU labels"], span.name) for span in self.labels]
+        events += [
+            {"ph": "i", "s": "g", "name": f"frame {number} presented", "pid": 1, "tid": 1, "ts": frame.presented / 1e3}
+            for number, frame in enumerate(self.frames)
+        ]
+        document = {"displayTimeUnit": "ns", "traceEvents": events}
+        Path(path).write_text(json.dumps(document, indent=1), encoding="utf-8")
+
+
+class ActivityLog:
+    """What the simulation notes down; `timeline` makes spans of it.
+
+    Attributes:
+        stalls, idle: what the CPU and the GPU did besides being busy, in order.
+        presented: (when, frames in flight); done: when the GPU got to the same ends of frames.
+    """
+
+    def __init__(self) -> None:
+        self.stalls: list[Span] = []
+        self.idle: list[Span] = []
+        self.presented: list[tuple[int, int]] = []
+        self.done: list[int] = []
+        self._labels: list[Span | None] = []  # in the order of their beginnings; None while open
+        self._open: list[tuple[int, int, str]] = []
+
+    def stall(self, start: int, end: int, why: str) -> None:
+        """The CPU waits."""
+        if end > start:
+            self.stalls.append(Span(Lane.CPU, Activity.STALLED, start, end, why))
+
+    def rest(self, activity: Activity, start: int, end: int, why: str = "") -> None:
+        """The GPU is starved or halted."""
+        if end > start:
+            self.idle.append(Span(Lane.GPU, activity, start, end, why))
+
+    def begin_label(self, time: int, name: str) -> None:
+        self._open.append((len(self._labels), time, name))
+        self._labels.append(None)
+
+    def end_label(self, time: int) -> None:
+        if self._open:
+            place, start, name = self._open.pop()
+            self._labels[place] = Span(Lane.GPU, Activity.BUSY, start, time, name)
+
+    def present(self, time: int) -> None:
+        self.presented.append((time, len(self.presented) + 1 - len(self.done)))
+
+    def timeline(self, now: int, idle_since: int | None) -> ActivityTimeline:
+        """Up to `now`, the CPU's clock; since when the GPU has nothing to do, None if it has."""
+        rests = self.idle.copy()
+        if idle_since is not None and idle_since < now:
+            rests.append(Span(Lane.GPU, Activity.STARVED, idle_since, now))
+        spans = (*_fill(Lane.CPU, self.stalls, now), *_fill(Lane.GPU, rests, now))
+        starts = [0, *(time for time, _ in self.presented)]
+        frames = [
+            Frame(starts[i], time, self.done[i] if i < len(self.done) else None, in_flight)
+            for i, (time, in_flight) in enumerate(self.presented)
+        ]
+        return ActivityTimeline(spans, tuple(label for label in self._labels if label), tuple(frames), now)
+
+
+def _fill(lane: Lane, others: Sequence[Span], end: int) -> Iterable[Span]:
+    """`others` up to `end`, with busy spans between them."""
+    place = 0
+    for span in others:
+        if span.start >= end:
+            break
+        if span.start > place:
+            yield Span(lane, Activity.BUSY, place, span.start)
+        yield replace(span, end=min(span.end, end))
+        place = span.end
+    if end > place:
+        yield Span(lane, Activity.BUSY, place, end)
+
+
+def _bar(spans: Sequence[Span], end: int, width: int) -> str:
+    """One character for each part of the time: what was done most in it."""
+    shares = [dict.fromkeys(Activity, 0.0) for _ in range(width)]
+    for span in spans:
+        first, last = span.start * width / max(end, 1), span.end * width / max(end, 1)
+        for column in range(int(first), min(width, int(last) + 1)):
+            shares[column][span.activity] += max(0.0, min(last, column + 1) - max(first, column))
+    return "".join(max(share, key=lambda a: share[a]).character for share in shares)
+
+
+def _depths(labels: Sequence[Span]) -> list[int]:
+    """How many labels each lies in; they come in the order of their beginnings."""
+    depths: list[int] = []
+    around: list[Span] = []
+    for label in labels:
+        while around and around[-1].end <= label.start and around[-1].end < label.end:
+            around.pop()
+        depths.append(len(around))
+        around.append(label)
+    return depths
+
+
+def _slice(span: Span, thread: int, name: str) -> dict[str, Any]:
+    times = {"ts": span.start / 1e3, "dur": span.nanoseconds / 1e3}
+    return {"ph": "X", "name": name, "cat": span.lane.value, "pid": 1, "tid": thread, **times}
+
+
+def _unit(nanoseconds: int) -> tuple[float, str]:
+    return (1e6, "ms") if nanoseconds >= 1e6 else (1e3, "µs")
+
+
+def _shown(nanoseconds: int) -> str:
+    scale, unit = _unit(nanoseconds)
+    return f"{nanoseconds / scale:.3f} {unit}"

@@ -1,0 +1,394 @@
+"""What one thing must not do to another: states to copies, conditions to clears, devices to each other, and what
+is written between two draws to the first of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import rhi
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthFunction,
+    Device,
+    Format,
+    Primitive,
+    Region,
+    Scissor,
+    StencilTest,
+    Viewport,
+)
+from rhi.conformance.compare import assert_near, assert_same
+from rhi.conformance.formats import require_samples
+from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade
+from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.shading import (
+    Image2D,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    atomic_add,
+    fragment_coordinate,
+    global_id,
+    image,
+    ivec2,
+    uint,
+    vec4,
+)
+
+pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
+
+SIZE = (8, 8)
+HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE)
+"""States that would spoil a copy done by drawing."""
+
+
+class Tint(Struct):
+    """A color."""
+
+    color: vec4
+
+
+class Tinted(Shader):
+    """One color for all of a draw."""
+
+    tint: Uniform[Tint]
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=self.tint.color)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+class Weighted(Shader):
+    """A color from storage."""
+
+    weights: Storage[vec4]
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=self.weights[0])
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+class Loaded(Shader):
+    """A color from a texture."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return self.source.load(ivec2(fragment_coordinate().xy))
+
+
+class Fill(Shader):
+    """Stores one color everywhere."""
+
+    target: Image2D = image(Format.RGBA8)
+
+    def compute(self) -> None:
+        self.target.store(global_id().xy, vec4(1.0))
+
+
+class Count(Shader):
+    """Counts invocations."""
+
+    total: StorageRW[uint]
+
+    def compute(self) -> None:
+        atomic_add(self.total[0], uint(1))
+
+
+def hostile_draw(device: Device) -> None:
+    """Send the hostile states to the hardware: they are told at a draw, and stay."""
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.texture(SIZE, Format.D24S8) as depth,
+        device.mesh(rectangle()) as mesh,
+        device.render_pass(image, depth),
+        device.states(*HOSTILE, *((StencilTest.ON,) if device.capabilities.stencil else ())),
+    ):
+        device.draw(device.program(Colored), mesh)
+
+
+# -- states and what is no draw ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at_end", [True, False], ids=["in the pass", "by itself"])
+def test_states_do_not_touch_resolves(device: Device, at_end: bool) -> None:
+    require_samples(device, 4)
+    with (
+        device.texture(SIZE, Format.RGBA8, samples=4) as source,
+        device.texture(SIZE, Format.RGBA8) as target,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with device.render_pass(source, clear=(0.2, 0.4, 0.6, 0.8), resolve=target if at_end else None):
+            with device.states(*HOSTILE):
+                device.draw(device.program(Colored), mesh)
+        if not at_end:
+            source.resolve_to(target)
+        assert_same(target.read(), (51, 102, 153, 204))
+
+
+def test_states_do_not_touch_copies_mipmaps_writes_and_reads(device: Device) -> None:
+    data = np.random.default_rng(0).integers(0, 256, (8, 8, 4), dtype="u1")
+    hostile_draw(device)
+    with device.states(*HOSTILE), device.texture(SIZE, Format.RGBA8, levels=2) as texture:
+        with device.texture(SIZE, Format.RGBA8) as copy:
+            texture.write(data)
+            texture.copy_to(copy, region=Region(0, 0, 8, 8))
+            texture.generate_mipmaps()
+            assert_same(texture.read(), data)
+            assert_same(copy.read(), data)
+            box = data.reshape(4, 2, 4, 2, 4).mean(axis=(1, 3))
+            assert_near(texture.read(1), box, 1, "one unit of rounding")
+
+
+def test_states_do_not_touch_clears(device: Device) -> None:
+    hostile_draw(device)
+    with device.texture(SIZE, Format.RGBA8) as image, device.texture(SIZE, Format.D24S8) as depth:
+        with device.states(*HOSTILE):
+            with device.render_pass(image, depth, clear=(1, 1, 1, 1), clear_depth=0.25, clear_stencil=7):
+                pass
+        assert_same(image.read(), 255)
+        assert_near(depth.read(), 0.25, 2.0**-24, "24 bits of depth")
+        assert_same(depth.read_stencil(), 7)
+
+
+@pytest.mark.needs("compute")
+def test_states_do_not_touch_dispatches(device: Device) -> None:
+    hostile_draw(device)
+    with device.texture(SIZE, Format.RGBA8) as target:
+        device.dispatch(device.program(Fill), SIZE, target=target.image())
+        assert_same(target.read(), 255)
+
+
+def test_srgb_samples_are_averaged_in_linear_light(device: Device) -> None:
+    require_samples(device, 4)
+    rows = np.concatenate(
+        [
+            corners([(-1, 1), (-1, -1), (1, -1)], (1, 1, 1, 1)),
+            corners([(-1, 1), (1, -1), (1, 1)], (0, 0, 0, 1)),
+        ]
+    )
+    with (
+        device.texture(SIZE, Format.RGBA8_SRGB, samples=4) as source,
+        device.texture(SIZE, Format.RGBA8_SRGB) as target,
+        device.texture(SIZE, Format.RGBA32F, samples=4) as linear_source,
+        device.texture(SIZE, Format.RGBA32F) as linear,
+        device.mesh(rows) as mesh,
+    ):
+        for image, resolved in ((source, target), (linear_source, linear)):
+            with device.render_pass(image, clear=(0, 0, 0, 0), resolve=resolved):
+                device.draw(device.program(Colored), mesh)
+        light = linear.read()[..., 0].astype(np.float64)
+        srgb = np.where(
+            light <= 0.0031308, light * 12.92, 1.055 * np.maximum(light, 0.0031308) ** (1 / 2.4) - 0.055
+        )
+        assert_near(target.read()[..., 0], srgb * 255, 1.5, "sRGB curves may be approximated")
+
+
+# -- conditions --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+def test_a_condition_drops_draws_only(device: Device) -> None:
+    """Clears, resolves, copies, mipmaps and writes inside it happen."""
+    data = np.full((8, 8, 4), 100, "u1")
+    query = device.occlusion_query()
+    samples = min(4, device.capabilities.max_samples)
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.texture(SIZE, Format.RGBA8, samples=samples) as source,
+        device.texture(SIZE, Format.RGBA8) as resolved,
+        device.texture(SIZE, Format.RGBA8, levels=2) as texture,
+        device.texture(SIZE, Format.RGBA8) as copy,
+        device.mesh(rectangle()) as mesh,
+    ):
+        with device.render_pass(image), query:
+            pass
+        with device.conditional(query):
+            with device.render_pass(image, clear=(0.2, 0.2, 0.2, 0.2)):
+                device.draw(device.program(Colored), mesh)
+            with device.render_pass(
+                source, clear=(0.4, 0.4, 0.4, 0.4), resolve=resolved if samples > 1 else None
+            ):
+                pass
+            texture.write(data)
+            texture.generate_mipmaps()
+            texture.copy_to(copy, region=Region(0, 0, 8, 8))
+        assert_same(image.read(), 51)
+        if samples > 1:
+            assert_same(resolved.read(), 102)
+        assert_same(texture.read(1), 100)
+        assert_same(copy.read(), 100)
+    query.destroy()
+
+
+@pytest.mark.needs("occlusion_queries", "conditional_rendering", "compute")
+def test_a_condition_does_not_drop_dispatches(device: Device) -> None:
+    query = device.occlusion_query()
+    with device.texture(SIZE, Format.RGBA8) as image, device.storage(uint, 1) as total:
+        with device.render_pass(image), query:
+            pass
+        with device.conditional(query):
+            device.dispatch(device.program(Count), 3, total=total)
+        assert_same(total.read(), 3)
+    query.destroy()
+
+
+# -- each draw sees what was written before it -------------------------------------------------------------
+
+
+def steps(device: Device, write: Any, shader: Any, **bindings: Any) -> Any:
+    """Eight draws, one a column, `write(i)` before each; all in one pass, nothing waited for."""
+    columns = [rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)]
+    with device.texture(SIZE, Format.R32F) as image, device.mesh(np.concatenate(columns)) as mesh:
+        program = device.program(shader)
+        with device.render_pass(image, clear=(-1, 0, 0, 0)):
+            for i in range(8):
+                write(i)
+                device.draw(program, mesh.view(6 * i, 6), **bindings)
+        return image.read()
+
+
+COLUMNS = np.broadcast_to(np.arange(8.0), (8, 8))
+
+
+def test_a_draw_sees_the_constants_of_its_time(device: Device) -> None:
+    with device.uniform(Tint(color=(0, 0, 0, 0))) as tint:
+        assert_same(steps(device, lambda i: tint.write(Tint(color=(i, 0, 0, 0))), Tinted, tint=tint), COLUMNS)
+
+
+def test_a_draw_sees_the_storage_of_its_time(device: Device) -> None:
+    with device.storage(vec4, 1) as weights:
+        rows = np.zeros((1, 4), "f4")
+
+        def write(i: int) -> None:
+            rows[0, 0] = i
+            weights.write(rows)
+
+        assert_same(steps(device, write, Weighted, weights=weights), COLUMNS)
+
+
+def test_a_draw_sees_the_copies_of_its_time(device: Device) -> None:
+    numbers = np.zeros((8, 4), "f4")
+    numbers[:, 0] = np.arange(8)
+    with device.storage(vec4, numbers) as source, device.storage(vec4, 1) as weights:
+        image = steps(
+            device,
+            lambda i: source.owner.copy_to(weights.owner, size=16, offset=16 * i),
+            Weighted,
+            weights=weights,
+        )
+        assert_same(image, COLUMNS)
+
+
+def test_a_draw_sees_the_texels_of_its_time(device: Device) -> None:
+    with device.texture(SIZE, Format.R32F) as source:
+        image = steps(device, lambda i: source.write(np.full((8, 8), i, "f4")), Loaded, source=source)
+        assert_same(image, COLUMNS)
+
+
+def test_each_draw_reads_its_own_element_of_a_uniform_array(device: Device) -> None:
+    columns = [rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)]
+    with (
+        device.uniform_array(Tint, 8) as tints,
+        device.texture(SIZE, Format.R32F) as image,
+        device.mesh(np.concatenate(columns)) as mesh,
+    ):
+        rows = np.zeros(8, tints.dtype)
+        rows["color"][:, 0] = np.arange(8)
+        tints.write(rows)
+        program = device.program(Tinted)
+        with device.render_pass(image, clear=(-1, 0, 0, 0)):
+            for i in (3, 1, 0, 2, 7, 5, 4, 6):
+                device.draw(program, mesh.view(6 * i, 6), tint=tints[i])
+        assert_same(image.read(), COLUMNS)
+
+
+def test_a_target_can_be_read_in_its_pass(device: Device) -> None:
+    """Everything happens in the order of the calls, reads too."""
+    with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle(color=(2, 0, 0, 0))) as mesh:
+        with device.render_pass(image, clear=(1, 0, 0, 0)):
+            assert_same(image.read(), 1)
+            device.draw(device.program(Colored), mesh)
+            assert_same(image.read(), 2)
+            with device.states(BlendFunction.ADDITIVE):
+                device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 4)
+
+
+def test_work_between_two_draws_of_a_pass_leaves_the_pass_as_it_was(device: Device) -> None:
+    """Creations, writes, copies, mipmaps and reads in the middle of a pass."""
+    with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle(color=(1, 0, 0, 0))) as mesh:
+        program = device.program(Colored)
+        with device.render_pass(image), device.states(BlendFunction.ADDITIVE, Viewport(0, 0, 4, 8)):
+            device.draw(program, mesh)
+            with device.texture(np.full((16, 16, 4), 9, "u1"), Format.RGBA8, levels=None) as other:
+                other.generate_mipmaps()
+                with device.texture((16, 16), Format.RGBA8, levels=None) as copy:
+                    other.copy_to(copy)
+                    assert_same(copy.read(), 9)
+                assert_same(other.read(3), 9)
+            with device.buffer(np.arange(4, dtype="u4")) as buffer:
+                assert_same(buffer.read(), [0, 1, 2, 3])
+            device.finish()
+            device.draw(program, mesh)
+        assert_same(image.read(), np.where(np.arange(8) < 4, 2, 0)[None])
+
+
+# -- devices -----------------------------------------------------------------------------------------------
+
+
+def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> None:
+    """Neither sees the other's programs, bindings, states or passes, though no draw binds anything anew."""
+    columns = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
+    with rhi.create_device(backend, validation=True) as other:
+        parts = []
+        for number, each in enumerate((device, other)):
+            tints = each.uniform_array(Tint, 8)
+            rows = np.zeros(8, tints.dtype)
+            rows["color"][:, 0] = np.arange(8) + 100 * number
+            tints.write(rows)
+            parts.append(
+                (each, each.program(Tinted), each.texture(SIZE, Format.R32F), each.mesh(columns), tints)
+            )
+        passes = [each.render_pass(image, clear=(-1, 0, 0, 0)) for each, _, image, _, _ in parts]
+        with passes[0], passes[1], other.states(Scissor(0, 4, 8, 4)):
+            for i in range(8):
+                for each, program, _, mesh, tints in parts:
+                    each.draw(program, mesh.view(6 * i, 6), tint=tints[i])
+        assert_same(parts[0][2].read(), COLUMNS)
+        assert_same(parts[1][2].read(), np.where(np.arange(8)[:, None] < 4, -1, COLUMNS + 100))
+        for resource in parts[0][2:]:
+            resource.destroy()
+
+
+def test_points_of_two_devices_are_counted_by_their_own_queries(device: Device, backend: str) -> None:
+    if not device.capabilities.occlusion_queries:
+        pytest.skip(f"{backend} declares no occlusion_queries")
+    rows = corners(centers([(i, 0) for i in range(8)], SIZE))
+    with rhi.create_device(backend) as other:
+        counted = []
+        for each, count in ((device, 3), (other, 5)):
+            image, mesh = each.texture(SIZE, Format.R8), each.mesh(rows, primitive=Primitive.POINTS)
+            counted.append((each, each.program(Colored), image, mesh, each.occlusion_query(), count))
+        (a, pa, ia, ma, qa, na), (b, pb, ib, mb, qb, nb) = counted
+        with a.render_pass(ia), b.render_pass(ib), qa, qb:
+            a.draw(pa, ma.view(0, na))
+            b.draw(pb, mb.view(0, nb))
+        assert (qa.wait(), qb.wait()) == (na, nb)
+        for resource in (ia, ma, qa):
+            resource.destroy()

@@ -1,0 +1,46 @@
+"""Every public name says what it is."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Iterator
+from types import ModuleType
+
+import pytest
+
+import renderer.frame
+import renderer.measure
+import renderer.scene
+import renderer.techniques
+import renderer.visibility
+import rhi
+import rhi.shading
+
+MODULES = [rhi, rhi.shading, renderer.scene, renderer.visibility, renderer.frame, renderer.techniques, renderer.measure]
+
+
+def undocumented(module: ModuleType) -> Iterator[str]:
+    for name in module.__all__:
+        thing = getattr(module, name)
+        if inspect.isfunction(thing) and not thing.__doc__:
+            yield name
+        if not inspect.isclass(thing):
+            continue
+        own = thing.__dict__.get("__doc__")
+        if not own or own.startswith(f"{name}("):  # what dataclass makes up is no description
+            yield name
+        for attribute, value in vars(thing).items():
+            function = value.fget if isinstance(value, property) else getattr(value, "__func__", value)
+            if not attribute.startswith("_") and inspect.isfunction(function) and not function.__doc__:
+                yield f"{name}.{attribute}"
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
+def test_every_public_name_has_a_docstring(module: ModuleType) -> None:
+    assert list(undocumented(module)) == []
+
+
+@pytest.mark.parametrize("module", MODULES, ids=lambda module: module.__name__)
+def test_public_names_are_listed_once_and_exist(module: ModuleType) -> None:
+    assert len(set(module.__all__)) == len(module.__all__)
+    assert all(hasattr(module, name) for name in module.__all__)
