@@ -12,5 +12,5 @@ case "${1:-}" in
 esac
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
-setup renderer libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri
+setup renderer libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd
 exec .venv/bin/python -m renderer demo "${1:-city}" --output out

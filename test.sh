@@ -13,7 +13,7 @@ case "${1:-}" in
 esac
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
-setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri
+setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd
 if [ $# -gt 0 ]; then
     exec .venv/bin/python -m pytest "$@"
 fi
@@ -23,5 +23,5 @@ echo "[test] mypy --strict"
 .venv/bin/mypy
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
-echo "[test] pytest: tests, and the conformance kit on gl and null"
-exec .venv/bin/python -m pytest tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend null
+echo "[test] pytest: tests, and the conformance kit on gl, cl and null"
+exec .venv/bin/python -m pytest tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null

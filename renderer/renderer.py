@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from renderer.frame import Frame, SceneResources, Targets
 from renderer.scene import Camera, Scene
 from renderer.techniques import Forward, Technique
-from renderer.visibility import FrustumCulling, VisibilityAlgorithm
+from renderer.visibility import FrustumCulling, Statistics, VisibilityAlgorithm
 from rhi import Device, Texture
 
 
@@ -37,11 +37,14 @@ class FrameStatistics:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class FrameResult:
-    """A frame that was submitted: `image` is drawn to again by the next one; `visible` are rows of objects."""
+    """A frame that was submitted: `image` and `depth` are drawn to again by the next one; `visible` are rows of
+    objects, and `visibility` is what finding them cost (None if the technique asked for none)."""
 
     image: Texture
+    depth: Texture
     statistics: FrameStatistics
     visible: NDArray[np.int64]
+    visibility: Statistics | None
 
 
 class Renderer:
@@ -101,7 +104,7 @@ class Renderer:
             hardware_state_changes=after.hardware_state_changes - before.hardware_state_changes,
             upload_bytes=after.upload_bytes - before.upload_bytes,
         )
-        return FrameResult(self._targets.color, statistics, visible)
+        return FrameResult(self._targets.color, self._targets.depth, statistics, visible, frame.statistics)
 
     def destroy(self) -> None:
         """Give back everything made on the device."""

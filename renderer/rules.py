@@ -71,6 +71,14 @@ BAD_BOUNDS: Final = Rule(
     "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"
 )
 UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algorithm has this name")
+NO_CONDITIONS: Final = Rule(
+    "visibility-no-conditions",
+    "conditional culling needs a device with conditional rendering",
+    "chc_plus_plus needs occlusion queries alone",
+)
+BAD_PARAMETER: Final = Rule(
+    "visibility-bad-parameter", "a visibility algorithm's parameter is out of its range"
+)
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:

@@ -1,4 +1,5 @@
-"""`python -m rhi`: which backends work on this machine, what they can do, and what to install for the rest."""
+"""`python -m rhi`: which backends work on this machine, what they can do, and what to install for the rest.
+`python -m rhi trace` looks at traces."""
 
 from __future__ import annotations
 
@@ -14,23 +15,28 @@ import numpy as np
 
 import rhi
 from rhi.registry import BackendReport
+from rhi.trace import cli as trace_cli
 
 __rhi_internal__ = True
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report; 0 if a backend that renders works, else 1."""
+    """Print the report, or run `trace …`; 0 if a backend that renders works, else 1."""
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    if given[:1] == ["trace"]:
+        return trace_cli.main(given[1:])
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         description="Say which backends work on this machine.",
-        epilog="examples:\n  python -m rhi\n  python -m rhi --json\n  RHI_BACKEND=null python app.py",
+        epilog="examples:\n  python -m rhi\n  python -m rhi --json\n  python -m rhi trace --help\n"
+        "  RHI_BACKEND=null python app.py",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")
-    options = parser.parse_args(arguments)
+    options = parser.parse_args(given)
     reports = rhi.report()
     print(json.dumps(_as_json(reports), indent=2) if options.json else _as_text(reports))
-    return 0 if any(r.usable and r.capabilities and r.capabilities.shading for r in reports) else 1
+    return 0 if any(r.capabilities and r.capabilities.renders for r in reports) else 1
 
 
 def _as_json(reports: list[BackendReport]) -> dict[str, Any]:
@@ -75,9 +81,10 @@ def _as_text(reports: list[BackendReport]) -> str:
             f"       textures to {limits.max_texture_size}, {limits.max_color_targets} targets, "
             f"{limits.max_samples} samples, work-groups to {limits.max_work_group_invocations}",
             f"       lacks: {', '.join(lacking) or 'nothing'}",
+            *(f"       passed over: {device}" for device in limits.passed_over),
             "",
         ]
-    chosen = next((r.name for r in reports if r.usable and r.capabilities and r.capabilities.shading), None)
+    chosen = next((r.name for r in reports if r.capabilities and r.capabilities.renders), None)
     lines.append(f"rhi.create_device() would choose: {chosen or 'nothing; see the reasons above'}")
     return "\n".join(lines)
 

@@ -68,6 +68,8 @@ class Capabilities:
     storage_alignment: int = 256
 
     compute: bool = True
+    draws: bool = True
+    """Whether there are draws. Without them passes still clear and resolve; programs are compute programs."""
     shading: bool = True
     """Whether draws and dispatches run shaders. A recorder of commands says False: pixels stay as cleared."""
     indirect_count: bool = True
@@ -86,6 +88,13 @@ class Capabilities:
     """Formats of which no texture can be made."""
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that can't be a color target."""
+    passed_over: tuple[str, ...] = ()
+    """Devices that were tried before this one, each with why it can't be used."""
+
+    @property
+    def renders(self) -> bool:
+        """Whether draws make pictures."""
+        return self.draws and self.shading
 
 
 class PreparesDraws(Protocol):

@@ -1,8 +1,6 @@
-"""Buffers: untyped memory on the device, seen as arrays of a NumPy dtype, and locks on parts of it.
+"""Buffers: untyped memory on the device, seen as arrays of a NumPy dtype, and what shaders call it.
 
-- A lock (thesis 4.1, Listing 4.1) gives a NumPy array for a range of elements. READ copies from the device and
-  waits for the work that may write the range, WRITE copies to it at the end and never waits, READ_WRITE does
-  both. An exception inside the `with` block writes nothing.
+- A lock gives a NumPy array for a range of elements (`rhi.locks`).
 - `UniformBuffer`, `UniformArray` and `StorageBuffer` give buffers the type that a shader declares; they are
   the ranges that typed bindings take.
 """
@@ -10,16 +8,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.core import Core, describe
+from rhi.core import Core
 from rhi.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.errors import refuse
 from rhi.layout import accepts, compare_layouts
+from rhi.locks import Lock
 from rhi.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -27,9 +25,6 @@ from rhi.rules import (
     BUFFER_RANGE,
     BUFFER_SIZE,
     LAYOUT_MISMATCH,
-    LOCK_CLOSED,
-    LOCK_TWICE,
-    RESOURCE_DESTROYED,
 )
 from rhi.shading.bindings import StorageRange, UniformRange
 
@@ -114,10 +109,16 @@ class Buffer:
         self._range("Buffer.write", first, len(array))
         self._upload(array, first)
 
-    def lock(self, access: Access, first: int = 0, count: int | None = None) -> BufferLock:
+    def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """`with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
         first, count = self._range("Buffer.lock", first, count)
-        return BufferLock(self, access, first, count)
+        return Lock(
+            self,
+            access,
+            read=lambda: self._download(first, count),
+            make=lambda: self._array(None, count),
+            write=lambda array: self._upload(array, first),
+        )
 
     def clear(self, value: int = 0) -> None:
         """Fill with a 32-bit pattern; the size must be a multiple of 4 bytes."""
@@ -185,58 +186,6 @@ class Buffer:
         return np.frombuffer(bytearray(data), base).reshape(count, *shape)
 
 
-class BufferLock:
-    """An open range of a buffer; see `Buffer.lock`."""
-
-    __slots__ = ("_access", "_array", "_buffer", "_count", "_first")
-
-    def __init__(self, buffer: Buffer, access: Access, first: int, count: int) -> None:
-        self._buffer = buffer
-        self._access = access
-        self._first = first
-        self._count = count
-        self._array: NDArray[Any] | None = None
-
-    def __enter__(self) -> NDArray[Any]:
-        buffer = self._buffer
-        core = buffer.core
-        core.check_open()
-        open_lock(buffer)
-        if self._access.reads:
-            try:
-                array = buffer._download(self._first, self._count)
-            except BaseException:
-                core.locked.remove(buffer)
-                raise
-        else:
-            array = buffer._array(None, self._count)
-        array.flags.writeable = self._access.writes
-        self._array = array
-        return array
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        array, self._array = self._array, None
-        if array is None:
-            refuse(LOCK_CLOSED, "BufferLock.__exit__", "a lock that is not open")
-        self._buffer.core.locked.remove(self._buffer)
-        if kind is None and self._access.writes and not self._buffer.destroyed:
-            self._buffer._upload(array, self._first)
-        array.flags.writeable = False
-
-
-def open_lock(owner: Any) -> None:
-    """Note that `owner` is locked; refuse a second lock and a destroyed resource."""
-    core = owner.core
-    if owner.destroyed:
-        refuse(RESOURCE_DESTROYED, "lock", describe(owner))
-    if owner in core.locked:
-        refuse(LOCK_TWICE, "lock", describe(owner))
-    core.locked.append(owner)
-    core.program = None  # from now on every draw checks whether it uses what is locked
-
-
 class UniformBuffer(UniformRange[T]):
     """One struct of constants, bound as `Uniform[T]`."""
 
@@ -300,7 +249,7 @@ class UniformArray(Generic[T]):
         """
         self.buffer.write(match_layout(rows, self.dtype, "UniformArray.write"), first)
 
-    def lock(self, access: Access, first: int = 0, count: int | None = None) -> BufferLock:
+    def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self.buffer.lock(access, first, count)
 
@@ -337,7 +286,7 @@ class StorageBuffer(StorageRange[T]):
         """Replace elements from `first` on; `layout-mismatch` when the dtype is not `dtype`."""
         self._typed().write(match_layout(rows, self.dtype, "StorageBuffer.write"), first)
 
-    def lock(self, access: Access, first: int = 0, count: int | None = None) -> BufferLock:
+    def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self._typed().lock(access, first, count)
 

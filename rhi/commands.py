@@ -35,6 +35,15 @@ class Failure:
     message: str
 
 
+def find_site(code: CodeType | None, offset: int) -> CallSite | None:
+    """The line of an instruction, by its offset in bytes; None without code."""
+    if code is None:
+        return None
+    position = next(islice(code.co_positions(), offset // 2, None), None)
+    line = position[0] if position is not None else None
+    return CallSite(code.co_filename, line or code.co_firstlineno, code.co_qualname)
+
+
 class Command:
     """One call, with its arguments: `command.op`, `command["count"]`, `command.site`.
 
@@ -72,12 +81,7 @@ class Command:
     @property
     def site(self) -> CallSite | None:
         """The user's line, None if the call came from no user code."""
-        code = self._code
-        if code is None:
-            return None
-        position = next(islice(code.co_positions(), self.offset // 2, None), None)
-        line = position[0] if position is not None else None
-        return CallSite(code.co_filename, line or code.co_firstlineno, code.co_qualname)
+        return find_site(self._code, self.offset)
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -232,15 +236,17 @@ class CommandStream(Commands):
         data: the flat list; append whole entries only (`op, *arguments, code, lasti`).
         failures: by index, those calls that raised.
         generation: how often the stream was cleared.
+        is_complete: whether all commands since its beginning are in it: never cleared, nothing left out.
     """
 
-    __slots__ = ("_base", "_cursor", "_gaps", "_starts", "data", "failures", "generation")
+    __slots__ = ("_base", "_cursor", "_gaps", "_starts", "data", "failures", "generation", "is_complete")
 
     def __init__(self) -> None:
         super().__init__(self, ())
         self.data: list[Any] = []
         self.failures: dict[int, Failure] = {}
         self.generation = 0
+        self.is_complete = True
         self._starts = array("Q")  # where each command begins in data, as far as anyone has looked
         self._base = Context()  # what holds before the first command
         self._gaps: list[tuple[int, int, tuple[Any, ...]]] = []  # (index, op, arguments) of what was left out
@@ -298,9 +304,11 @@ class CommandStream(Commands):
         self._starts = array("Q")
         self._cursor = (0, 0, self._base.copy())
         self.generation += 1
+        self.is_complete = False
 
     def leave_out(self, entry: tuple[Any, ...]) -> None:
         """In place of `data.extend(entry)`: don't keep the command, but what holds after it."""
+        self.is_complete = False
         if entry[0] in CONTEXT_OPS:
             self._gaps.append((len(self), entry[0], entry[1:-2]))
 

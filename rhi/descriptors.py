@@ -334,8 +334,9 @@ class FragmentOutput:
 class ProgramDescriptor:
     """What a backend makes a program from.
 
-    `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30) so far; `lines` maps
-    each line of a stage's text (from 0) to the (file, line) it came from, for a driver's messages.
+    `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30) or, for compute stages,
+    "opencl" and the lanes of a work-item ("opencl16"); `lines` maps each line of a stage's text (from 0), as it was
+    emitted last, to the (file, line) it came from, for a driver's messages.
     """
 
     name: str

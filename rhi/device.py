@@ -54,7 +54,16 @@ from rhi.rules import (
 )
 from rhi.shading import Shader, Struct, compile_shader, value_type_of
 from rhi.state_cache import StateCache, StateScope
-from rhi.states import AlphaFunction, AlphaReference, AlphaTest, AlphaToCoverage, State, StencilTest
+from rhi.states import (
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    AlphaToCoverage,
+    BlendFunction,
+    PolygonOffset,
+    State,
+    StencilTest,
+)
 from rhi.textures import Sampler, Texture, full_levels
 
 __rhi_internal__ = True
@@ -160,13 +169,13 @@ class Device:
         refuse(DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record")
 
     def backend_as(self, kind: type[B]) -> B:
-        """The backend itself, for what only it can do; below a recorder, if there is one.
+        """The backend itself, for what only it can do; also below a recorder or whatever else is in front of it.
 
         Raises:
             ValidationError: `device-capability` if it is another backend.
         """
         backend: object = self._backend
-        while isinstance(backend, Recorder) and not isinstance(backend, kind):
+        while not isinstance(backend, kind) and hasattr(backend, "backend"):
             backend = backend.backend
         if isinstance(backend, kind):
             return backend
@@ -632,4 +641,8 @@ def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
         lacking[StencilTest] = "stencil"
     if not capabilities.alpha_to_coverage:
         lacking[AlphaToCoverage] = "alpha_to_coverage"
+    if not capabilities.blend_per_target:
+        lacking[BlendFunction] = "blend_per_target"
+    if not capabilities.depth_bias_clamp:
+        lacking[PolygonOffset] = "depth_bias_clamp"
     return lacking

@@ -79,11 +79,16 @@ class MeshData:
         self.core = core
         self.label = label
         self.owned: list[Buffer] = []
-        self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
-        self.instances = (
-            None if instance_array is None else self._buffer(instance_array, f"{label} instances")
-        )
-        self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
+        try:
+            self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
+            self.instances = (
+                None if instance_array is None else self._buffer(instance_array, f"{label} instances")
+            )
+            self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
+        except BaseException:
+            for buffer in self.owned:  # out of memory half-way
+                buffer.destroy()
+            raise
         self.index_format = IndexFormat.UINT32
         self.index_count: int | None = None
         if self.index_buffer is not None:

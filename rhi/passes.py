@@ -187,10 +187,11 @@ class RenderPass:
                 and resolve.samples == 1
                 and resolve.format is source.format
                 and resolve.size == target.size
+                and not source.format.is_integer  # integers have no average
             )
             if not fits:
                 refuse(PASS_TARGET, call, f"{source!r} resolved to {resolve!r}",
-                       "from several samples to 1, equal size and format")  # fmt: skip
+                       "from several samples to 1, equal size and format, no integers")  # fmt: skip
 
 
 def _listed(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:

@@ -322,6 +322,8 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
             f"{len(descriptor.attributes)} attributes",
             f"at most {limits.max_vertex_attributes}",
         )
+    if Stage.VERTEX in descriptor.stages and not limits.draws:
+        refuse(DEVICE_CAPABILITY, call, _stages(descriptor), "a compute program: needs capabilities.draws")
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = descriptor.work_group
         most_x, most_y, most_z = limits.max_work_group

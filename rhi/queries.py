@@ -19,8 +19,9 @@ from typing import Final, Self
 
 from rhi.core import Core
 from rhi.descriptors import Id, QueryKind
-from rhi.errors import refuse
+from rhi.errors import DeviceError, refuse
 from rhi.rules import (
+    DEVICE_ANSWER,
     DEVICE_CAPABILITY,
     DRAW_OUTSIDE_PASS,
     QUERY_NESTED,
@@ -32,6 +33,8 @@ from rhi.rules import (
 
 __rhi_internal__ = True
 
+ANSWER_SECONDS: Final = 10.0
+"""How long after its fence a query's answer may be late."""
 _IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
 
 
@@ -70,9 +73,16 @@ class OcclusionQuery:
         self._core = core
         self._desk = desk
         kind, count = (QueryKind.COUNTER, 2) if self.emulated else (QueryKind.OCCLUSION, 1)
-        self._ids = [core.create_id() for _ in range(count)]
-        for query in self._ids:
-            core.backend.create_query(query, kind)
+        self._ids: list[Id] = []
+        try:
+            for _ in range(count):
+                query = core.create_id()
+                core.backend.create_query(query, kind)
+                self._ids.append(query)
+        except BaseException:
+            for query in self._ids:
+                core.timeline.retire(query)
+            raise
         self._state = _IDLE
         self._answer: int | None = None
         self._fence = 0
@@ -142,11 +152,19 @@ class OcclusionQuery:
         return self._answer
 
     def wait(self) -> int:
-        """Block until the answer is there."""
+        """Block until the answer is there.
+
+        Raises:
+            DeviceError: `device-no-answer` if it isn't, 10 s after the GPU has passed the query's end.
+        """
         self._check_ended("OcclusionQuery.wait")
         if not self.is_finished:
             self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
+            deadline = time.monotonic() + ANSWER_SECONDS
             while not self.is_finished:  # a driver may publish the result a moment after the fence
+                if time.monotonic() > deadline:
+                    given = f"query {self.id}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
+                    raise DeviceError(DEVICE_ANSWER, "OcclusionQuery.wait", given)
                 time.sleep(0)
         assert self._answer is not None
         return self._answer
@@ -237,9 +255,16 @@ class Timers:
 
     def begin(self, label: str) -> _Running:
         event = _Running(TimerNode(label), time.perf_counter())
+        if self.enabled:  # both now: what can fail comes before anything is begun
+            event.begin = self._take()
+            try:
+                event.end = self._take()
+            except BaseException:
+                self._free.append(event.begin)
+                raise
         self._core.backend.push_label(label)
-        if self.enabled:
-            event.begin = self._timestamp()
+        if event.begin:
+            self._core.backend.write_query(event.begin)
         (self._open[-1].node.children if self._open else self._roots).append(event.node)
         self._open.append(event)
         return event
@@ -248,8 +273,8 @@ class Timers:
         if not self._open or self._open[-1] is not event:
             refuse(SCOPE_ORDER, "device.event", f"the end of {event.node.name!r}", "the innermost open event")
         self._open.pop()
-        if self.enabled:
-            event.end = self._timestamp()
+        if event.end:
+            self._core.backend.write_query(event.end)
             self._running.append(event)
         event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
         self._core.backend.pop_label()
@@ -278,12 +303,10 @@ class Timers:
             self._release(running)
             self.latest = roots
 
-    def _timestamp(self) -> Id:
-        query = self._free.pop() if self._free else self._create()
-        self._core.backend.write_query(query)
-        return query
-
-    def _create(self) -> Id:
+    def _take(self) -> Id:
+        """A timestamp query that nobody uses."""
+        if self._free:
+            return self._free.pop()
         query = self._core.new_id()
         self._core.backend.create_query(query, QueryKind.TIMESTAMP)
         return query

@@ -1,8 +1,9 @@
 """Which backends there are, and the way to a device.
 
 - A backend is an entry point of the group `rhi.backends`: a name and a function
-  `create(*, validation: bool) -> Backend`. A port registers itself by its own package's entry point; nothing
-  here knows it.
+  `create(*, validation: bool, …) -> Backend`. A port registers itself by its own package's entry point;
+  nothing here knows it. Further keyword parameters of the function are options that only this backend has;
+  `create_device` passes them on.
 - This is the one place that may treat backends differently: the order in which they are tried, and that
   the null device records.
 """
@@ -10,8 +11,9 @@
 from __future__ import annotations
 
 import difflib
+import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -19,15 +21,15 @@ from typing import Final
 
 from rhi.backend import Backend, Capabilities
 from rhi.device import Device
-from rhi.errors import DeviceError, RhiError
+from rhi.errors import DeviceError, RhiError, refuse
 from rhi.recorder import Recorder
-from rhi.rules import DEVICE_DRIVER, DEVICE_UNKNOWN
+from rhi.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_UNKNOWN
 
 __rhi_internal__ = True
 
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
-"""Tried in this order when no name is given; then any other backend but `null`, which must be asked for."""
+"""Tried in this order when no name is given, then any other; a backend that doesn't render must be asked for."""
 
 
 @cache
@@ -49,6 +51,7 @@ def create_device(
     record: bool | None = None,
     timing: bool = False,
     frames_in_flight: int = 2,
+    **options: object,
 ) -> Device:
     """A device on the backend `name`.
 
@@ -58,19 +61,21 @@ def create_device(
         record: keep every command with the line it came from (`device.stream`); None: the null device does.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
+        options: what only the named backend takes, by the keyword parameters of its `create_backend`.
 
     Raises:
+        ValidationError: `device-argument` for an option that the backend doesn't have.
         DeviceError: `device-unknown` for a name there is no backend of, `device-driver` if its driver
             can't be used, with what to install.
     """
     name = name or os.environ.get("RHI_BACKEND") or None
-    backend = _create_named(name, validation) if name else _create_first(validation)
+    backend = _create_named(name, validation, options) if name else _create_first(validation, options)
     if record is None:
         record = backend.capabilities.backend == "null"
     return Device(Recorder(backend) if record else backend, timing=timing, frames_in_flight=frames_in_flight)
 
 
-def _create_named(name: str, validation: bool) -> Backend:
+def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
     point = _entry_points().get(name)
     if point is None:
         names = backend_names()
@@ -78,18 +83,27 @@ def _create_named(name: str, validation: bool) -> Backend:
         tip = f"did you mean {close[0]!r}?" if close else ""
         raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
     create: Callable[..., Backend] = point.load()
-    return create(validation=validation)
+    if options:
+        taken = list(inspect.signature(create).parameters.keys() - {"validation"})
+        unknown = sorted(options.keys() - taken)
+        if unknown:
+            given, allowed = ", ".join(unknown), ", ".join(sorted(taken)) or "no options"
+            refuse(DEVICE_ARGUMENT, f"rhi.create_device({name!r}, {unknown[0]}=…)", given, allowed)
+    return create(validation=validation, **options)
 
 
-def _create_first(validation: bool) -> Backend:
+def _create_first(validation: bool, options: Mapping[str, object]) -> Backend:
     reasons = []
     for name in backend_names():
-        if name == "null":
-            continue
         try:
-            return _create_named(name, validation)
+            backend = _create_named(name, validation, options)
         except RhiError as error:
             reasons.append(f"{name}: {error.given or error.rule.sentence}")
+            continue
+        if backend.capabilities.renders:
+            return backend
+        backend.close()
+        reasons.append(f"{name}: it doesn't render, so it must be asked for by name")
     tip = 'install a driver (see python -m rhi), or ask for the null device: rhi.create_device("null")'
     raise DeviceError(DEVICE_DRIVER, "rhi.create_device()", "\n".join(reasons) or "no backends", "", tip)
 
@@ -110,7 +124,7 @@ def report() -> list[BackendReport]:
     reports = []
     for name in backend_names():
         try:
-            backend = _create_named(name, False)
+            backend = _create_named(name, False, {})
         except RhiError as error:
             reports.append(BackendReport(name, False, error.given or error.rule.sentence, error.tip, None))
         else:

@@ -42,6 +42,9 @@ DEVICE_MEMORY: Final = Rule(
     "device-out-of-memory", "the device has no memory left for this", "destroy what is unused"
 )
 DEVICE_LOST: Final = Rule("device-lost", "the device was lost", "close it and create a new one")
+DEVICE_ANSWER: Final = Rule(
+    "device-no-answer", "the device never answered a query", "begin the query again, or create a new device"
+)
 DEVICE_CLOSED: Final = Rule("device-closed", "the device was closed", "keep the work inside its `with` block")
 DEVICE_DEBUG: Final = Rule(
     "device-debug", "the driver reported an error", "this is seen with validation=True only"

@@ -20,7 +20,7 @@ from typing import Final, NamedTuple
 from rhi.containers import FixedStack
 from rhi.errors import refuse
 from rhi.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_NOTHING, STATE_TYPE
-from rhi.states import DEFAULTS, MAX_TARGETS, PER_TARGET, STATE_TYPES, State
+from rhi.states import DEFAULTS, MAX_TARGETS, PER_TARGET, STATE_TYPES, BlendFunction, PolygonOffset, State
 
 __rhi_internal__ = True
 
@@ -169,7 +169,7 @@ class StateCache:
             if key in seen:
                 refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
             seen.add(key)
-            if state_type in self._unsupported and state != DEFAULTS[state_type]:
+            if state_type in self._unsupported and _needs_capability(state):
                 refuse(
                     STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self._unsupported[state_type]}"
                 )
@@ -191,6 +191,15 @@ class StateCache:
             vector.changes.clear()
         self._pool = {self.wanted.values: self.wanted}
         self._scopes.clear()
+
+
+def _needs_capability(state: State) -> bool:
+    """Whether a state of a type that some devices lack, or have in part, is more than all devices have."""
+    if isinstance(state, BlendFunction):
+        return state.target is not None
+    if isinstance(state, PolygonOffset):
+        return state.clamp != 0.0
+    return state != DEFAULTS[type(state)]
 
 
 def _without_target(state: State) -> State:

@@ -10,13 +10,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from types import TracebackType
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.buffers import open_lock
 from rhi.core import Core
 from rhi.descriptors import (
     Access,
@@ -29,9 +27,9 @@ from rhi.descriptors import (
 )
 from rhi.errors import refuse
 from rhi.formats import Format
+from rhi.locks import Lock
 from rhi.rules import (
     DEVICE_CAPABILITY,
-    LOCK_CLOSED,
     TEXTURE_DATA,
     TEXTURE_FORMAT,
     TEXTURE_LEVELS,
@@ -264,23 +262,26 @@ class Texture(TextureBinding):
             refuse(
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "several samples to 1"
             )
-        if self.format is not target.format or self.size != target.size or self.format.is_depth:
-            refuse(
-                TEXTURE_FORMAT,
-                call,
-                f"{self!r} to {target!r}",
-                "a color format, equal in both, and equal sizes",
-            )
+        has_average = not (self.format.is_depth or self.format.is_integer)
+        if self.format is not target.format or self.size != target.size or not has_average:
+            allowed = "a color format that is no integer, equal in both, and equal sizes"
+            refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
         self.core.backend.resolve_texture(self.id, target.id)
 
-    def lock(
-        self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None
-    ) -> TextureLock:
+    def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """`with texture.lock(Access.WRITE) as texels:` gives (height, width, channels), top row first."""
         call = "Texture.lock"
         if self.format.is_depth and access.writes:
             refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
-        return TextureLock(self, access, level, self._region(call, level, layer, region))
+        self._check_single_sample(call)
+        where = self._region(call, level, layer, region)
+        return Lock(
+            self,
+            access,
+            read=lambda: self._read(call, level, where, False)[0].copy(),
+            make=lambda: np.zeros((where.height, where.width, self.format.channels), self.format.dtype),
+            write=lambda texels: self.write(texels, level, where.layer, where.x, where.y),
+        )
 
     # -- checks ------------------------------------------------------------------------------------------
 
@@ -334,45 +335,6 @@ class Texture(TextureBinding):
         self._check_region(call, level, region)
         self._check_single_sample(call)
         return self.core.backend.read_texture(self.id, level, region, stencil)
-
-
-class TextureLock:
-    """An open region of one layer of a texture; see `Texture.lock`."""
-
-    __slots__ = ("_access", "_array", "_level", "_region", "_texture")
-
-    def __init__(self, texture: Texture, access: Access, level: int, region: Region) -> None:
-        self._texture = texture
-        self._access = access
-        self._level = level
-        self._region = region
-        self._array: NDArray[Any] | None = None
-
-    def __enter__(self) -> NDArray[Any]:
-        texture, region = self._texture, self._region
-        texture.core.check_open()
-        array: NDArray[Any]
-        if self._access.reads:
-            texture._check_single_sample("Texture.lock")
-            array = texture._read("Texture.lock", self._level, region, False)[0].copy()
-        else:
-            array = np.zeros((region.height, region.width, texture.format.channels), texture.format.dtype)
-        open_lock(texture)
-        array.flags.writeable = self._access.writes
-        self._array = array
-        return array
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        array, self._array = self._array, None
-        texture, region = self._texture, self._region
-        if array is None:
-            refuse(LOCK_CLOSED, "TextureLock.__exit__", "a lock that is not open")
-        texture.core.locked.remove(texture)
-        if kind is None and self._access.writes and not texture.destroyed:
-            texture.write(array, self._level, region.layer, region.x, region.y)
-        array.flags.writeable = False
 
 
 def full_levels(width: int, height: int, depth: int = 1) -> int:

@@ -16,7 +16,7 @@ EXAMPLES = {page: re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL
 
 
 def can_render() -> bool:
-    return any(report.usable and report.capabilities and report.capabilities.shading for report in rhi.report())
+    return any(report.capabilities and report.capabilities.renders for report in rhi.report())
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if EXAMPLES[p]], ids=lambda p: p.name)
@@ -41,3 +41,11 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", page.read_text()):
         if "://" not in target:
             assert (page.parent / target).exists(), target
+
+
+def test_the_examples_of_the_readme_pass_mypy_strict(tmp_path: Path) -> None:
+    api = pytest.importorskip("mypy.api")
+    program = tmp_path / "readme.py"
+    program.write_text("\n".join(EXAMPLES[ROOT / "README.md"]))
+    out, _, _ = api.run(["--strict", "--no-error-summary", str(program)])
+    assert [line for line in out.splitlines() if program.name in line] == []

@@ -14,7 +14,7 @@ from renderer.cli.output import name_of, note, prepare_image, show_progress, wri
 from renderer.measure import alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND, load_scene
-from renderer.visibility import ALGORITHMS
+from renderer.visibility import make_visibility
 
 _EXAMPLES = """\
   python -m renderer demo
@@ -27,6 +27,9 @@ null device records the same commands and draws nothing: its time is the CPU's."
 
 _PICTURED = {"ground": 900, "sky": 700}
 """The frame of a path that is pictured."""
+
+_WAYS = ("none", "frustum")
+"""What the null device can tell, too: it has no answers to queries. `compare visibility` compares all."""
 
 
 @dataclass(eq=False, slots=True)
@@ -101,11 +104,13 @@ def run(given: argparse.Namespace) -> None:
             Way(
                 path,
                 name,
-                stack.enter_context(Renderer(device, scene, visibility=make(scene), size=given.size)),
+                stack.enter_context(
+                    Renderer(device, scene, visibility=make_visibility(name, scene, device), size=given.size)
+                ),
             )
             for path in scene.paths
             for device in devices
-            for name, make in ALGORITHMS.items()
+            for name in _WAYS
         ]
         for path in scene.paths:
             write_picture(next(way for way in ways if way.path == path), given.output)

@@ -24,6 +24,7 @@ from renderer.scene import (
 )
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import ALGORITHMS
+from rhi.trace import save
 
 _EXAMPLES = """\
   python -m renderer render city --output city.png
@@ -31,6 +32,7 @@ _EXAMPLES = """\
   python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
   python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
   python -m renderer render city --backend null --json
+  python -m renderer render city --backend null --frames 10 --trace city.zip
 
 Times are from the scene's update until the GPU is done, after one frame that isn't counted. Counters are
 those of one frame, and with several frames their mean. The image is that of the last frame."""
@@ -75,6 +77,9 @@ def add_to(commands: Any) -> None:
         help="which way depth runs (default: %(default)s)",
     )
     parser.add_argument("--output", type=Path, metavar="F.png", help="the image (default: SCENE.png)")
+    parser.add_argument(
+        "--trace", type=Path, metavar="F.zip", help="record all commands (see python -m rhi trace)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -88,12 +93,12 @@ def run(given: argparse.Namespace) -> None:
         for frame in range(given.frame, given.frame + given.frames)
     ]
     with (
-        rhi.create_device(given.backend) as device,
+        rhi.create_device(given.backend, record=True if given.trace is not None else None) as device,
         Renderer(
             device,
             scene,
             technique=TECHNIQUES[given.technique](),
-            visibility=ALGORITHMS[given.visibility](scene),
+            visibility=ALGORITHMS[given.visibility](scene, device),
             size=given.size,
         ) as renderer,
     ):
@@ -103,6 +108,10 @@ def run(given: argparse.Namespace) -> None:
         for frame, camera in show_progress(shots, len(shots), "render"):
             result, cost = measure_frame(renderer, camera, frame / FRAMES_PER_SECOND)
             costs.append(cost)
+        if given.trace is not None:
+            given.trace.parent.mkdir(parents=True, exist_ok=True)
+            save(device, given.trace)
+            note(f"wrote {given.trace}: {len(device.stream):,} commands")
         image = None
         if device.capabilities.shading:
             image = prepare_image(given.output or Path(f"{name_of(scene)}.png"))

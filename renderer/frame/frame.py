@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera
-from renderer.visibility import DrawObjects, VisibilityAlgorithm
+from renderer.visibility import DrawObjects, Statistics, VisibilityAlgorithm
 from rhi import Device, Format, Texture
 
 
@@ -41,6 +41,7 @@ class Frame:
         targets: what to draw to.
         visibility: what decides which objects are drawn.
         batches: rows of the objects drawn so far, as `visibility` found them.
+        statistics: what finding them cost, once `draw_visible` has been called.
     """
 
     camera: Camera
@@ -48,6 +49,7 @@ class Frame:
     targets: Targets
     visibility: VisibilityAlgorithm
     batches: list[NDArray[np.int64]] = field(default_factory=list)
+    statistics: Statistics | None = None
 
     def draw_visible(self, draw: DrawObjects) -> None:
         """Let `draw` have the visible objects, in as many batches as it takes to find them.
@@ -63,7 +65,7 @@ class Frame:
             centre = objects.lower[rows] + objects.upper[rows]
             draw(rows[np.argsort(centre @ self.camera.forward, kind="stable")])
 
-        self.visibility.render(self.camera, draw_batch)
+        self.statistics = self.visibility.render(self.camera, draw_batch)
 
     @property
     def visible(self) -> NDArray[np.int64]:

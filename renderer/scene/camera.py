@@ -47,6 +47,7 @@ class Projection(Protocol):
     @property
     def depth(self) -> Depth:
         """Which way depth runs."""
+
     @property
     def matrix(self) -> Floats:
         """(4, 4) float64, view space to clip space."""

@@ -4,7 +4,7 @@ An algorithm is one object, made for one scene, with one method. It hands the te
 through a function, as soon as it knows them to be visible. Culling against the frustum calls it once;
 algorithms that ask the GPU (stop-and-wait, CHC, CHC++) call it many times, with occlusion queries of their
 own in between, on the same device and in the order in which they are to happen. What such an algorithm
-needs beyond the scene, it gets when it is made; so all stay exchangeable at run time.
+needs beyond the scene, the device above all, it gets when it is made; so all stay exchangeable at run time.
 """
 
 from __future__ import annotations
@@ -33,6 +33,8 @@ class Statistics:
         nodes_tested, objects_tested: boxes of either kind that were tested against planes.
         plane_tests: (box, plane) pairs.
         queries: occlusion queries issued.
+        box_draws, boxes: draws of bounding boxes inside queries, and how many boxes; they are no objects.
+        stalled_milliseconds: how long the CPU waited for answers.
     """
 
     objects: int
@@ -42,6 +44,9 @@ class Statistics:
     objects_tested: int = 0
     plane_tests: int = 0
     queries: int = 0
+    box_draws: int = 0
+    boxes: int = 0
+    stalled_milliseconds: float = 0.0
 
 
 class VisibilityAlgorithm(Protocol):

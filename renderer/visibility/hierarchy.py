@@ -60,6 +60,12 @@ class Hierarchy:
         """The rows of all boxes under a node."""
         return self.order[self.first[node] : self.first[node] + self.count[node]]
 
+    def fit(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
+        """Bounds (m, 3) of the nodes when the boxes (n, 3) are these: the same tree over what has moved."""
+        return _node_bounds(
+            lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts
+        )
+
     def cut(self, size: int) -> Rows:
         """The nodes nearest to the root that cover at most `size` boxes or are leaves, in tree order.
 

@@ -1,5 +1,5 @@
-"""Fixtures of the kit. `device` is one per backend and session: tests leave it as they found it, and it is
-checked that they do. What changes a device for good takes `fresh_device`; what reads the stream, `recording`.
+"""Fixtures of the kit. `device` is one per backend and session, which tests leave as they found it; what changes
+a device for good takes `fresh_device`, what reads the command stream `recording`.
 """
 
 from __future__ import annotations
@@ -9,15 +9,14 @@ from collections.abc import Iterator
 import pytest
 
 import rhi
-from rhi.conformance.plugin import PROPERTY, get_backend_names
-
-pytest.register_assert_rewrite("rhi.conformance.compare")
+from rhi.conformance.plugin import PROPERTY
+from rhi.testing.plugin import get_backend_names
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Every test runs once per backend that was asked for; those marked `recorded_too` also through a recorder."""
     if "backend" in metafunc.fixturenames:
-        metafunc.parametrize("backend", get_backend_names(metafunc.config), scope="session")
+        metafunc.parametrize("backend", get_backend_names(metafunc.config, "gl"), scope="session")
     if "route" in metafunc.fixturenames:
         twice = metafunc.definition.get_closest_marker("recorded_too") is not None
         metafunc.parametrize("route", ["direct", "recorded"] if twice else ["direct"], scope="session")
@@ -46,39 +45,38 @@ def recording_device(backend: str) -> Iterator[rhi.Device]:
 
 
 @pytest.fixture
-def device(
-    shared_device: rhi.Device, recording_device: rhi.Device, route: str, request: pytest.FixtureRequest
-) -> rhi.Device:
-    """The shared device; skips the test if it lacks what the test `needs`.
+def device(shared_device: rhi.Device, recording_device: rhi.Device, route: str) -> rhi.Device:
+    """The shared device.
 
     Where a backend prepares draws, a device without a recorder calls other methods than one with: both ways
     must give the same pixels.
     """
     device = shared_device if route == "direct" else recording_device
-    skip_unless_capable(device, request)
     if route == "recorded":
         device.stream.clear()
     return device
 
 
 @pytest.fixture
-def recording(recording_device: rhi.Device, request: pytest.FixtureRequest) -> rhi.Device:
+def recording(recording_device: rhi.Device) -> rhi.Device:
     """The shared recording device; `.stream` goes on from test to test."""
-    skip_unless_capable(recording_device, request)
     return recording_device
 
 
 @pytest.fixture
-def fresh_device(backend: str, request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
+def fresh_device(backend: str) -> Iterator[rhi.Device]:
     """A device of this test's own."""
     with rhi.create_device(backend, validation=True) as device:
-        skip_unless_capable(device, request)
         yield device
 
 
-def skip_unless_capable(device: rhi.Device, request: pytest.FixtureRequest) -> None:
-    """Skip a test marked `needs` for a capability that the device declares missing."""
-    for marker in request.node.iter_markers("needs"):
-        for capability in marker.args:
-            if not getattr(device.capabilities, capability):
-                pytest.skip(f"{device.backend_name} declares no {capability}")
+@pytest.fixture(autouse=True)
+def capable(request: pytest.FixtureRequest) -> None:
+    """Skip a test marked `needs` for a capability that the backend declares missing, or a limit that it says is 0."""
+    wanted = [capability for marker in request.node.iter_markers("needs") for capability in marker.args]
+    if not wanted or "backend" not in request.fixturenames:
+        return
+    device: rhi.Device = request.getfixturevalue("shared_device")
+    for capability in wanted:
+        if not getattr(device.capabilities, capability):
+            pytest.skip(f"{device.backend_name} declares no {capability}")

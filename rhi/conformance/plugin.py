@@ -1,31 +1,22 @@
-"""The kit's pytest plugin: the `--rhi-backend` option, its markers and the scoreboard.
+"""The kit's pytest plugin: its markers and the scoreboard.
 
-It is registered as an entry point, since an option that is defined in a conftest below `--pyargs` is unknown
-when pytest reads its command line. It needs nothing of `rhi` itself, but pytest imports the package to find it.
+It is the entry point that pytest finds, and brings `rhi.testing.plugin` with it: the option `--rhi-backend`,
+which would be unknown when pytest reads its command line were it defined in a conftest below `--pyargs`, and
+the fixtures for tests of one's own.
 """
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     import pytest
 
-OPTION = "--rhi-backend"
+pytest_plugins = ("rhi.testing.plugin",)
+
 PROPERTY = "rhi-conformance"
 """Under which the kit notes in its tests' reports which backend and group they belong to."""
-
-
-def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add `--rhi-backend NAME`, which may be given several times."""
-    parser.getgroup("rhi").addoption(
-        OPTION,
-        action="append",
-        metavar="NAME",
-        help="backend that rhi.conformance examines; repeatable (default: RHI_BACKEND, else gl)",
-    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -34,12 +25,6 @@ def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line(
         "markers", "recorded_too: runs without and with a recorder in front of the backend"
     )
-
-
-def get_backend_names(config: pytest.Config) -> list[str]:
-    """The backends to examine, each once."""
-    names = config.getoption(OPTION) or [os.environ.get("RHI_BACKEND") or "gl"]
-    return list(dict.fromkeys(names))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -6,6 +6,8 @@ parsed, not run: `compile_shader` makes a typed tree (`rhi.shading.tree`) and fr
 See docs/shading.md.
 """
 
+from typing import TYPE_CHECKING, Any
+
 from rhi.shading import functions, textures, vectors
 from rhi.shading.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
 from rhi.shading.bindings import (
@@ -17,7 +19,8 @@ from rhi.shading.bindings import (
     Uniform,
     UniformRange,
 )
-from rhi.shading.compile import compile_shader, stage_trees
+from rhi.shading.builtins import Precision
+from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
 from rhi.shading.function import function, native
 from rhi.shading.functions import *  # noqa: F403
 from rhi.shading.shader import Shader, shared
@@ -25,13 +28,26 @@ from rhi.shading.structs import Struct
 from rhi.shading.textures import *  # noqa: F403
 from rhi.shading.vectors import *  # noqa: F403
 
+if TYPE_CHECKING:
+    from rhi.shading.evaluate import run_compute
+
 __rhi_internal__ = True
+
+
+def __getattr__(name: str) -> Any:
+    if name == "run_compute":  # which few programs need, and which takes as long to import as all the rest
+        from rhi.shading.evaluate import run_compute
+
+        return run_compute
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
 
 __all__ = [
     "Flat",
     "FragmentDepth",
     "ImageBinding",
     "NoPerspective",
+    "Precision",
     "Shader",
     "Storage",
     "StorageRW",
@@ -43,6 +59,8 @@ __all__ = [
     "compile_shader",
     "function",
     "native",
+    "opencl_kernel",
+    "run_compute",
     "shared",
     "stage_trees",
     "value_type_of",

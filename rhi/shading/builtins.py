@@ -5,7 +5,8 @@
 - In a signature, letters stand for types of one common size: F float or vec, V vec, I and U int and uint or
   their vectors, B bool or bvec, M mat, IV/UV/BV vectors only. `F(F,F,float)` is four overloads. `int&` is a
   place in memory that the function changes.
-- A spelling is a function's name, or a template with `{0}` for the first argument.
+- A GLSL spelling is a function's name, or a template with `{0}` for the first argument; OpenCL's and NumPy's are
+  templates for one component. `fast` is OpenCL's spelling with Precision.FAST.
 """
 
 from __future__ import annotations
@@ -22,6 +23,18 @@ from rhi.shading import rules
 from rhi.shading.types import MATRICES, VECTORS, VOID, Type, converts
 
 __rhi_internal__ = True
+
+
+class Precision(enum.Enum):
+    """What a shader asks of pow, exp, log, sin and cos on OpenCL: EXACT within a few ulp, or FAST polynomials.
+
+    The errors of both are measured by `python -m rhi shading accuracy`.
+    """
+
+    EXACT = "exact"
+    FAST = "fast"
+
+    __hash__ = object.__hash__
 
 
 class Effect(enum.Enum):
@@ -53,7 +66,8 @@ class Overload:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Builtin:
-    """A row of the table."""
+    """A row of the table. `opencl`, `fast` and `numpy` spell what acts on each component by itself; what is made
+    from other built-ins has an entry in `rhi.shading.expansions` instead."""
 
     name: str
     overloads: tuple[Overload, ...]
@@ -61,6 +75,9 @@ class Builtin:
     effect: Effect = Effect.NONE
     stages: frozenset[Stage] = frozenset(Stage)
     extension: str = ""
+    opencl: str = ""
+    numpy: str = ""
+    fast: str = ""
     _chosen: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
 
     def choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
@@ -152,37 +169,98 @@ _ROWS: Final = (
     # angles
     _row("radians", _F, doc="degrees to radians"),
     _row("degrees", _F, doc="radians to degrees"),
-    _row("sin", _F, doc="sine"),
-    _row("cos", _F, doc="cosine"),
-    _row("tan", _F, doc="tangent"),
-    _row("asin", _F, doc="arc sine, -π/2…π/2"),
-    _row("acos", _F, doc="arc cosine, 0…π"),
-    _row("atan", _F, doc="arc tangent, -π/2…π/2"),
-    _row("atan2", "F(F,F)", "atan", "angle of (y, x), -π…π; y first"),
-    _row("sinh", _F, doc="hyperbolic sine"),
-    _row("cosh", _F, doc="hyperbolic cosine"),
-    _row("tanh", _F, doc="hyperbolic tangent"),
-    _row("asinh", _F, doc="inverse hyperbolic sine"),
-    _row("acosh", _F, doc="inverse hyperbolic cosine"),
-    _row("atanh", _F, doc="inverse hyperbolic tangent"),
+    _row("sin", _F, doc="sine", opencl="sin({0})", numpy="np.sin({0})", fast="rhi_fast_sin({0})"),
+    _row("cos", _F, doc="cosine", opencl="cos({0})", numpy="np.cos({0})", fast="rhi_fast_cos({0})"),
+    _row("tan", _F, doc="tangent", opencl="tan({0})", numpy="np.tan({0})"),
+    _row("asin", _F, doc="arc sine, -π/2…π/2", opencl="asin({0})", numpy="np.arcsin({0})"),
+    _row("acos", _F, doc="arc cosine, 0…π", opencl="acos({0})", numpy="np.arccos({0})"),
+    _row("atan", _F, doc="arc tangent, -π/2…π/2", opencl="atan({0})", numpy="np.arctan({0})"),
+    _row(
+        "atan2",
+        "F(F,F)",
+        "atan",
+        "angle of (y, x), -π…π; y first",
+        opencl="atan2({0}, {1})",
+        numpy="np.arctan2({0}, {1})",
+    ),
+    _row("sinh", _F, doc="hyperbolic sine", opencl="sinh({0})", numpy="np.sinh({0})"),
+    _row("cosh", _F, doc="hyperbolic cosine", opencl="cosh({0})", numpy="np.cosh({0})"),
+    _row("tanh", _F, doc="hyperbolic tangent", opencl="tanh({0})", numpy="np.tanh({0})"),
+    _row("asinh", _F, doc="inverse hyperbolic sine", opencl="asinh({0})", numpy="np.arcsinh({0})"),
+    _row("acosh", _F, doc="inverse hyperbolic cosine", opencl="acosh({0})", numpy="np.arccosh({0})"),
+    _row("atanh", _F, doc="inverse hyperbolic tangent", opencl="atanh({0})", numpy="np.arctanh({0})"),
     # exponentials
-    _row("pow", "F(F,F)", doc="x to the power y; undefined for x < 0"),
-    _row("exp", _F, doc="e to the power x"),
-    _row("log", _F, doc="natural logarithm"),
-    _row("exp2", _F, doc="2 to the power x"),
-    _row("log2", _F, doc="logarithm to base 2"),
-    _row("sqrt", _F, doc="square root"),
-    _row("inversesqrt", _F, doc="1 / sqrt(x)"),
+    _row(
+        "pow",
+        "F(F,F)",
+        doc="x to the power y; undefined for x < 0",
+        opencl="pow({0}, {1})",
+        numpy="np.power({0}, {1})",
+        fast="rhi_fast_pow({0}, {1})",
+    ),
+    _row(
+        "exp",
+        _F,
+        doc="e to the power x",
+        opencl="exp({0})",
+        numpy="np.exp({0})",
+        fast="rhi_fast_exp2({0} * 1.44269504f)",
+    ),
+    _row(
+        "log",
+        _F,
+        doc="natural logarithm",
+        opencl="log({0})",
+        numpy="np.log({0})",
+        fast="(rhi_fast_log2({0}) * 0.69314718f)",
+    ),
+    _row(
+        "exp2",
+        _F,
+        doc="2 to the power x",
+        opencl="exp2({0})",
+        numpy="np.exp2({0})",
+        fast="rhi_fast_exp2({0})",
+    ),
+    _row(
+        "log2",
+        _F,
+        doc="logarithm to base 2",
+        opencl="log2({0})",
+        numpy="np.log2({0})",
+        fast="rhi_fast_log2({0})",
+    ),
+    _row("sqrt", _F, doc="square root", opencl="sqrt({0})", numpy="np.sqrt({0})"),
+    _row("inversesqrt", _F, doc="1 / sqrt(x)", opencl="(1.0f / sqrt({0}))", numpy="(F(1) / np.sqrt({0}))"),
     # common
-    _row("abs", "I(I);F(F)", doc="absolute value"),
+    _row("abs", "I(I);F(F)", doc="absolute value", opencl="rhi_abs({0})", numpy="np.abs({0})"),
     _row("sign", "I(I);F(F)", doc="-1, 0 or 1"),
-    _row("floor", _F, doc="largest whole number not above x"),
-    _row("ceil", _F, doc="smallest whole number not below x"),
-    _row("trunc", _F, doc="whole number towards zero"),
-    _row("round", _F, "roundEven", "nearest whole number, halves to even, as in Python"),
+    _row("floor", _F, doc="largest whole number not above x", opencl="floor({0})", numpy="np.floor({0})"),
+    _row("ceil", _F, doc="smallest whole number not below x", opencl="ceil({0})", numpy="np.ceil({0})"),
+    _row("trunc", _F, doc="whole number towards zero", opencl="trunc({0})", numpy="np.trunc({0})"),
+    _row(
+        "round",
+        _F,
+        "roundEven",
+        "nearest whole number, halves to even, as in Python",
+        opencl="rint({0})",
+        numpy="np.rint({0})",
+    ),
     _row("fract", _F, doc="x - floor(x)"),
-    _row("min", "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)", doc="the smaller, by component"),
-    _row("max", "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)", doc="the larger, by component"),
+    _row(
+        "min",
+        "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
+        doc="the smaller, by component",
+        opencl="rhi_min({0}, {1})",
+        numpy="np.minimum({0}, {1})",
+    ),
+    _row(
+        "max",
+        "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
+        doc="the larger, by component",
+        opencl="rhi_max({0}, {1})",
+        numpy="np.maximum({0}, {1})",
+    ),
     _row(
         "clamp",
         "I(I,I,I);I(I,int,int);U(U,U,U);U(U,uint,uint);F(F,F,F);F(F,float,float)",
@@ -192,7 +270,7 @@ _ROWS: Final = (
     _row("mix", "F(F,F,F);V(V,V,float);V(V,V,BV)", doc="x (1 - a) + y a; with a bvec, y where it is true"),
     _row("step", "F(F,F);V(float,V)", doc="0 where x < edge (the first argument), else 1"),
     _row("smoothstep", "F(F,F,F);V(float,float,V)", doc="Hermite step from edge0 to edge1, x last"),
-    _row("fma", "F(F,F,F)", doc="a b + c"),
+    _row("fma", "F(F,F,F)", doc="a b + c", opencl="fma({0}, {1}, {2})", numpy="R.fma({0}, {1}, {2}, F)"),
     _row("isnan", "B(F)", doc="whether not a number"),
     _row("isinf", "B(F)", doc="whether infinite"),
     # geometry

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Final
 
 from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage
 from rhi.errors import ShaderError, find_call_site
 from rhi.layout import Layout, place, stride_of
 from rhi.shading import rules, tree
+from rhi.shading.builtins import Precision
 from rhi.shading.expressions import Callee
 from rhi.shading.glsl_stage import StageOptions, StageText, write_stage
 from rhi.shading.interface import (
@@ -23,6 +25,14 @@ from rhi.shading.shader import Declaration, Memory, Shader
 from rhi.shading.types import VOID, ImageType, StorageType
 
 __rhi_internal__ = True
+
+if TYPE_CHECKING:
+    from rhi.shading.opencl import KernelText
+
+# Lane code and OpenCL C are imported when a compute shader first needs them: they would be a tenth of the time
+# that `import rhi` takes.
+WIDTHS: Final = (1, 4, 8, 16)
+_KERNEL_WIDTHS: Final = {f"opencl{width}": width for width in WIDTHS}
 
 _compiled: weakref.WeakKeyDictionary[type[Shader], ProgramDescriptor] = weakref.WeakKeyDictionary()
 
@@ -63,7 +73,14 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         _work_group(shader),
         shader.early_depth,
     )
-    texts = _Texts(stages, options)
+    compute = stages.get(Stage.COMPUTE)
+    if compute is not None:
+        from rhi.shading.lowering import has_lane_code, lower_compute
+
+        # Barriers and races are judged by what differs within a work-group, which lane code knows.
+        if has_lane_code(compute):
+            lower_compute(compute, options.name, options.work_group, max(WIDTHS))
+    texts = _Texts(stages, options, bindings, shader.precision)
     return ProgramDescriptor(
         name=options.name,
         stages=frozenset(stages),
@@ -80,27 +97,71 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
     )
 
 
-class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
-    """Writes stages when they are asked for; as a mapping, the origins of each stage's lines."""
+def opencl_kernel(shader: type[Shader], width: int = 16) -> KernelText:
+    """A compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl`).
 
-    def __init__(self, stages: dict[Stage, tree.StageTree], options: StageOptions) -> None:
+    Raises:
+        ShaderError: the shader has no compute stage, uses what lanes haven't got, or breaks a rule.
+    """
+    descriptor, trees = compile_shader(shader), stage_trees(shader)
+    if Stage.COMPUTE not in trees or width not in WIDTHS:
+        given = ", ".join(stage.value for stage in trees) + f", width={width}"
+        call = f"opencl_kernel({shader.__name__}, …)"
+        raise ShaderError(rules.STAGES, call, given, f"a compute stage, width {WIDTHS}")
+    return _write_kernel(trees[Stage.COMPUTE], descriptor.name, descriptor.work_group, width, descriptor.bindings,
+                         shader.precision)  # fmt: skip
+
+
+def _write_kernel(
+    stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, bindings: tuple[Binding, ...],
+    precision: Precision,
+) -> KernelText:  # fmt: skip
+    from rhi.shading.lowering import lower_compute
+    from rhi.shading.opencl import write_kernel
+
+    return write_kernel(lower_compute(stage, name, work_group, width), bindings, precision)
+
+
+class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
+    """Writes stages when they are asked for; as a mapping, the origins of each stage's lines as written last."""
+
+    def __init__(
+        self, stages: dict[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
+        precision: Precision,
+    ) -> None:  # fmt: skip
         self._stages = stages
         self._options = options
+        self._bindings = bindings
+        self._precision = precision
         self._texts: dict[Stage, StageText] = {}
+        self._origins: dict[Stage, tuple[tuple[str, int], ...]] = {}
 
     def emit(self, language: str, stage: Stage) -> str:
-        """The stage's text in `language`, of which there is "glsl"."""
-        if language != "glsl":
-            raise ShaderError(rules.NATIVE, f"{self._options.name}: emit({language!r}, …)", language, "glsl")
-        return self._text(stage).text
+        """The stage's text: "glsl", or of a compute stage "opencl1", "opencl4", "opencl8" or "opencl16", a kernel
+        for so many lanes."""
+        text: StageText | KernelText
+        if language == "glsl":
+            if stage not in self._texts:
+                self._texts[stage] = write_stage(self._stages[stage], self._options)
+            text = self._texts[stage]
+        elif stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
+            text = self.kernel(_KERNEL_WIDTHS[language])
+        else:
+            call = f"{self._options.name}: emit({language!r}, {stage})"
+            raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *_KERNEL_WIDTHS]))
+        self._origins[stage] = text.origins
+        return text.text
 
-    def _text(self, stage: Stage) -> StageText:
-        if stage not in self._texts:
-            self._texts[stage] = write_stage(self._stages[stage], self._options)
-        return self._texts[stage]
+    def kernel(self, width: int) -> KernelText:
+        """The compute stage for `width` lanes."""
+        options = self._options
+        stage = self._stages[Stage.COMPUTE]
+        return _write_kernel(stage, options.name, options.work_group, width, self._bindings, self._precision)
 
     def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
-        return self._text(stage).origins
+        if stage not in self._origins:
+            self.emit("glsl", stage)
+        return self._origins[stage]
 
     def __iter__(self) -> Iterator[Stage]:
         return iter(self._stages)

@@ -12,7 +12,9 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import FunctionType
-from typing import Any, NoReturn, ParamSpec, TypeVar, cast
+from typing import Any, Generic, ParamSpec, TypeVar, cast
+
+import numpy as np
 
 from rhi.errors import refuse
 from rhi.shading import rules
@@ -39,8 +41,8 @@ class Native:
     line: int = 0
 
 
-class Function:
-    """A module-level function of the shading language."""
+class Function(Generic[P, R]):
+    """A module-level function of the shading language; shaders call it, `evaluate` runs it on the CPU."""
 
     def __init__(self, function: FunctionType) -> None:
         self.python = function
@@ -48,15 +50,43 @@ class Function:
         self.__doc__ = function.__doc__
         self.__wrapped__ = function
 
-    def __call__(self, *arguments: object, **named: object) -> NoReturn:
-        refuse(rules.DEVICE_ONLY, f"{self.__name__}(…)")
+    def __call__(self, *arguments: P.args, **named: P.kwargs) -> R:
+        refuse(
+            rules.DEVICE_ONLY,
+            f"{self.__name__}(…)",
+            tip=f"on the CPU: {self.__name__}.evaluate(…) with arrays",
+        )
+
+    def evaluate(
+        self,
+        *arguments: Any,
+        dtype: type[np.float32] | type[np.float64] = np.float32,
+        **named: Any,
+    ) -> Any:
+        """Run the function on whole arrays with NumPy.
+
+        Args:
+            arguments, named: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)` for
+                a `mat3`, a structured array or `Struct` for a struct. What stands for `…` broadcasts.
+            dtype: of floats, and of the result.
+
+        Returns:
+            The results in the same form; a struct's as a structured array.
+
+        Raises:
+            ValidationError `shading-arguments`: an argument is missing, unknown or has the wrong shape.
+            ShaderError: the function breaks a rule of the language.
+        """
+        from rhi.shading.evaluate import evaluate  # the compiler needs this module
+
+        return evaluate(self.python, arguments, named, dtype)
 
 
-def function(python: Callable[P, R]) -> Callable[P, R]:
+def function(python: Callable[P, R]) -> Function[P, R]:
     """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
     plain = cast(FunctionType, python)
     resolve_annotations(plain, locals_of(sys._getframe(1)))
-    return cast(Callable[P, R], Function(plain))
+    return Function(plain)
 
 
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:

@@ -53,6 +53,16 @@ STAGE: Final = Rule("shading-stage", "this is not available in this stage")
 STAGES: Final = Rule("shading-stages", "a shader's stages don't fit together")
 INTERFACE: Final = Rule("shading-interface", "a stage's inputs or outputs can't have this form")
 BINDING: Final = Rule("shading-binding", "a binding can't have this form")
+BARRIER: Final = Rule(
+    "shading-barrier",
+    "a work-group must reach a barrier as a whole",
+    "move the barrier out of conditions, loops and early returns that differ within the work-group",
+)
+RACE: Final = Rule(
+    "shading-race",
+    "invocations store different values to one place",
+    "use an atomic, or let one invocation store",
+)
 NATIVE: Final = Rule("shading-native", "a native function can't be used here")
 STRUCT: Final = Rule("shading-struct", "a struct can't have this form")
 STRUCT_VALUE: Final = Rule("shading-struct-value", "a struct's field got a value that doesn't fit")

@@ -26,6 +26,7 @@ from rhi.layout import ArrayType, HostType, is_host_shareable
 from rhi.shading import rules
 from rhi.shading.annotations import value_type
 from rhi.shading.bindings import Storage, StorageRW, Uniform
+from rhi.shading.builtins import Precision
 from rhi.shading.source import locals_of, resolve_annotations, suggest
 from rhi.shading.textures import Image, ImageFormat, Texture, image
 from rhi.shading.types import ImageType, StorageType, Type
@@ -86,11 +87,13 @@ class Shader:
 
     Attributes:
         work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
+        precision: how exact some functions are on OpenCL; other backends have one way of computing them.
         early_depth: depth and stencil are tested before the fragment stage, which then can't change them.
     """
 
     work_group: ClassVar[tuple[int, ...]] = (1,)
     early_depth: ClassVar[bool] = False
+    precision: ClassVar[Precision] = Precision.EXACT
     _declared: ClassVar[Mapping[str, Declaration]] = {}
 
     def __init_subclass__(cls) -> None:

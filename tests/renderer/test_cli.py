@@ -247,7 +247,7 @@ def test_python_m_renderer_is_the_command_line(here: Path) -> None:
 def test_a_missing_driver_is_one_line(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(name: str | None = None) -> None:
+    def fail(name: str | None = None, **options: object) -> None:
         raise rhi.DeviceError(
             rhi.RULES["device-driver"], "rhi.create_device()", "no EGL", "", "install libegl1"
         )

@@ -43,7 +43,7 @@ def test_an_id_can_be_used_only_once(rule):
 
 
 def test_ids_are_short_words_and_sentences_have_no_full_stop():
-    import renderer.rules
+    import renderer.rules  # noqa: F401
     import rhi.rules  # noqa: F401
 
     assert len(RULES) > 20

@@ -42,6 +42,28 @@ def test_the_null_device_records_unless_told_not_to() -> None:
     assert caught.value.rule.id == "device-not-recording"
 
 
+def test_options_are_the_backends_own() -> None:
+    with rhi.create_device("null", profile="gles-3") as device:
+        assert device.capabilities.device == "gles-3"
+    with pytest.raises(rhi.ValidationError) as caught:
+        rhi.create_device("null", profil="gles-3")
+    assert caught.value.rule.id == "device-argument"
+    assert "profil=" in caught.value.call
+    assert caught.value.allowed == "faults, profile, simulation"
+
+
+def test_a_backend_without_options_refuses_them() -> None:
+    with pytest.raises(rhi.ValidationError) as caught:
+        rhi.create_device("gl", profile="gles-3")
+    assert caught.value.allowed == "no options"
+
+
+def test_options_without_a_name_go_to_the_backends_that_are_tried() -> None:
+    with pytest.raises(rhi.DeviceError) as caught:
+        rhi.create_device(profile="gles-3")
+    assert "gl: profile" in caught.value.given
+
+
 def test_a_closed_device_refuses_work_by_name() -> None:
     with rhi.create_device("null") as device:
         pass

@@ -1,18 +1,53 @@
 """The null backend: real memory, real time order, no GPU; draws are counted, not rasterised.
 
 `create_backend()` gives the backend itself. A device made with `rhi.create_device("null")` always has a
-`rhi.recorder.Recorder` in front of it.
+`rhi.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
 """
 
+from rhi.backend import Backend, Capabilities
+from rhi.backends.null.activity import Activity, ActivityTimeline, Frame, Lane, Span
 from rhi.backends.null.backend import NullBackend, Statistics
+from rhi.backends.null.cost import CostModel, Work
+from rhi.backends.null.faults import FaultInjector, Faults
+from rhi.backends.null.hazards import Hazard, HazardKind
+from rhi.backends.null.profiles import PROFILES, find_profile
 from rhi.backends.null.queries import Draw
 from rhi.backends.null.resources import IndirectDraws
+from rhi.backends.null.simulated import SimulatedBackend, Simulation
+from rhi.backends.null.visibility import AnswerLog, RecordedAnswers
+from rhi.errors import refuse
+from rhi.rules import DEVICE_ARGUMENT
 
 __rhi_internal__ = True
 
-__all__ = ["Draw", "IndirectDraws", "NullBackend", "Statistics", "create_backend"]
+__all__ = [
+    "PROFILES", "Activity", "ActivityTimeline", "AnswerLog", "CostModel", "Draw", "FaultInjector",
+    "Faults", "Frame", "Hazard",
+    "HazardKind", "IndirectDraws", "Lane", "NullBackend", "RecordedAnswers", "SimulatedBackend", "Simulation",
+    "Span", "Statistics", "Work", "create_backend",
+]  # fmt: skip
 
 
-def create_backend(*, validation: bool = False) -> NullBackend:
-    """A new null backend. There is no driver whose messages `validation` could turn on."""
-    return NullBackend()
+def create_backend(
+    *,
+    validation: bool = False,
+    profile: str | Capabilities = "everything",
+    simulation: Simulation | None = None,
+    faults: Faults | None = None,
+) -> Backend:
+    """A new null backend. There is no driver whose messages `validation` could turn on.
+
+    Args:
+        profile: which device to pretend to be: a name of `PROFILES`, or capabilities of your own.
+        simulation: execute on a simulated clock (a `SimulatedBackend`); None: whenever something asks.
+        faults: what fails, and when (a `FaultInjector` in front).
+
+    Raises:
+        ValidationError: `device-argument` for an unknown profile, or an option of the wrong type.
+    """
+    for name, value, kind in (("simulation", simulation, Simulation), ("faults", faults, Faults)):
+        if not isinstance(value, (kind, type(None))):  # `rhi.create_device` passes on whatever it is given
+            refuse(DEVICE_ARGUMENT, f"{name}=", repr(value), f"a {kind.__name__}, or None")
+    capabilities = find_profile(profile)
+    backend = NullBackend(capabilities) if simulation is None else SimulatedBackend(simulation, capabilities)
+    return backend if faults is None else FaultInjector(backend, faults)

@@ -161,7 +161,8 @@ class ActivityTimeline:
             bar = (span.start / scale, span.nanoseconds / scale)
             axes.broken_barh([bar], (top - 0.22, 0.22), facecolors="#cccccc", edgecolors="white")
             if span.nanoseconds > self.end / 25:  # else the text would run into the next
-                axes.text(sum(bar) - bar[1] / 2, top - 0.11, span.name, ha="center", va="center", fontsize=7, clip_on=True)
+                style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7, "clip_on": True}
+                axes.text(sum(bar) - bar[1] / 2, top - 0.11, span.name, **style)
         for frame in self.frames:
             axes.axvline(frame.presented / scale, color="black", linewidth=0.6, linestyle=":")
         axes.set_yticks(list(rows.values()), [lane.value for lane in rows])

@@ -2,8 +2,8 @@
 
 - Calls are put into a queue, flat (`op, arguments…`, as in `rhi.commands`); creation happens at once.
 - The queue is executed in order when something demands it: a signal, a wait, a read. Whatever is read when
-  executed (indirect arguments, copies, counters) is so by construction. A simulated GPU with a clock of its
-  own takes the queue's place of execution and nothing else.
+  executed (indirect arguments, copies, counters) is so by construction. `simulated` executes the same queue
+  on a clock of its own.
 - STREAM buffers are written at once, past the queue, as on hardware that maps them: memory overwritten too
   early is seen to be overwritten.
 - Time is simulated: every executed command takes `COMMAND_NANOSECONDS`.
@@ -21,10 +21,12 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backend import Capabilities
+from rhi.backends.null.profiles import PROFILES
 from rhi.backends.null.programs import Programs
-from rhi.backends.null.queries import Answers, Draw, Queries
+from rhi.backends.null.queries import Draw, Queries
 from rhi.backends.null.resources import IndirectDraws, Resources
 from rhi.backends.null.states import ExecutionState, Fate
+from rhi.backends.null.visibility import Answers
 from rhi.descriptors import (
     BufferDescriptor,
     BufferUsage,
@@ -67,11 +69,8 @@ class NullBackend(CommandMethods):
 
     METHOD = "    self._enqueue(({op}, {arguments}))"
 
-    def __init__(self) -> None:
-        self.capabilities = Capabilities(
-            backend="null", device="null", driver=f"NumPy {np.__version__}", shading=False,
-            sample_counter=True, alpha_test=True, max_anisotropy=16.0,
-        )  # fmt: skip
+    def __init__(self, capabilities: Capabilities | None = None) -> None:
+        self.capabilities = capabilities or PROFILES["everything"]
         self._queue: list[Any] = []
         self._enqueue: Callable[[tuple[Any, ...]], None] = self._queue.extend
         self._queued_bytes = 0
@@ -101,9 +100,9 @@ class NullBackend(CommandMethods):
         self._queries.count_samples(samples)
 
     def answer_queries(self, answers: Answers) -> None:
-        """What occlusion and counter queries answer: a number for all of them, a mapping by query id, or a
-        function of the id. It goes before what `count_samples` counts; None or a missing key leaves it to
-        that."""
+        """What occlusion and counter queries answer: a number for all of them, a script in the order in which
+        queries end, a mapping by query id, a function of the id, or what they answered on another backend
+        (`AnswerLog`). It goes before what `count_samples` counts; where it doesn't say, it leaves it to that."""
         self._queries.answer(answers)
 
     @property

@@ -2,7 +2,7 @@
 
 - `count_samples(f)`: `f(draw)` gives the samples that a draw passes. It feeds the running counter (COUNTER
   queries) and the counts of OCCLUSION queries, so emulated queries work as on hardware.
-- `answer_queries(a)`: the answers themselves, by query id, in place of a count.
+- `answer_queries(a)`: the answers themselves, in place of a count (`visibility`).
 - What neither knows is refused when it is read (`null-samples`); it is never zero. Zero is known without
   help where no draw was executed.
 - A counter that has passed an unknown draw stays unknown: the difference of two values would be wrong.
@@ -11,10 +11,10 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
 
+from rhi.backends.null.visibility import Answers, Oracle, RecordedAnswers, make_oracle
 from rhi.descriptors import Id, Primitive, QueryKind
 from rhi.errors import refuse
 from rhi.rules import NULL_ANSWER, NULL_SAMPLES
@@ -37,40 +37,42 @@ class Draw:
     labels: tuple[str, ...]
 
 
-Answers: TypeAlias = int | Mapping[Id, int] | Callable[[Id], int | None]
-"""Samples for every query, by query, or from a function of the query's id; None or a missing key: unknown."""
-
-
 class _Query:
-    __slots__ = ("finished", "kind", "value")
+    __slots__ = ("finished", "kind", "place", "use", "value")
 
     def __init__(self, kind: QueryKind) -> None:
         self.kind = kind
         self.finished = False
         self.value: int | None = None  # None: not known
+        self.use = -1  # how often it was begun or written, less one
+        self.place = -1  # of its latest end among all ends of OCCLUSION queries
 
 
 class Queries:
-    """All queries of a device, by id."""
+    """All queries of a device, by id.
+
+    Attributes:
+        passed: all samples known to have passed.
+        unknown: draws of which nobody could say what they passed.
+    """
 
     def __init__(self) -> None:
+        self.passed = 0
+        self.unknown = 0
         self._queries: dict[Id, _Query] = {}
         self._open: _Query | None = None
         self._counter: int | None = 0
         self._samples: Callable[[Draw], int | None] | None = None
-        self._answer: Callable[[Id], int | None] = lambda query: None
+        self._oracle: Oracle = lambda query, use, place: None
+        self._ended = 0
 
     def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
         self._samples = samples
 
     def answer(self, answers: Answers) -> None:
-        if callable(answers):
-            self._answer = answers
-        elif isinstance(answers, Mapping):
-            self._answer = answers.get
-        else:
-            samples = _check_samples("answer_queries", answers)
-            self._answer = lambda query: samples
+        if not (callable(answers) or isinstance(answers, (Mapping, Sequence, RecordedAnswers))):
+            _check_samples("answer_queries", answers)
+        self._oracle = make_oracle(answers)
 
     @property
     def counts(self) -> bool:
@@ -96,16 +98,32 @@ class Queries:
     def begin_query(self, query: Id) -> None:
         self._open = opened = self._queries[query]
         opened.finished, opened.value = False, 0
+        opened.use += 1
 
     def end_query(self, query: Id) -> None:
-        self._queries[query].finished = True
+        ended = self._queries[query]
+        ended.finished = True
+        ended.place = self._ended
+        self._ended += 1
         self._open = None
 
     def write_query(self, query: Id, nanoseconds: int) -> None:
         """Take the counter, or the time, which is `nanoseconds`."""
         written = self._queries[query]
         written.finished = True
+        written.use += 1
         written.value = nanoseconds if written.kind is QueryKind.TIMESTAMP else self._counter
+
+    def expect(self, query: Id) -> None:
+        """A counter that will be taken later."""
+        written = self._queries[query]
+        written.finished = False
+        written.use += 1
+
+    def take(self, query: Id, counter: int | None) -> None:
+        """What the counter was when it was taken, None if nobody knows."""
+        taken = self._queries[query]
+        taken.finished, taken.value = True, counter
 
     def add_draw(self, draw: Draw) -> None:
         """Count the samples of an executed draw."""
@@ -118,6 +136,7 @@ class Queries:
                 self.add_unknown()
         if samples is None:
             return
+        self.passed += samples
         if self._counter is not None:
             self._counter += samples
         if self._open is not None and self._open.value is not None:
@@ -125,6 +144,7 @@ class Queries:
 
     def add_unknown(self) -> None:
         """A draw of which nobody can say what it passed."""
+        self.unknown += 1
         self._counter = None
         if self._open is not None:
             self._open.value = None
@@ -136,7 +156,7 @@ class Queries:
         asked = self._queries[query]
         if not asked.finished:
             return None
-        given = _check_samples("answer_queries", self._answer(query))
+        given = _check_samples("answer_queries", self._oracle(query, asked.use, asked.place))
         return asked.value if given is None else given
 
     def read(self, query: Id) -> int | None:

@@ -14,7 +14,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.null.texels import encode, halve
 from rhi.descriptors import (
     Attachment,
     BufferDescriptor,
@@ -27,6 +26,7 @@ from rhi.descriptors import (
 )
 from rhi.errors import DeviceError
 from rhi.rules import DEVICE_MEMORY
+from rhi.texels import encode, halve
 
 __rhi_internal__ = True
 

@@ -15,7 +15,7 @@ from rhi.conformance.reference import blend
 from rhi.conformance.shaders import Colored, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = pytest.mark.needs("draws", "shading")
 
 CONSTANT = (0.2, 0.4, 0.6, 0.8)
 LEVELS = np.array([0.0, 0.25, 0.5, 1.0])

@@ -457,6 +457,7 @@ IMAGE_FORMATS = [
 
 
 @pytest.mark.parametrize(("format", "annotation"), IMAGE_FORMATS, ids=lambda v: getattr(v, "name", ""))
+@pytest.mark.needs("max_image_slots")
 def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: Format, annotation: Any) -> None:
     require_format(device, format)
     data = random_texels(format, 3, 5)
@@ -477,6 +478,7 @@ class StoreColor(Shader):
         self.target.store(global_id().xy, vec4(0.2, 0.5, -3.0, 7.0))
 
 
+@pytest.mark.needs("max_image_slots")
 def test_a_stored_color_is_converted(device: Device) -> None:
     with device.texture((2, 2), Format.RGBA8) as target:
         device.dispatch(device.program(StoreColor), (2, 2), target=target.image())
@@ -484,6 +486,7 @@ def test_a_stored_color_is_converted(device: Device) -> None:
         assert_near(target.read(), expected, *rounding(Format.RGBA8, expected))
 
 
+@pytest.mark.needs("max_image_slots")
 def test_stores_beyond_the_edge_do_nothing(device: Device) -> None:
     with device.texture((3, 3), Format.RGBA8) as target, device.texture((3, 3), Format.RGBA8) as other:
         device.dispatch(device.program(StoreColor), (8, 8), target=target.image())
@@ -491,6 +494,7 @@ def test_stores_beyond_the_edge_do_nothing(device: Device) -> None:
         assert_same(other.read(), 0)
 
 
+@pytest.mark.needs("max_image_slots")
 def test_one_level_is_an_image(device: Device) -> None:
     with device.texture((8, 8), Format.RGBA8, levels=3) as target:
         device.dispatch(device.program(StoreColor), (8, 8), target=target.image(1))
@@ -499,6 +503,7 @@ def test_one_level_is_an_image(device: Device) -> None:
         assert_same(target.read(2), 0)
 
 
+@pytest.mark.needs("max_image_slots")
 def test_one_layer_is_an_image(device: Device) -> None:
     with device.texture((2, 2), Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=3) as target:
         device.dispatch(device.program(StoreColor), (2, 2), target=target.image(0, 1))
@@ -533,6 +538,7 @@ class StoreVolume(Shader):
     [(TextureKind.D2_ARRAY, StoreLayers), (TextureKind.D3, StoreVolume)],
     ids=["array", "3d"],
 )
+@pytest.mark.needs("max_image_slots")
 def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any) -> None:
     with device.texture((3, 2), Format.R32F, kind=kind, layers=4) as target:
         device.dispatch(device.program(shader), (3, 2, 4), target=target.image())

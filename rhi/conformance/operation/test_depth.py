@@ -23,11 +23,12 @@ from rhi import (
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_format
 from rhi.conformance.reference import compare
-from rhi.conformance.shaders import Colored
+from rhi.conformance.shaders import Bare, Colored, Corner
 from rhi.conformance.shapes import Rows, corners, rectangle
 from rhi.formats import DEPTH_FORMATS
+from rhi.shading import Shader, vec4
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (4, 4)
 BITS = {Format.D16: 16, Format.D24: 24, Format.D24S8: 24, Format.D32F: 24, Format.D32FS8: 24}
@@ -288,3 +289,37 @@ def test_lines_and_points_are_not_offset(device: Device) -> None:
             device.draw(device.program(Colored), mesh)
         stored = depth.read()
     assert_near(stored[stored > 0], 0.5, 2.0**-23, "24 bits of depth")
+
+
+class Elsewhere(Shader):
+    """The positions of `Colored`, with other varyings and another fragment stage."""
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self) -> vec4:
+        return vec4(0.25)
+
+
+def test_two_programs_with_the_same_positions_give_the_same_depth(device: Device) -> None:
+    """What passes of depth first and light after stand on: EQUAL holds everywhere."""
+    rng = np.random.default_rng(3)
+    rows = corners(rng.uniform(-1, 1, (60, 3)) * (1, 1, 0.5) + (0, 0, 0.5))
+    rows["position"] *= rng.uniform(0.5, 4, (60, 1)).astype("f4")
+    size = (64, 64)
+    with (
+        device.texture(size, Format.R32F) as first,
+        device.texture(size, Format.R32F) as second,
+        device.texture(size, Format.D32F) as depth,
+        device.mesh(rows) as mesh,
+    ):
+        with device.render_pass(first, depth, clear_depth=0.0), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        with (
+            device.render_pass(second, depth, clear=(0, 0, 0, 0)),
+            device.states(CullMode.NONE, DepthFunction.EQUAL, DepthWrite.OFF),
+        ):
+            device.draw(device.program(Elsewhere), mesh)
+        covered = first.read() > 0
+        assert covered.sum() > 1000
+        assert_same(second.read() > 0, covered)

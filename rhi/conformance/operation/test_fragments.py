@@ -35,7 +35,7 @@ from rhi.shading import (
     vertex_index,
 )
 
-pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
 

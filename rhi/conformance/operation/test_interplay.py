@@ -43,7 +43,7 @@ from rhi.shading import (
     vec4,
 )
 
-pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
 HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE)

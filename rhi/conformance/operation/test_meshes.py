@@ -38,7 +38,7 @@ from rhi.shading import (
     vertex_index,
 )
 
-pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 ROW = (8, 1)
 CENTERS = centers([(i, 0) for i in range(8)], ROW)

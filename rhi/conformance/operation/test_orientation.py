@@ -44,6 +44,7 @@ def texels(width: int, height: int) -> NDArray[Any]:
     return np.stack([x, y, 255 - x, 255 - y], axis=-1).astype(np.uint8)
 
 
+@pytest.mark.needs("draws")
 def test_plus_y_is_up_and_row_0_is_the_top(device: Device) -> None:
     with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh:
         with device.render_pass(target):
@@ -53,6 +54,7 @@ def test_plus_y_is_up_and_row_0_is_the_top(device: Device) -> None:
         assert_mask(target.read(), mask)
 
 
+@pytest.mark.needs("draws")
 def test_plus_x_is_right(device: Device) -> None:
     with device.texture((4, 4), Format.R8) as target, device.mesh(rectangle(0.5, -1, 1, 1)) as mesh:
         with device.render_pass(target):
@@ -62,6 +64,7 @@ def test_plus_x_is_right(device: Device) -> None:
         assert_mask(target.read(), mask)
 
 
+@pytest.mark.needs("draws")
 def test_depth_has_its_top_row_first_too(device: Device) -> None:
     with device.texture((4, 4), Format.D32F) as target, device.mesh(rectangle(-1, 0.5, 1, 1)) as mesh:
         with device.render_pass(depth=target, clear_depth=0.0):
@@ -95,6 +98,7 @@ def placed(uvs: object) -> NDArray[Any]:
 UPRIGHT = [(0, 1), (1, 1), (1, 0), (0, 0)]
 
 
+@pytest.mark.needs("draws")
 def test_v_0_is_the_top_row(device: Device) -> None:
     """A texture drawn with v = 0 at the top of the target comes out as it was written."""
     data = texels(5, 3)
@@ -108,6 +112,7 @@ def test_v_0_is_the_top_row(device: Device) -> None:
         assert_same(target.read(), data)
 
 
+@pytest.mark.needs("draws")
 def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
     with (
         device.texture((4, 4), Format.RGBA8) as drawn,
@@ -124,6 +129,7 @@ def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
         assert_same(target.read(), expected)
 
 
+@pytest.mark.needs("draws")
 def test_a_drawn_texture_is_copied_as_it_is(device: Device) -> None:
     with (
         device.texture((4, 4), Format.RGBA8) as drawn,
@@ -148,6 +154,7 @@ class FragmentPlace(Shader):
         return fragment_coordinate()
 
 
+@pytest.mark.needs("draws")
 def test_fragment_coordinates_count_from_the_top_left(device: Device) -> None:
     rows = rectangle(depth=0.25)
     rows["position"] *= 2.0
@@ -158,6 +165,7 @@ def test_fragment_coordinates_count_from_the_top_left(device: Device) -> None:
         assert_same(target.read(), np.stack([x, y, 0 * x + 0.25, 0 * x + 0.5], axis=-1))
 
 
+@pytest.mark.needs("draws")
 def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> None:
     with device.texture((8, 8), Format.RGBA32F) as target, device.mesh(rectangle()) as mesh:
         with device.render_pass(target), device.states(Viewport(4, 2, 4, 4)):
@@ -177,6 +185,7 @@ class Derivatives(Shader):
         return vec4(ddx(v.color.xy), ddy(v.color.xy))
 
 
+@pytest.mark.needs("draws")
 def test_derivatives_point_right_and_down(device: Device) -> None:
     rows = rectangle()
     rows["color"][:, 0] = (rows["position"][:, 0] + 1) / 2 * 8  # grows to the right, by 1 a texel
@@ -199,6 +208,7 @@ class Loads(Shader):
         return self.source.load(ivec2(fragment_coordinate().xy))
 
 
+@pytest.mark.needs("draws")
 def test_texel_loads_count_from_the_top_left(device: Device) -> None:
     data = texels(5, 3)
     with (
@@ -222,6 +232,7 @@ class Marks(Shader):
 
 
 @pytest.mark.needs("compute")
+@pytest.mark.needs("max_image_slots")
 def test_image_stores_count_from_the_top_left(device: Device) -> None:
     with device.texture((5, 3), Format.RGBA32F) as target:
         device.dispatch(device.program(Marks), (5, 3), target=target.image())
@@ -241,6 +252,7 @@ class ImageLoads(Shader):
 
 
 @pytest.mark.needs("compute")
+@pytest.mark.needs("draws", "max_image_slots")
 def test_image_loads_see_drawn_texels_from_the_top_left(device: Device) -> None:
     with (
         device.texture((4, 4), Format.RGBA8) as drawn,
@@ -283,6 +295,7 @@ TURN = np.array([(1, 2, 3), (4, 5, 6), (7, 8, 10)], float)
 FLAT = np.array([(1, 2), (3, 4)], float)
 
 
+@pytest.mark.needs("draws")
 def test_a_matrix_is_applied_as_numpy_does(device: Device) -> None:
     """`matrix @ vector`, uploaded as it is: a translation stands in the last column."""
     world = np.eye(4)
@@ -332,6 +345,7 @@ def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
     assert_same(back[4, :3], TURN @ TURN @ v)
 
 
+@pytest.mark.needs("draws")
 def test_white_is_white(device: Device) -> None:
     """The control of all of these: nothing else is drawn but what a test asks for."""
     whole = corners([(-1, -1), (3, -1), (-1, 3)], WHITE)

@@ -30,7 +30,7 @@ from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import corners, rectangle, texel_rectangle, window_to_clip
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (16, 16)
 

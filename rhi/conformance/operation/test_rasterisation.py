@@ -18,7 +18,7 @@ from rhi.conformance.shaders import Bare, Colored, Corner
 from rhi.conformance.shapes import Rows, corners, rectangle, texel_rectangle, window_to_clip
 from rhi.shading import NoPerspective, Shader, Struct, front_facing, vec4
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (16, 16)
 

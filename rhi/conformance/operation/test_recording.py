@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 
 import numpy as np
+import pytest
 
 from rhi import CullMode, Device, Format, Op
 from rhi.conformance.shaders import Colored
@@ -16,6 +17,7 @@ def line() -> int:
     return sys._getframe(1).f_lineno
 
 
+@pytest.mark.needs("draws")
 def test_a_draw_is_one_command_with_its_arguments(recording: Device) -> None:
     since = len(recording.stream)
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
@@ -25,6 +27,7 @@ def test_a_draw_is_one_command_with_its_arguments(recording: Device) -> None:
     assert (draw["first"], draw["count"], draw["instances"]) == (3, 3, 7)
 
 
+@pytest.mark.needs("draws")
 def test_a_command_knows_the_line_of_the_user(recording: Device) -> None:
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
         program = recording.program(Colored)
@@ -36,6 +39,7 @@ def test_a_command_knows_the_line_of_the_user(recording: Device) -> None:
     assert (draw.site.file, draw.site.line) == (__file__, expected)
 
 
+@pytest.mark.needs("draws")
 def test_commands_keep_their_order(recording: Device) -> None:
     since = len(recording.stream)
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
@@ -78,6 +82,7 @@ def test_a_stream_prints(recording: Device) -> None:
     assert "test_recording.py" in text
 
 
+@pytest.mark.needs("draws")
 def test_a_redundant_bind_is_not_sent_again(recording: Device) -> None:
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
         program = recording.program(Colored)

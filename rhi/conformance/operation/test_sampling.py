@@ -17,25 +17,32 @@ from rhi.conformance.shapes import rectangle
 from rhi.formats import COLOR_FORMATS, Kind
 from rhi.shading import (
     DepthTexture2D,
+    DepthTexture2DArray,
+    DepthTextureCube,
+    Image2D,
     IntTexture2D,
     Shader,
     Storage,
     StorageRW,
+    Struct,
     Texture2D,
     Texture2DArray,
     Texture3D,
     TextureCube,
     UintTexture2D,
+    Uniform,
     global_id,
+    image,
     ivec2,
     ivec3,
     ivec4,
     uvec4,
     vec2,
+    vec3,
     vec4,
 )
 
-pytestmark = pytest.mark.needs("shading", "compute")
+pytestmark = pytest.mark.needs("shading", "compute", "max_texture_slots")
 
 NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wrap.CLAMP, Wrap.CLAMP)
 LINEAR = SamplerDescriptor(Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, Wrap.CLAMP)
@@ -44,6 +51,12 @@ FILTERED = "linear filters have 8 fraction bits at least"
 
 def identity(value: Any) -> str:
     return value.name if isinstance(value, Format | TextureKind | Wrap | Comparison) else str(value)
+
+
+class Constant(Struct):
+    """A number in a uniform block."""
+
+    value: vec4
 
 
 class Sample2D(Shader):
@@ -255,6 +268,7 @@ class Drawn(Shader):
         (Filter.LINEAR, Filter.NEAREST, 64, True),
     ],
 )
+@pytest.mark.needs("draws")
 def test_minifying_and_magnifying_have_filters_of_their_own(
     device: Device, minify: Filter, magnify: Filter, size: int, smooth: bool
 ) -> None:
@@ -356,6 +370,7 @@ def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expec
     assert_near(back[:, 0], expected, 10 / 256 + 1e-3, "levels are mixed with 8 fraction bits at least")
 
 
+@pytest.mark.needs("draws")
 def test_derivatives_choose_the_level(device: Device) -> None:
     """64 texels on 16: level 2."""
     rows = rectangle()
@@ -500,6 +515,7 @@ def test_a_comparison_is_reference_against_texel(device: Device, function: Compa
     assert_same(back[:, 1], compare(function, references, 0.5))
 
 
+@pytest.mark.needs("draws")
 def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
     """Half of the texels are nearer: half of the answer, whatever their depths are."""
     sampler = SamplerDescriptor(
@@ -558,3 +574,149 @@ def test_several_textures_stay_apart(device: Device) -> None:
             assert_same(results.read(), [(x, y, 4, x - y)])
     for texture in (*textures, volume):
         texture.destroy()
+
+
+class Slots(Shader):
+    """As many textures, storage buffers, uniforms and images as every device has."""
+
+    t0: Texture2D
+    t1: Texture2D
+    t2: Texture2D
+    t3: Texture2D
+    t4: Texture2D
+    t5: Texture2D
+    t6: Texture2D
+    t7: Texture2D
+    s0: Storage[vec4]
+    s1: Storage[vec4]
+    s2: Storage[vec4]
+    results: StorageRW[vec4]
+    u0: Uniform[Constant]
+    u1: Uniform[Constant]
+    u2: Uniform[Constant]
+    u3: Uniform[Constant]
+    i0: Image2D = image(Format.R32F)
+    i1: Image2D = image(Format.R32F)
+
+    def compute(self) -> None:
+        o = ivec2(0, 0)
+        self.results[0] = vec4(self.t0.load(o).x, self.t1.load(o).x, self.t2.load(o).x, self.t3.load(o).x)
+        self.results[1] = vec4(self.t4.load(o).x, self.t5.load(o).x, self.t6.load(o).x, self.t7.load(o).x)
+        self.results[2] = vec4(self.s0[0].x, self.s1[0].x, self.s2[0].x, self.i0.load(o).x)
+        self.results[3] = vec4(self.u0.value.x, self.u1.value.x, self.u2.value.x, self.u3.value.x)
+        self.i1.store(o, vec4(77.0))
+
+
+def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
+    def texture(value: float) -> Any:
+        return device.texture(np.full((1, 1), value, "f4"), Format.R32F)
+
+    textures = {f"t{i}": texture(i + 1.0) for i in range(8)}
+    images = {"i0": texture(50.0), "i1": texture(0.0)}
+    storage = {f"s{i}": device.storage(vec4, np.full((1, 4), i + 20.0, "f4")) for i in range(3)}
+    uniforms = {f"u{i}": device.uniform(Constant(value=(i + 30.0, 0, 0, 0))) for i in range(4)}
+    with device.storage(vec4, 4) as results:
+        bound = {**textures, **storage, **uniforms, **{name: each.image() for name, each in images.items()}}
+        device.dispatch(device.program(Slots), 1, results=results, **bound)
+        expected = [(1, 2, 3, 4), (5, 6, 7, 8), (20, 21, 22, 50), (30, 31, 32, 33)]
+        assert_same(results.read(), expected)
+        assert_same(images["i1"].read(), 77)
+    for resource in (*textures.values(), *images.values(), *storage.values(), *uniforms.values()):
+        resource.destroy()
+
+
+class Graded(Shader):
+    """A level chosen by derivatives that are given, and one moved by a bias."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        graded = self.source.sample_grad(v.color.xy, vec2(4.0 / 64.0, 0.0), vec2(0.0, 4.0 / 64.0)).x
+        biased = self.source.sample_bias(v.color.xy, 1.0).x
+        return vec4(graded, biased, self.source.sample_bias(v.color.xy, -1.0).x, 1.0)
+
+
+@pytest.mark.needs("draws")
+def test_levels_follow_given_derivatives_and_a_bias(device: Device) -> None:
+    rows = rectangle()
+    rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
+    with (
+        device.texture((64, 64), Format.R32F, levels=None) as texture,
+        device.texture((16, 16), Format.RGBA32F) as image,
+        device.mesh(rows) as mesh,
+    ):
+        for level in range(7):
+            texture.write(np.full((64 >> level, 64 >> level), float(level), "f4"), level=level)
+        with device.render_pass(image):
+            device.draw(device.program(Graded), mesh, source=texture)
+        assert_near(image.read(), (2, 3, 1, 1), 1 / 16, "the level is a logarithm of differences")
+
+
+def test_anisotropy_may_be_asked_for(device: Device) -> None:
+    most = max(1.0, device.capabilities.max_anisotropy)
+    sampler = SamplerDescriptor(max_anisotropy=most)
+    with device.texture(np.full((8, 8), 100, "u1"), Format.R8, levels=None) as texture:
+        back = sampled(device, Sample2D, texture.sampled(sampler), [(0.5, 0.5, 0.0)])
+    assert_near(back[:, 0] * 255, 100, 0.5, FILTERED)
+
+
+class ComparedLayers(Shader):
+    """Shadow maps in layers, and around a point."""
+
+    layers: DepthTexture2DArray
+    around: DepthTextureCube
+    results: StorageRW[vec4]
+
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        first = self.layers.sample_compare(vec3(0.5, 0.5, 0.0), 0.5)
+        second = self.layers.sample_compare(vec3(0.5, 0.5, 1.0), 0.5)
+        left = self.around.sample_compare(vec3(-1.0, 0.0, 0.0), 0.5)
+        up = self.around.sample_compare(vec3(0.0, 1.0, 0.0), 0.5)
+        self.results[0] = vec4(first, second, left, up)
+        return v.color
+
+
+@pytest.mark.needs("draws")
+def test_depth_arrays_and_cubes_are_compared(device: Device) -> None:
+    sampler = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, compare=Comparison.LESS)
+    with (
+        device.texture((4, 4), Format.D32F, kind=TextureKind.D2_ARRAY, layers=2) as layers,
+        device.texture((4, 4), Format.D32F, kind=TextureKind.CUBE) as around,
+        device.texture((1, 1), Format.R8) as image,
+        device.storage(vec4, 1) as results,
+        device.mesh(rectangle()) as mesh,
+    ):
+        for texture, layer in ((layers, 1), (around, 2)):
+            with device.render_pass(depth=texture.at(layer=layer), clear_depth=0.75):
+                pass
+        with device.render_pass(image):
+            device.draw(
+                device.program(ComparedLayers), mesh, layers=layers.sampled(sampler), around=around.sampled(sampler),
+                results=results,
+            )  # fmt: skip
+        assert_same(results.read(), [(0, 1, 0, 1)])
+
+
+def test_beyond_a_shadow_map_its_border_is_compared(device: Device) -> None:
+    sampler = SamplerDescriptor(
+        Filter.NEAREST,
+        Filter.NEAREST,
+        None,
+        Wrap.BORDER,
+        Wrap.BORDER,
+        border=(1, 1, 1, 1),
+        compare=Comparison.LESS,
+    )
+    with device.texture((2, 2), Format.D32F) as depth:
+        with device.render_pass(depth=depth, clear_depth=0.25):
+            pass
+        back = sampled(
+            device, Compared, depth.sampled(sampler), [(0.5, 0.5, 0.5), (1.5, 0.5, 0.5), (0.5, -0.5, 0.5)]
+        )
+    assert_same(back[:, 0], (0, 1, 1))

@@ -21,6 +21,8 @@ from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.states import DEFAULTS, STATE_TYPES
 
+pytestmark = pytest.mark.needs("draws")
+
 
 def states_of_draws(device: Device, *draws: object) -> list[dict[type, object]]:
     """The states in effect at the draws that a callable of `draws` makes."""
@@ -177,3 +179,20 @@ def test_scopes_nest_deeply(recording: Device) -> None:
         assert states[Scissor] == Scissor(0, 0, 199, 199)
     (states,) = states_of_draws(recording, lambda draw: draw())
     assert states[Scissor] == Scissor.OFF
+
+
+def test_more_combinations_than_are_remembered_stay_right(recording: Device) -> None:
+    """Vectors are interned in a pool of bounded size; scissors may take any value."""
+    program = recording.program(Colored)
+    since = len(recording.stream)
+    with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
+        with recording.render_pass(image), recording.states(DepthWrite.OFF):
+            for number in range(20_000):
+                with recording.states(Scissor(0, 0, number, 1)):
+                    if number % 1000 == 0:
+                        recording.draw(program, mesh)
+            recording.draw(program, mesh)
+    draws = [command.states for command in recording.stream[since:].draws()]
+    assert [states[Scissor] for states in draws[:-1]] == [Scissor(0, 0, n, 1) for n in range(0, 20_000, 1000)]
+    assert draws[-1][Scissor] == Scissor.OFF
+    assert all(states[DepthWrite] is DepthWrite.OFF for states in draws)

@@ -30,7 +30,7 @@ from rhi.conformance.reference import compare, stencil
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import Rows, rectangle
 
-pytestmark = pytest.mark.needs("shading", "stencil")
+pytestmark = pytest.mark.needs("draws", "shading", "stencil")
 
 SIZE = (2, 2)
 KEEP, REPLACE = StencilOperation.KEEP, StencilOperation.REPLACE

@@ -29,7 +29,7 @@ from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.formats import COLOR_FORMATS, Kind
 from rhi.shading import Shader, Struct, uvec4, vec2, vec4
 
-pytestmark = pytest.mark.needs("shading")
+pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (4, 4)
 

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Access, Device, Format, Op
+from rhi import Access, Device, Format, IndirectDraws, Op, Primitive
 from rhi.conformance.compare import assert_same
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
 
 
 def test_signals_count_up(device: Device) -> None:
@@ -264,3 +266,51 @@ def test_a_device_says_what_it_is(device: Device, backend: str) -> None:
     assert capabilities.max_color_targets >= 4
     assert capabilities.uniform_alignment & (capabilities.uniform_alignment - 1) == 0
     assert capabilities.storage_alignment & (capabilities.storage_alignment - 1) == 0
+
+
+# -- counters ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.needs("draws")
+def test_each_call_that_draws_counts_as_one_draw(device: Device) -> None:
+    with (
+        device.texture((4, 4), Format.R8) as image,
+        device.mesh(rectangle()) as mesh,
+        device.buffer(mesh.draws([0, 3], 3)) as arguments,
+        device.render_pass(image),
+    ):
+        program = device.program(Colored)
+        before = device.statistics
+        device.draw(program, mesh)
+        program.draw(mesh, 5)
+        device.draw_many(program, mesh, mesh.draws([0, 3], 3))
+        device.draw_indirect(program, mesh, IndirectDraws(arguments, 2))
+        with device.immediate(program, Primitive.TRIANGLES) as triangles:
+            triangles.vertices(rectangle())
+        after = device.statistics
+        assert after.draws - before.draws == 5
+        device.reset_statistics()
+        assert device.statistics.draws == 0
+
+
+@pytest.mark.needs("timestamps", "shading")
+@pytest.mark.needs("draws")
+def test_more_work_takes_more_time(device: Device) -> None:
+    """Told apart by pass: within one, a device that works tile by tile has no single time for a draw."""
+    with (
+        device.texture((512, 512), Format.RGBA8) as small,
+        device.texture((1024, 1024), Format.RGBA8) as large,
+        device.mesh(np.tile(rectangle(), 40)) as mesh,
+    ):
+        program = device.program(Colored)
+        device.finish()
+        device.present()
+        with device.event("little"), device.render_pass(small):
+            device.draw(program, mesh.view(0, 3))
+        with device.event("much"), device.render_pass(large):
+            device.draw(program, mesh)
+        device.present()
+        device.finish()
+    little, much = device.timers
+    assert (little.name, much.name) == ("little", "much")
+    assert much.gpu_milliseconds > 2 * little.gpu_milliseconds > 0

@@ -14,7 +14,7 @@ from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import centers, corners, window_to_clip
 
-pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (16, 16)
 

@@ -16,7 +16,7 @@ from rhi.conformance.shaders import Colored, Corner, FlatShade
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
 from rhi.shading import Shader, Struct, Uniform, vec4
 
-pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
+pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 
 class Tint(Struct):
@@ -84,8 +84,6 @@ def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None
 def test_constants_of_frames_in_flight_do_not_disturb_each_other(backend: str) -> None:
     """Many frames around the wrap, none of them read until the end."""
     with rhi.create_device(backend, validation=True, frames_in_flight=3) as device:
-        if not device.capabilities.shading:
-            pytest.skip(f"{backend} declares no shading")
         rng = np.random.default_rng(0)
         frames, per_frame, size = 40, 60, (10, 6)
         images = [device.texture(size, Format.R32F) for _ in range(frames)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import Any
 
 import pytest
@@ -19,6 +20,7 @@ from rhi import (
     StencilReference,
     StencilTest,
     TextureKind,
+    ValidationError,
     Viewport,
     rules,
 )
@@ -31,6 +33,7 @@ from rhi.shading import Image2D, Shader, Texture2D, image, ivec2, vec4
 SIZE = (4, 4)
 
 
+@pytest.mark.needs("draws")
 def test_passes_do_not_nest(recording: Device) -> None:
     with recording.texture(SIZE, Format.R8) as one, recording.texture(SIZE, Format.R8) as two:
         with recording.render_pass(one, clear=(0, 0, 0, 0)):
@@ -235,6 +238,7 @@ def places() -> Any:
     return rows
 
 
+@pytest.mark.needs("draws")
 def test_a_pass_does_not_sample_its_target(recording: Device) -> None:
     with (
         recording.texture(SIZE, Format.RGBA8, levels=2) as image,
@@ -253,6 +257,7 @@ def test_a_pass_does_not_sample_its_target(recording: Device) -> None:
                 recording.draw(program, mesh, source=image)
 
 
+@pytest.mark.needs("draws", "max_image_slots")
 def test_a_pass_does_not_store_to_its_target(recording: Device) -> None:
     with (
         recording.texture(SIZE, Format.RGBA8) as image,
@@ -294,6 +299,7 @@ def test_a_scope_sets_a_state_once(recording: Device) -> None:
         pass
 
 
+@pytest.mark.needs("draws")
 def test_a_refused_scope_leaves_no_trace(recording: Device) -> None:
     before = recording.statistics
     with (
@@ -347,4 +353,24 @@ def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
             with recording.states(state):
                 pass
     with recording.states(AlphaTest.OFF):
+        pass
+
+
+@pytest.mark.needs("draws")
+def test_scopes_nest_up_to_the_stack_s_depth(recording: Device) -> None:
+    """One scope too many is refused, and all the others end as if it had never been."""
+    scope, opened = recording.states(CullMode.NONE), 0
+    with ExitStack() as stack:
+        try:
+            for _ in range(1000):
+                stack.enter_context(scope)
+                opened += 1
+        except ValidationError as error:
+            full = error.rule
+        assert full is rules.CONTAINER_FULL
+        with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
+            with recording.render_pass(image):
+                recording.draw(recording.program(Colored), mesh)
+    assert opened >= 200
+    with recording.states(CullMode.FRONT):
         pass

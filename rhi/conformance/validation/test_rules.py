@@ -16,6 +16,7 @@ ELSEWHERE = {
     rules.DEVICE_MEMORY: "needs a device without memory",
     rules.DEVICE_LOST: "needs a device that is lost",
     rules.DEVICE_DEBUG: "needs a driver that complains",
+    rules.DEVICE_ANSWER: "needs a device that never answers",
     rules.SHADER_DRIVER: "needs native source, which belongs to one backend",
     rules.TRANSIENT_SIZE: "needs more memory than a test should take",
     rules.QUERY_UNFINISHED: "depends on the device's speed: asserted on where it shows",

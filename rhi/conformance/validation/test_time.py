@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 import pytest
 
 import rhi
-from rhi import Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError, rules
+from rhi import CullMode, Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError, rules
 from rhi.conformance.shaders import Bare, Colored, Corner
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
@@ -110,6 +111,7 @@ def test_an_open_query_is_not_destroyed(recording: Device, image: Any) -> None:
 
 
 @pytest.mark.needs("occlusion_queries", "shading")
+@pytest.mark.needs("draws")
 def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
     """Either the answer is there, or reading it is refused: never a zero that means 'not yet'."""
     query = device.occlusion_query()
@@ -269,15 +271,27 @@ CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
 }
 
 
-@pytest.mark.parametrize("use", list(CLOSED_USES))
+CLOSED_NEEDS = {
+    "draw": "draws", "draw many": "draws", "immediate": "draws", "query": "occlusion_queries",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        pytest.param(use, marks=pytest.mark.needs(CLOSED_NEEDS[use]) if use in CLOSED_NEEDS else ())
+        for use in CLOSED_USES
+    ],
+)
 def test_a_closed_device_does_nothing(backend: str, use: str) -> None:
     device = rhi.create_device(backend)
-    resources = {
+    resources: dict[str, Any] = {
         "buffer": device.buffer(4),
         "texture": device.texture(SIZE, Format.R8),
         "mesh": device.mesh(rectangle()),
-        "program": device.program(Colored),
     }
+    if CLOSED_NEEDS.get(use) == "draws":
+        resources["program"] = device.program(Colored)
     device.close()
     device.close()
     assert device.closed
@@ -303,6 +317,7 @@ class Mistaken(Shader):
         return vec4(1.0) + vec4(True)
 
 
+@pytest.mark.needs("draws")
 def test_a_shader_that_does_not_type_check_makes_no_program(recording: Device) -> None:
     creations = recording.statistics.creations
     with pytest.raises(ShaderError) as caught:
@@ -311,3 +326,23 @@ def test_a_shader_that_does_not_type_check_makes_no_program(recording: Device) -
     assert caught.value.site.file == __file__
     assert recording.statistics.creations == creations
     recording.program(Colored)
+
+
+@pytest.mark.needs("draws")
+def test_a_device_may_be_closed_in_the_middle_of_everything(backend: str) -> None:
+    """Blocks that are still open end quietly."""
+    with rhi.create_device(backend) as device:
+        image, mesh, program = (
+            device.texture(SIZE, Format.R8),
+            device.mesh(rectangle()),
+            device.program(Colored),
+        )
+        with ExitStack() as stack:
+            stack.enter_context(device.event("frame"))
+            stack.enter_context(device.render_pass(image))
+            stack.enter_context(device.states(CullMode.NONE))
+            if device.capabilities.occlusion_queries:
+                stack.enter_context(device.occlusion_query())
+            device.draw(program, mesh)
+            device.close()
+        assert device.closed

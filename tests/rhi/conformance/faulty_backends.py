@@ -1,6 +1,6 @@
 """Backends with one fault each, and a run of the kit against all of them.
 
-`python faulty_backends.py` prints a line of JSON: for each fault how many tests of its group failed.
+`python faulty_backends.py` prints a line of JSON: for each fault the tests of its group that failed, up to the first.
 """
 
 from __future__ import annotations
@@ -182,36 +182,37 @@ for _state, _group in GROUPS.items():
     FAULTS[f"deaf to {_state.__name__}"] = (type("Deaf", (Deaf,), {"state": _state}), _group)
 
 
-class Count:
-    """A pytest plugin that counts the tests that fail."""
+class Failures:
+    """A pytest plugin that notes the tests that fail."""
 
     def __init__(self) -> None:
-        self.failed = 0
+        self.failed: list[str] = []
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        self.failed += report.failed
+        if report.failed:
+            self.failed.append(report.nodeid)
 
 
-def count_failures(fault: Callable[[Any], Any], *groups: str) -> int:
+def find_failures(fault: Callable[[Any], Any], *groups: str) -> list[str]:
     """Run groups of the kit against gl with a fault, up to the first test that fails."""
     real = registry._entry_points()["gl"].load()
     point = SimpleNamespace(load=lambda: lambda *, validation: fault(real(validation=validation)))
     known = registry._entry_points
     registry._entry_points = lambda: {"gl": point}  # type: ignore[assignment, dict-item]
-    count = Count()
+    failures = Failures()
     options = ["-q", "-x", "-p", "no:cacheprovider", "-p", "rhi.conformance.plugin", "-c", os.devnull]
     files = [str(KIT / "operation" / f"test_{group}.py") for group in groups]
     try:
         with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
-            status = pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *files], [count])
+            status = pytest.main([*options, "--rootdir", str(KIT), "--rhi-backend", "gl", *files], [failures])
     finally:
         registry._entry_points = known
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
         raise RuntimeError(f"the kit did not run: {status!r}")
-    return count.failed
+    return failures.failed
 
 
 if __name__ == "__main__":
-    failures = {name: count_failures(*fault) for name, fault in FAULTS.items()}
-    failures[CONTROL] = count_failures(Faulty, *sorted({group for _, group in FAULTS.values()}))
+    failures = {name: find_failures(*fault) for name, fault in FAULTS.items()}
+    failures[CONTROL] = find_failures(Faulty, *sorted({group for _, group in FAULTS.values()}))
     print(json.dumps(failures))

@@ -1,17 +1,20 @@
-"""Runs compute shaders on a bare OpenGL context: no part of rhi but the shading language is involved."""
+"""Runs compute shaders on a bare OpenGL context, on OpenCL and on NumPy: no part of rhi but the shading language
+is involved."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
+from opencl_runner import run_opencl
 
 from rhi.descriptors import BindingKind, ProgramDescriptor, Stage
 from rhi.layout import Layout, element_dtype
-from rhi.shading import Shader, Struct, compile_shader, value_type_of
+from rhi.shading import Shader, Struct, compile_shader, run_compute, value_type_of
 
 
 @pytest.fixture(scope="module")
@@ -31,38 +34,54 @@ Run = Callable[..., dict[str, Any]]
 def run(context: moderngl.Context) -> Run:
     """`run(shader, groups=1, name=array_or_count_or_struct…)` gives each storage buffer's contents after."""
 
-    def run(shader: type[Shader], groups: Any = 1, **values: Any) -> dict[str, Any]:
-        program = compile_shader(shader)
-        compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
-        buffers = {}
-        for binding in program.bindings:
-            value = values[binding.name]
-            if binding.kind is BindingKind.UNIFORM:
-                data = value.to_bytes() if isinstance(value, Struct) else value.tobytes()
-                buffer = context.buffer(data)
-                buffer.bind_to_uniform_block(binding.slot)
-                buffers[binding.name] = (buffer, None)
-            elif binding.kind is BindingKind.STORAGE:
-                dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
-                array = np.zeros(value, dtype) if isinstance(value, int) else np.asarray(value)
-                buffer = context.buffer(array.tobytes())
-                buffer.bind_to_storage_buffer(binding.slot)
-                buffers[binding.name] = (buffer, array)
-            elif binding.kind is BindingKind.TEXTURE:
-                value.use(binding.slot)
-            else:
-                value.bind_to_image(binding.slot)
-        compute.run(*(groups if isinstance(groups, tuple) else (groups,)))
-        context.finish()
-        results = {}
-        for name, (buffer, array) in buffers.items():
-            if array is not None:
-                results[name] = np.frombuffer(buffer.read(), array.dtype).reshape(array.shape)
-            buffer.release()
-        compute.release()
-        return results
+    return partial(run_glsl, context)
 
-    return run
+
+@pytest.fixture(params=["glsl", "opencl 1", "opencl 4", "opencl 16", "numpy 32", "numpy 64"])
+def run_everywhere(request: pytest.FixtureRequest, context: moderngl.Context) -> Run:
+    """As `run`, once for each language, and for OpenCL with one lane and with 16."""
+    language, _, number = request.param.partition(" ")
+    if language == "glsl":
+        return partial(run_glsl, context)
+    if language == "opencl":
+        return lambda shader, groups=1, **values: run_opencl(shader, int(number), groups, **values)
+    dtype = np.float32 if number == "32" else np.float64
+    return partial(run_compute, dtype=dtype)
+
+
+def run_glsl(
+    context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any
+) -> dict[str, Any]:
+    """Run a compute shader on OpenGL; gives each storage buffer's contents after."""
+    program = compile_shader(shader)
+    compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
+    buffers = {}
+    for binding in program.bindings:
+        value = values[binding.name]
+        if binding.kind is BindingKind.UNIFORM:
+            data = value.to_bytes() if isinstance(value, Struct) else value.tobytes()
+            buffer = context.buffer(data)
+            buffer.bind_to_uniform_block(binding.slot)
+            buffers[binding.name] = (buffer, None)
+        elif binding.kind is BindingKind.STORAGE:
+            dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
+            array = np.zeros(value, dtype) if isinstance(value, int) else np.asarray(value)
+            buffer = context.buffer(array.tobytes())
+            buffer.bind_to_storage_buffer(binding.slot)
+            buffers[binding.name] = (buffer, array)
+        elif binding.kind is BindingKind.TEXTURE:
+            value.use(binding.slot)
+        else:
+            value.bind_to_image(binding.slot)
+    compute.run(*(groups if isinstance(groups, tuple) else (groups,)))
+    context.finish()
+    results = {}
+    for name, (buffer, array) in buffers.items():
+        if array is not None:
+            results[name] = np.frombuffer(buffer.read(), array.dtype).reshape(array.shape)
+        buffer.release()
+    compute.release()
+    return results
 
 
 @pytest.fixture

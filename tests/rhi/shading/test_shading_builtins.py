@@ -227,7 +227,7 @@ ELSEWHERE = {
 }  # fmt: skip
 
 
-def test_every_builtin_has_its_value(run, load):
+def test_every_builtin_has_its_value(run_everywhere, load):
     lines = "\n".join(f"        self.out[{i}] = {text}" for i, (text, _) in enumerate(VALUES.values()))
     source = (
         "class Test(Shader):\n"
@@ -241,7 +241,7 @@ def test_every_builtin_has_its_value(run, load):
         "ints": np.array([-37], "i4"),
         "uints": np.array([0xB4], "u4"),
     }
-    out = run(load(source), **given, out=len(VALUES))["out"]
+    out = run_everywhere(load(source), **given, out=len(VALUES))["out"]
     wrong = {
         text: (float(got), expected)
         for (text, expected), got in zip(VALUES.values(), out, strict=True)

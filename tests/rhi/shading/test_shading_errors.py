@@ -264,7 +264,24 @@ class Test(Shader):
         self.out[0] = 1.0
 """
 # (rule, a shader, what to replace in it, by what, what the message must say)
+DIVERGENT = """
+class Test(Shader):
+    work_group = (32,)
+    out: StorageRW[float]
+    def compute(self) -> None:
+        i = local_index()
+        if group_id().x > 0:
+            barrier()
+        self.out[i] = float(i)
+        if i > 3:
+            return
+        self.out[i] = 0.0
+"""
 CLASSES = [
+    ("barrier", DIVERGENT, "group_id().x > 0", "i > 0", "part of a work-group"),
+    ("barrier", DIVERGENT, "if group_id().x > 0:", "for _k in range(i):", "part of a work-group"),
+    ("barrier", DIVERGENT, "self.out[i] = 0.0", "barrier()", "part of a work-group"),
+    ("race", DIVERGENT, "self.out[i] = float(i)", "self.out[3] = float(i)", "one element of out"),
     ("annotation", COMPUTE, "-> None:", ":", "-> None"),
     ("annotation", GRAPHICS, "v: Varying)", "v)", "a type for 'v'"),
     ("annotation", GRAPHICS, "v: Varying)", "v: str)", "str"),

@@ -69,10 +69,10 @@ class Integers(Shader):
         self.remainder[i] = self.a[i] % self.b[i]
 
 
-def test_integer_division_and_remainder_floor_as_in_python(run):
+def test_integer_division_and_remainder_floor_as_in_python(run_everywhere):
     pairs = [(a, b) for a, b in itertools.product(range(-5, 6), (-3, -2, -1, 1, 2, 3))][:64]
     a, b = np.array(pairs, "i4").T
-    out = run(Integers, a=a, b=b, quotient=64, remainder=64)
+    out = run_everywhere(Integers, a=a, b=b, quotient=64, remainder=64)
     assert out["quotient"].tolist() == [x // y for x, y in pairs]
     assert out["remainder"].tolist() == [x % y for x, y in pairs]
 
@@ -87,9 +87,9 @@ class ByPowerOfTwo(Shader):
         self.out[i] = self.a[i] // 8 * 100 + self.a[i] % 8
 
 
-def test_division_by_a_power_of_two_floors_too(run):
+def test_division_by_a_power_of_two_floors_too(run_everywhere):
     a = np.arange(-8, 8, dtype="i4") * 5
-    assert run(ByPowerOfTwo, a=a, out=16)["out"].tolist() == [x // 8 * 100 + x % 8 for x in a.tolist()]
+    assert run_everywhere(ByPowerOfTwo, a=a, out=16)["out"].tolist() == [x // 8 * 100 + x % 8 for x in a.tolist()]
 
 
 class VectorDivision(Shader):
@@ -103,8 +103,8 @@ class VectorDivision(Shader):
         self.out[3] = 7 % ivec3(-3, 3, -7)
 
 
-def test_vector_division_floors_by_component(run):
-    out = run(VectorDivision, out=4)["out"][:, :3]
+def test_vector_division_floors_by_component(run_everywhere):
+    out = run_everywhere(VectorDivision, out=4)["out"][:, :3]
     v = np.array([-7, 7, -6])
     expected = [v // 3, v % 3, v // np.array([-2, -2, 2]), 7 % np.array([-3, 3, -7])]
     assert out.tolist() == np.array(expected).tolist()
@@ -130,9 +130,9 @@ class Floats(Shader):
         self.out[9] = x**0
 
 
-def test_float_operators_have_pythons_meaning(run):
+def test_float_operators_have_pythons_meaning(run_everywhere):
     x, y = -3.25, 2.5
-    out = run(Floats, a=np.array([x, y], "f4"), out=10)["out"]
+    out = run_everywhere(Floats, a=np.array([x, y], "f4"), out=10)["out"]
     expected = [x // y, x % y, x**2, x**3, x**-2, abs(x) ** 0.5, 3.5, -1.5, 2.0, 1.0]
     np.testing.assert_allclose(out, expected, rtol=1e-6)
 
@@ -171,8 +171,8 @@ class BoundsOnce(Shader):
         self.out[5] = k
 
 
-def test_loop_bounds_are_evaluated_once_and_the_body_cannot_change_the_count(run):
-    out = run(BoundsOnce, out=np.full(8, -1, "i4"))["out"]
+def test_loop_bounds_are_evaluated_once_and_the_body_cannot_change_the_count(run_everywhere):
+    out = run_everywhere(BoundsOnce, out=np.full(8, -1, "i4"))["out"]
     assert out[:6].tolist() == [3, 0 + 1 + 2 + 3, 10070401, 531, -1, 1]
 
 
@@ -215,7 +215,7 @@ class Control(Shader):
         self.out[i] = self.classify(i) * 1000 + self.collatz(i + 1)
 
 
-def test_early_return_break_and_continue(run):
+def test_early_return_break_and_continue(run_everywhere):
     def collatz(n):
         steps = 0
         while n != 1:
@@ -225,7 +225,7 @@ def test_early_return_break_and_continue(run):
 
     primes = {2, 3, 5, 7, 11, 13}
     expected = [1000 * (i in primes) + collatz(i + 1) for i in range(16)]
-    assert run(Control, out=16)["out"].tolist() == expected
+    assert run_everywhere(Control, out=16)["out"].tolist() == expected
 
 
 class Swizzles(Shader):
@@ -245,8 +245,8 @@ class Swizzles(Shader):
         self.out[4] = v.yyyy
 
 
-def test_swizzles_are_read_and_written_by_component(run):
-    out = run(Swizzles, out=5)["out"]
+def test_swizzles_are_read_and_written_by_component(run_everywhere):
+    out = run_everywhere(Swizzles, out=5)["out"]
     assert out.tolist() == [
         [2, 1, 3, 4],
         [4, 3, 1, 2],
@@ -275,8 +275,8 @@ class ShortCircuit(Shader):
         self.out[1] = 1 if 0 < n <= 4 and not (a or b) and c and d else 0
 
 
-def test_and_or_and_conditional_expressions_evaluate_only_what_they_need(run):
-    out = run(ShortCircuit, calls=1, out=4)
+def test_and_or_and_conditional_expressions_evaluate_only_what_they_need(run_everywhere):
+    out = run_everywhere(ShortCircuit, calls=1, out=4)
     assert out["calls"].tolist() == [2]
     assert out["out"].tolist() == [2, 1, 0, 0]
 
@@ -308,10 +308,10 @@ class Scaled(Constants):
     scale = 4.0
 
 
-def test_module_and_class_constants_are_usable_and_overridable(run):
-    out = run(Constants, out=5)["out"]
+def test_module_and_class_constants_are_usable_and_overridable(run_everywhere):
+    out = run_everywhere(Constants, out=5)["out"]
     np.testing.assert_allclose(out, [3.5, 4.125, math.pi, 4, 1], rtol=1e-6)
-    assert run(Scaled, out=5)["out"][0] == 7.0
+    assert run_everywhere(Scaled, out=5)["out"][0] == 7.0
 
 
 class Table:
@@ -327,8 +327,8 @@ class SameName(Shader):
         self.out[0] = out
 
 
-def test_a_local_may_have_the_name_of_a_constant_or_a_binding(run):
-    assert run(SameName, out=1)["out"].tolist() == [21]
+def test_a_local_may_have_the_name_of_a_constant_or_a_binding(run_everywhere):
+    assert run_everywhere(SameName, out=1)["out"].tolist() == [21]
 
 
 class Switched(Shader):
@@ -349,8 +349,8 @@ class Fancy(Switched):
 
 
 @pytest.mark.parametrize(("shader", "expected"), [(Switched, [2, 6]), (Fancy, [1, 5])])
-def test_a_condition_known_now_keeps_one_branch(run, shader, expected):
-    assert run(shader, out=2)["out"].tolist() == expected
+def test_a_condition_known_now_keeps_one_branch(run_everywhere, shader, expected):
+    assert run_everywhere(shader, out=2)["out"].tolist() == expected
 
 
 class Arrays(Shader):
@@ -380,8 +380,8 @@ class Arrays(Shader):
         self.out[7] = stack[0]
 
 
-def test_local_arrays_start_as_zeros_and_are_values(run):
-    assert run(Arrays, out=8)["out"].tolist() == [0, 1, 4, 9, 16, 7, 30, 0]
+def test_local_arrays_start_as_zeros_and_are_values(run_everywhere):
+    assert run_everywhere(Arrays, out=8)["out"].tolist() == [0, 1, 4, 9, 16, 7, 30, 0]
 
 
 class Inner(Struct):
@@ -411,11 +411,11 @@ class Structs(Shader):
         self.items[2].turn[1][0] = 5.0
 
 
-def test_structs_are_values_and_their_fields_can_be_written(run):
+def test_structs_are_values_and_their_fields_can_be_written(run_everywhere):
     items = np.zeros(3, Outer.dtype)
     items[0]["turn"] = [[1, 2], [3, 4]]
     items[0]["count"] = 41
-    out = run(Structs, items=items)["items"]
+    out = run_everywhere(Structs, items=items)["items"]
     assert out["count"].tolist() == [41, 42, 41]
     assert out["inner"]["direction"][:, :3].tolist() == [[0, 0, 0], [0, 9, 0], [1, 2, 3]]
     assert out[2]["inner"]["weight"] == 2
@@ -444,12 +444,12 @@ class Matrices(Shader):
         self.out[8] = vec4(self.m[i], mat3(self.m4[0])[2][1])
 
 
-def test_a_numpy_matrix_means_the_same_in_a_shader(run):
+def test_a_numpy_matrix_means_the_same_in_a_shader(run_everywhere):
     m = np.arange(1, 10, dtype="f4").reshape(3, 3)
     m4 = np.arange(1, 17, dtype="f4").reshape(4, 4)
     padded = np.zeros((3, 4), "f4")
     padded[:, :3] = m
-    out = run(Matrices, m=padded, m4=m4[None], out=10)["out"]
+    out = run_everywhere(Matrices, m=padded, m4=m4[None], out=10)["out"]
     v, w = np.array([1, 2, 3]), np.array([1, 10])
     square = np.array([[1, 2], [3, 4]])
     expected = [
@@ -487,9 +487,9 @@ class Atomics(Shader):
         atomic_exchange(self.out[5], 3)
 
 
-def test_atomics_see_every_invocation(run):
+def test_atomics_see_every_invocation(run_everywhere):
     bits = np.array([0, 0xFFFFFFFF, 0, 0], "u4")
-    out = run(Atomics, 2, out=6, bits=bits, order=64)
+    out = run_everywhere(Atomics, 2, out=6, bits=bits, order=64)
     assert out["out"].tolist() == [sum(range(64)), -5, 63, 7, 1, 3]
     xor = 0
     for i in range(64):
@@ -529,9 +529,9 @@ class Scan(Shader):
             self.counts[group_id().x] = self.total
 
 
-def test_shared_memory_and_barriers_give_a_prefix_sum(run):
+def test_shared_memory_and_barriers_give_a_prefix_sum(run_everywhere):
     values = np.arange(1, 2 * N + 1, dtype="f4")
-    out = run(Scan, 2, values=values, sums=2 * N, counts=2)
+    out = run_everywhere(Scan, 2, values=values, sums=2 * N, counts=2)
     np.testing.assert_array_equal(out["sums"].reshape(2, N), np.cumsum(values.reshape(2, N), axis=1))
     assert out["counts"].tolist() == [N, N]
 
@@ -550,8 +550,8 @@ class Ids(Shader):
             self.out[1] = group_count()
 
 
-def test_ids_count_in_three_dimensions(run):
-    out = run(Ids, (2, 1, 1), out=2)["out"]
+def test_ids_count_in_three_dimensions(run_everywhere):
+    out = run_everywhere(Ids, (2, 1, 1), out=2)["out"]
     assert out[1, :3].tolist() == [2, 1, 1]
 
 
@@ -587,9 +587,9 @@ class Overridden(Calls):
         return super().virtual(x) * 10
 
 
-def test_functions_helpers_defaults_and_overrides(run):
-    assert run(Calls, out=4)["out"].tolist() == [2, 3, 4, 5]
-    assert run(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
+def test_functions_helpers_defaults_and_overrides(run_everywhere):
+    assert run_everywhere(Calls, out=4)["out"].tolist() == [2, 3, 4, 5]
+    assert run_everywhere(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
 
 
 class Bits(Shader):
@@ -607,8 +607,8 @@ class Bits(Shader):
         self.out[7] = uint(0xF0) ^ 0xFF & ~uint(1) | 0x100
 
 
-def test_bit_operations(run):
-    out = run(Bits, out=8)["out"]
+def test_bit_operations(run_everywhere):
+    out = run_everywhere(Bits, out=8)["out"]
     expected = [0x3F800000, 0xC0003C00, 1, 20, 0xFFFFFFFF, 0x3F800000, 2**32 - 5, 0xF0 ^ 0xFF & ~1 | 0x100]
     assert out.tolist() == expected
 
@@ -636,8 +636,8 @@ class Mangled(Shader):
         self.buffer[1].out = rhi_power_2
 
 
-def test_names_that_glsl_reserves_can_be_used(run):
-    out = run(Mangled, buffer=2)["buffer"]
+def test_names_that_glsl_reserves_can_be_used(run_everywhere):
+    out = run_everywhere(Mangled, buffer=2)["buffer"]
     assert out["out"].tolist() == [4, 16]
     assert out["sample"][0].tolist() == [3, 4]
     assert out["flat"][0] == 7

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhi.backends.null.texels import decode, encode, halve
 from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, Kind
+from rhi.texels import decode, encode, halve
 
 NORMALIZED = [f for f in COLOR_FORMATS if f.kind in (Kind.UNORM, Kind.SNORM, Kind.SRGB)]
 BY_NAME = {"ids": lambda f: f.name}

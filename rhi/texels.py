@@ -54,7 +54,7 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
     elif kind is Kind.SNORM:
         values = np.maximum(values / _limits(format).max, -1.0)
     if kind is Kind.SRGB:
-        values[..., :3] = _from_srgb(values[..., :3])
+        values[..., :3] = from_srgb(values[..., :3])
     return values
 
 
@@ -108,5 +108,6 @@ def _to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
 
 
-def _from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
+def from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear light of gamma-encoded values, both 0 to 1 (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

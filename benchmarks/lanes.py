@@ -1,0 +1,379 @@
+"""What explicit lanes gain: the same shaders as GLSL on OpenGL and as OpenCL C with 1 and 16 lanes.
+
+Ways alternate in one process; medians. OpenGL's times are those of a dispatch and `glFinish`, OpenCL's of a launch and
+a wait, buffers filled before. "ratio" is OpenGL's time divided by that of 16 lanes.
+
+    python benchmarks/lanes.py [--json] [--repeats 9]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests/rhi/shading"))
+
+import moderngl
+from opencl_runner import Kernel
+
+from rhi.descriptors import BindingKind, Stage
+from rhi.layout import Layout, element_dtype
+from rhi.shading import (
+    Precision,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    abs,
+    atomic_add,
+    barrier,
+    compile_shader,
+    dot,
+    function,
+    global_id,
+    group_id,
+    inversesqrt,
+    local_index,
+    max,
+    min,
+    normalize,
+    opencl_kernel,
+    pow,
+    saturate,
+    shared,
+    value_type_of,
+    vec2,
+    vec3,
+    vec4,
+)
+
+WIDTH, HEIGHT = 1280, 720
+
+
+class Light(Struct):
+    position: vec3
+    range: float
+    color: vec3
+    power: float
+
+
+class Frame(Struct):
+    width: int
+    height: int
+    lights: int
+    tile: int
+
+
+@function
+def shade(position: vec3, normal: vec3, light_position: vec3, reach: float, color: vec3) -> vec3:
+    """Blinn-Phong with a window that ends at `reach`."""
+    to_light = light_position - position
+    distance_squared = dot(to_light, to_light)
+    if distance_squared >= reach * reach:
+        return vec3(0.0)
+    direction = to_light * inversesqrt(distance_squared)
+    half = normalize(direction + vec3(0.0, 0.0, 1.0))
+    window = 1.0 - distance_squared / (reach * reach)
+    shine = pow(max(dot(normal, half), 0.0), 32.0)
+    return color * (window * window * (saturate(dot(normal, direction)) + shine))
+
+
+class ManyLights(Shader):
+    """Every pixel by every light."""
+
+    work_group = (16, 16)
+    precision = Precision.FAST
+    frame: Uniform[Frame]
+    lights: Storage[Light]
+    normals: Storage[vec4]
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        place = global_id()
+        i = place.y * self.frame.width + place.x
+        surface = self.normals[i]
+        position = vec3(float(place.x) * 0.1, float(place.y) * 0.1, surface.w)
+        color = vec3(0.0)
+        for k in range(self.frame.lights):
+            light = self.lights[k]
+            color += shade(position, surface.xyz, light.position, light.range, light.color)
+        self.out[i] = vec4(color, 1.0)
+
+
+class TiledLights(Shader):
+    """Every pixel by the lights in the list of its tile, which is its work-group."""
+
+    work_group = (16, 16)
+    precision = Precision.FAST
+    frame: Uniform[Frame]
+    lights: Storage[Light]
+    counts: Storage[int]
+    lists: Storage[int]
+    normals: Storage[vec4]
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        place = global_id()
+        i = place.y * self.frame.width + place.x
+        surface = self.normals[i]
+        position = vec3(float(place.x) * 0.1, float(place.y) * 0.1, surface.w)
+        tile = group_id().y * (self.frame.width // 16) + group_id().x
+        color = vec3(0.0)
+        for k in range(self.counts[tile]):
+            light = self.lights[self.lists[tile * 64 + k]]
+            color += shade(position, surface.xyz, light.position, light.range, light.color)
+        self.out[i] = vec4(color, 1.0)
+
+
+class Cull(Shader):
+    """Lists the lights whose sphere reaches into each tile."""
+
+    work_group = (16, 16)
+    frame: Uniform[Frame]
+    lights: Storage[Light]
+    counts: StorageRW[int]
+    lists: StorageRW[int]
+    count = shared(int)
+    invocations = 256
+
+    def compute(self) -> None:
+        i = local_index()
+        tile = group_id().y * (self.frame.width // self.frame.tile) + group_id().x
+        if i == 0:
+            self.count = 0
+        barrier()
+        size = float(self.frame.tile) * 0.1
+        low = vec2(float(group_id().x), float(group_id().y)) * size
+        high = low + vec2(size)
+        for k in range(i, self.frame.lights, self.invocations):
+            center = self.lights[k].position
+            reach = self.lights[k].range
+            nearest = max(low, min(center.xy, high))
+            away = vec3(nearest - center.xy, max(abs(center.z) - 2.0, 0.0))
+            if dot(away, away) < reach * reach:
+                slot = atomic_add(self.count, 1)
+                if slot < 64:
+                    self.lists[tile * 64 + slot] = k
+        barrier()
+        if i == 0:
+            self.counts[tile] = min(self.count, 64)
+
+
+class Cull8(Cull):
+    work_group = (8, 8)
+    invocations = 64
+
+
+class Octahedral(Shader):
+    """Normals encoded in two numbers, and decoded."""
+
+    work_group = (64,)
+    normals: Storage[vec4]
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        i = global_id().x
+        n = self.normals[i].xyz
+        p = n.xy / (abs(n.x) + abs(n.y) + abs(n.z))
+        if n.z < 0.0:
+            p = (1.0 - abs(p.yx)) * vec2(1.0 if p.x >= 0.0 else -1.0, 1.0 if p.y >= 0.0 else -1.0)
+        z = 1.0 - abs(p.x) - abs(p.y)
+        fold = max(-z, 0.0)
+        x = p.x + (-fold if p.x >= 0.0 else fold)
+        y = p.y + (-fold if p.y >= 0.0 else fold)
+        self.out[i] = vec4(normalize(vec3(x, y, z)), n.x)
+
+
+class Scan(Shader):
+    """Sums of all values up to each one, in blocks of 256."""
+
+    work_group = (256,)
+    values: Storage[int]
+    out: StorageRW[int]
+    partial = shared(int, 256)
+
+    def compute(self) -> None:
+        i = local_index()
+        self.partial[i] = self.values[global_id().x]
+        step = 1
+        while step < 256:
+            barrier()
+            before = 0
+            if i >= step:
+                before = self.partial[i - step]
+            barrier()
+            self.partial[i] += before
+            step *= 2
+        self.out[global_id().x] = self.partial[i]
+
+
+class GlRun:
+    """A compute shader on OpenGL with its buffers bound."""
+
+    def __init__(self, context: moderngl.Context, shader: type[Shader], **values: Any) -> None:
+        self.context, self.slots = context, []
+        program = compile_shader(shader)
+        self.compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
+        self.arrays = {}
+        for binding in program.bindings:
+            value = values[binding.name]
+            if binding.kind is BindingKind.UNIFORM:
+                self.slots.append((binding, context.buffer(value.to_bytes())))
+            else:
+                dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
+                array = np.zeros(value, dtype) if isinstance(value, int) else value
+                buffer = context.buffer(array.tobytes())
+                self.slots.append((binding, buffer))
+                self.arrays[binding.name] = (buffer, array)
+
+    def launch(self, groups: tuple[int, int]) -> None:
+        for binding, buffer in self.slots:
+            if binding.kind is BindingKind.UNIFORM:
+                buffer.bind_to_uniform_block(binding.slot)
+            else:
+                buffer.bind_to_storage_buffer(binding.slot)
+        self.compute.run(*groups)
+        self.context.finish()
+
+    def result(self, name: str) -> Any:
+        buffer, array = self.arrays[name]
+        return np.frombuffer(buffer.read(), array.dtype).reshape(array.shape)
+
+
+def make_lights(count: int, reach: float) -> Any:
+    rng = np.random.default_rng(0)
+    lights = np.zeros(count, Light.dtype)
+    lights["position"] = rng.uniform((0, 0, 0.5), (WIDTH * 0.1, HEIGHT * 0.1, 3), (count, 3))
+    lights["range"] = reach
+    lights["color"] = rng.uniform(0, 1, (count, 3))
+    return lights
+
+
+def make_cases() -> dict[str, tuple[type[Shader], tuple[int, int], dict[str, Any], str]]:
+    """Each case's shader, groups, bindings, and the buffer that must agree."""
+    rng = np.random.default_rng(1)
+    pixels = WIDTH * HEIGHT
+    normals = rng.normal(0, 1, (pixels, 4)).astype("f4")
+    normals[:, :3] /= np.linalg.norm(normals[:, :3], axis=1, keepdims=True)
+    normals[:, 3] = 0
+    unit = rng.normal(0, 1, (1 << 20, 4)).astype("f4")
+    unit[:, :3] /= np.linalg.norm(unit[:, :3], axis=1, keepdims=True)
+    whole = {"frame": Frame(width=WIDTH, height=HEIGHT, lights=64, tile=16), "lights": make_lights(64, 60.0)}
+    many = {
+        "frame": Frame(width=WIDTH, height=HEIGHT, lights=1024, tile=16),
+        "lights": make_lights(1024, 3.0),
+    }
+    many8 = {**many, "frame": Frame(width=WIDTH, height=HEIGHT, lights=1024, tile=8)}
+    tiles, tiles8 = (WIDTH // 16) * (HEIGHT // 16), (WIDTH // 8) * (HEIGHT // 8)
+    counts = rng.integers(6, 14, tiles).astype("i4")
+    lists = rng.integers(0, 64, tiles * 64).astype("i4")
+    pixel_groups, tile8_groups = (WIDTH // 16, HEIGHT // 16), (WIDTH // 8, HEIGHT // 8)
+    values = rng.integers(0, 100, 1 << 20).astype("i4")
+    return {
+        "64 lights, 720p": (ManyLights, pixel_groups, {**whole, "normals": normals, "out": pixels}, "out"),
+        "64 lights by tile lists": (
+            TiledLights,
+            pixel_groups,
+            {**whole, "counts": counts, "lists": lists, "normals": normals, "out": pixels},
+            "out",
+        ),
+        "cull 1024 lights, 16x16": (
+            Cull,
+            pixel_groups,
+            {**many, "counts": tiles, "lists": tiles * 64},
+            "counts",
+        ),
+        "cull 1024 lights, 8x8": (
+            Cull8,
+            tile8_groups,
+            {**many8, "counts": tiles8, "lists": tiles8 * 64},
+            "counts",
+        ),
+        "octahedral, 1 M": (Octahedral, ((1 << 20) // 64, 1), {"normals": unit, "out": 1 << 20}, "out"),
+        "scan of 256, 1 M": (Scan, ((1 << 20) // 256, 1), {"values": values, "out": 1 << 20}, "out"),
+    }
+
+
+TARGETS = {
+    "64 lights, 720p": 20.0,
+    "64 lights by tile lists": 6.0,
+    "cull 1024 lights, 16x16": 4.0,
+    "cull 1024 lights, 8x8": 3.0,
+    "octahedral, 1 M": 4.0,
+    "scan of 256, 1 M": 4.0,
+}
+
+
+def milliseconds(call: Callable[[], None]) -> float:
+    started = time.perf_counter()
+    call()
+    return 1e3 * (time.perf_counter() - started)
+
+
+def measure(repeats: int) -> list[dict[str, Any]]:
+    """All cases; raises when a way's results differ from OpenGL's."""
+    context = moderngl.create_context(standalone=True, backend="egl", require=430)
+    rows = []
+    for name, (shader, groups, bindings, result) in make_cases().items():
+        emit = milliseconds(lambda shader=shader: opencl_kernel(shader, 16))
+        gl = GlRun(context, shader, **bindings)
+        kernels, build = {}, {}
+        for width in (1, 16):
+            started = time.perf_counter()
+            kernels[width] = Kernel(shader, width, **bindings)
+            kernels[width].launch(groups)
+            build[width] = 1e3 * (time.perf_counter() - started)
+        gl.launch(groups)
+        for kernel in kernels.values():
+            np.testing.assert_allclose(kernel.results()[result], gl.result(result), rtol=2e-2, atol=2e-3)
+        times: dict[str, list[float]] = {"glsl": [], "1": [], "16": []}
+        for _ in range(repeats):
+            times["glsl"].append(milliseconds(lambda gl=gl, groups=groups: gl.launch(groups)))
+            for width, kernel in kernels.items():
+                times[str(width)].append(
+                    milliseconds(lambda kernel=kernel, groups=groups: kernel.launch(groups))
+                )
+        median = {way: float(np.median(values)) for way, values in times.items()}
+        rows.append(
+            {
+                "case": name,
+                "glsl_ms": round(median["glsl"], 2),
+                "lanes_1_ms": round(median["1"], 2),
+                "lanes_16_ms": round(median["16"], 2),
+                "ratio": round(median["glsl"] / median["16"], 2),
+                "target_ratio": TARGETS[name],
+                "lanes_16_over_1": round(median["1"] / median["16"], 2),
+                "emit_ms": round(emit, 1),
+                "build_ms": round(build[16], 0),
+            }
+        )
+    return rows
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--repeats", type=int, default=9, help="of each way (default: %(default)s)")
+    given = parser.parse_args()
+    rows = measure(given.repeats)
+    if given.json:
+        print(json.dumps({"cases": rows}, indent=2))
+        return 0
+    columns = list(rows[0])
+    print("  ".join(f"{name:>15}" for name in columns))
+    for row in rows:
+        print("  ".join(f"{row[name]!s:>15}" for name in columns))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

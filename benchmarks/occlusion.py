@@ -1,0 +1,121 @@
+"""What CHC++ costs the CPU, calls of the device apart: microseconds for each node visited.
+
+The city's camera path, 60 frames. In place of a device stands an oracle that answers at once: an object shows
+if it is within 150 m of the eye, so that about as much is visible as from a street. Seeing all nodes as the
+camera does (NumPy over all nodes) is timed apart from the walk (Python, node by node).
+
+    python benchmarks/occlusion.py [--json] [--scene city]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import rhi
+from renderer.scene import Camera, load_scene
+from renderer.visibility import ChcPlusPlus
+
+FRAMES = 60
+TARGET = 4.0
+SIGHT = 150.0
+
+
+class OracleQuery:
+    """Answered at once."""
+
+    is_finished = True
+
+    def __init__(self, shows: bool) -> None:
+        self.shows = shows
+
+
+class OracleQueries:
+    """Stands in for `BoxQueries`; `nodes` (m,) bool says which nodes show."""
+
+    boxes = draws = 0
+    stalled = 0.0
+
+    def __init__(self) -> None:
+        self.issued = 0
+        self.nodes: list[bool] = []
+
+    def begin_frame(self, *_: object) -> None:
+        self.issued = 0
+
+    def states(self) -> Any:
+        return nullcontext()
+
+    def ask(self, nodes: list[int]) -> OracleQuery:
+        self.issued += 1
+        return OracleQuery(any(self.nodes[node] for node in nodes))
+
+    def answer(self, query: OracleQuery) -> bool:
+        return query.shows
+
+
+def measure(text: str) -> dict[str, Any]:
+    """Medians over the frames."""
+    scene = load_scene(text)
+    with rhi.create_device("null") as device:
+        algorithm = ChcPlusPlus(scene, device)
+    forest, oracle = algorithm._forest, OracleQueries()
+    algorithm._queries = oracle  # type: ignore[assignment]
+    begin, spent = algorithm._begin, [0.0, 0.0]
+
+    def timed_begin(camera: Camera) -> None:
+        began = time.perf_counter()
+        begin(camera)
+        spent[0] = time.perf_counter() - began
+        away = np.maximum(np.maximum(forest.lower - camera.position, camera.position - forest.upper), 0.0)
+        oracle.nodes = (np.linalg.norm(away, axis=1) < SIGHT).tolist()
+        spent[1] = time.perf_counter() - began
+
+    algorithm._begin = timed_begin  # type: ignore[method-assign]
+    walks, updates, visited, queries = [], [], [], []
+    for frame in range(600, 600 + FRAMES):
+        camera = scene.paths["ground"].camera(frame)
+        began = time.perf_counter()
+        statistics = algorithm.render(camera, lambda rows: None)
+        walks.append(1e6 * (time.perf_counter() - began - spent[1]) / statistics.nodes_tested)
+        updates.append(1e3 * spent[0])
+        visited.append(statistics.nodes_tested)
+        queries.append(statistics.queries)
+    return {
+        "scene": scene.name,
+        "nodes": len(forest),
+        "visited_per_frame": round(float(np.mean(visited)), 1),
+        "queries_per_frame": round(float(np.mean(queries)), 1),
+        "walk_microseconds_per_node": round(float(np.median(walks)), 2),
+        "update_milliseconds": round(float(np.median(updates)), 3),
+        "target_microseconds_per_node": TARGET,
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument(
+        "--scene", default="city", help="a generator with a ground path (default: %(default)s)"
+    )
+    given = parser.parse_args()
+    result = measure(given.scene)
+    if given.json:
+        print(json.dumps(result, indent=2))
+        return 0
+    for key, value in result.items():
+        print(f"{key.replace('_', ' ') + ':':32}{value}")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,113 @@
+"""How fast traces are: replayed on the null device, compared, saved and loaded.
+
+    python benchmarks/traces.py [--commands N] [--rounds N] [--json]
+
+The trace is frames of draws in labelled passes, each object with a binding of its own. `replay` counts all
+that the null device does, the recording of what is replayed included; `replay, not recorded` is the same on a
+device without a recorder. Medians of the rounds, taken in turn.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+import rhi
+from rhi import CullMode, DepthWrite, Format
+from rhi.shading import Shader, Struct, Uniform, vec2, vec4
+from rhi.trace import Trace, diff, load, replay, save
+
+
+class Corner(Struct):
+    position: vec2
+
+
+class Object(Struct):
+    offset: vec4
+
+
+class Flat(Shader):
+    object: Uniform[Object]
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, 0.5, 1.0) + self.object.offset
+
+    def fragment(self) -> vec4:
+        return vec4(1.0, 1.0, 1.0, 1.0)
+
+
+def record(commands: int, changed: int = -1) -> Trace:
+    """A trace of about so many commands; draw `changed` is another."""
+    with rhi.create_device("null") as device:
+        flat = device.program(Flat)
+        mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
+        image = device.texture((64, 64), Format.RGBA8, label="image")
+        objects = device.uniform_array(Object, 64, label="objects")
+        drawn = 0
+        while len(device.stream) < commands:
+            with device.event("frame"):
+                for state in (CullMode.NONE, DepthWrite.OFF):
+                    with device.event(state.name), device.render_pass(image), device.states(state):
+                        for index in range(64):
+                            device.draw(flat, mesh, 1 + (drawn == changed), object=objects[index])
+                            drawn += 1
+            device.present(image)
+        return Trace(device.stream, "null")
+
+
+def measure(commands: int = 10_000, rounds: int = 7) -> dict[str, float]:
+    """Commands a second of each kind of work, and seconds of a diff."""
+    trace, other = record(commands), record(commands, commands // 4)
+    folder = tempfile.TemporaryDirectory()
+    file = Path(folder.name) / "trace.zip"
+
+    def replay_on(**options: bool) -> None:
+        with rhi.create_device("null", **options) as device:
+            replay(trace, on=device)
+            device.finish()
+
+    work: dict[str, Callable[[], object]] = {
+        "replay": lambda: replay_on(),
+        "replay, not recorded": lambda: replay_on(record=False),
+        "diff, one change": lambda: diff(trace, other),
+        "diff, equal": lambda: diff(trace, trace),
+        "save": lambda: save(trace, file),
+        "load": lambda: load(file),
+    }
+    times: dict[str, list[float]] = {name: [] for name in work}
+    for _ in range(rounds):
+        for name, run in work.items():
+            gc.collect()
+            start = time.perf_counter()
+            run()
+            times[name].append(time.perf_counter() - start)
+    folder.cleanup()
+    medians = {name: statistics.median(values) for name, values in times.items()}
+    rates = {f"{name} commands_per_second": len(trace) / medians[name] for name in work if "diff" not in name}
+    return rates | {f"{name} seconds": medians[name] for name in work if "diff" in name}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--commands", type=int, default=10_000)
+    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
+    options = parser.parse_args()
+    result = measure(options.commands, options.rounds)
+    if options.json:
+        print(json.dumps(result, indent=2))
+        return
+    for name, value in result.items():
+        print(f"{name:<44} {value:14,.3f}" if "seconds" in name[-8:] else f"{name:<44} {value:14,.0f}")
+
+
+if __name__ == "__main__":
+    main()

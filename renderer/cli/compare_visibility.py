@@ -1,0 +1,259 @@
+"""`compare visibility`: the thesis's tables (chapter 7) for a scene, a camera path and a backend."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from statistics import mean, median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi
+from renderer import rules
+from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.output import note, prepare_image, show_progress
+from renderer.measure import format_table, measure_frame
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import FRAMES_PER_SECOND, load_scene
+from renderer.visibility import ALGORITHMS, NoCulling, VisibilityAlgorithm, list_algorithms, make_visibility
+from renderer.visibility.box_queries import TRIANGLES
+
+_EXAMPLES = """\
+  python -m renderer compare visibility city --camera-path ground --frames 60
+  python -m renderer compare visibility city --camera-path sky --frames 60 --json
+  python -m renderer compare visibility hall --algorithms none,frustum,chc_plus_plus --plot hall.png
+
+Every frame is first drawn without culling, untimed: to bring the device up to date, and to compare with. Then
+each algorithm draws it, starting with the next of them each frame. The first frame isn't counted. Times are
+medians, from the scene's update until the GPU is done; `ratio` is the median of the ratios to the first
+algorithm's. Counters are means per frame. `triangles` and `draws` include the boxes drawn in queries, as in the
+thesis. `wrong pixels` is the most in any frame that show something else, `tied pixels` the most that show
+another surface at exactly the same depth: there the one drawn first stays. `stalled` is how long the CPU waited.
+The null device answers no queries, so there `auto` is frustum culling, and others that ask don't run."""
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """What an algorithm costs; means per frame but for the median `milliseconds` and `ratio`, and the most
+    `wrong_pixels` and `tied_pixels` of any frame (None where the device draws nothing)."""
+
+    algorithm: str
+    milliseconds: float
+    ratio: float
+    triangles: int
+    draws: int
+    queries: int
+    software_state_changes: int
+    hardware_state_changes: int
+    wrong_pixels: int | None
+    tied_pixels: int | None
+    stalled_milliseconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class _Sample:
+    milliseconds: float
+    triangles: int
+    draws: int
+    queries: int
+    software_state_changes: int
+    hardware_state_changes: int
+    wrong_pixels: int | None
+    tied_pixels: int | None
+    stalled_milliseconds: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Picture:
+    """A frame as it came out: colour (h, w, 4) and depth (h, w)."""
+
+    color: NDArray[Any]
+    depth: NDArray[Any]
+
+    @classmethod
+    def of(cls, result: FrameResult) -> Picture:
+        """Of a frame that is still in its targets."""
+        return cls(result.image.read(), result.depth.read().reshape(result.image.size[::-1]))
+
+    def compare(self, other: Picture) -> tuple[int, int]:
+        """How many pixels differ: those that show something else, and those that show, at exactly the same
+        depth, another surface."""
+        same = self.depth == other.depth
+        differ = (self.color != other.color).any(axis=2)
+        return int(np.count_nonzero(differ & ~same)), int(np.count_nonzero(differ & same))
+
+
+def add_to(subjects: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        subjects, "visibility", run, "compare visibility algorithms along a camera path", _EXAMPLES
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+    parser.add_argument(
+        "--camera-path", default="ground", metavar="PATH", help="ground or sky (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--frame",
+        type=parse_frame,
+        metavar="N",
+        help="first frame, 60 a second (default: so that the frames lie around the path's middle)",
+    )
+    parser.add_argument(
+        "--frames",
+        type=parse_count,
+        default=60,
+        metavar="N",
+        help="how many frames to time (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--backend",
+        metavar="NAME",
+        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
+    )
+    parser.add_argument(
+        "--algorithms",
+        type=_parse_algorithms,
+        metavar="A,B,…",
+        help=f"of {', '.join(ALGORITHMS)} (default: all that the device can run)",
+    )
+    parser.add_argument(
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="draw times and triangles as a chart")
+
+
+def run(given: argparse.Namespace) -> None:
+    """Measure and report."""
+    if given.plot is not None:
+        prepare_image(given.plot)
+    scene = load_scene(given.scene)
+    if given.camera_path not in scene.paths:
+        rules.refuse_name(rules.UNKNOWN_CAMERA, "--camera-path", given.camera_path, scene.paths)
+    path = scene.paths[given.camera_path]
+    first = max(0, (len(path) - given.frames) // 2) if given.frame is None else given.frame
+    path.camera(first + given.frames)  # refused now, not after minutes
+    with rhi.create_device(given.backend) as device, Renderer(device, scene, size=given.size) as renderer:
+        names = given.algorithms or list_algorithms(device)
+        algorithms = {name: make_visibility(name, scene, device) for name in names}
+        rows = measure(renderer, algorithms, given.camera_path, first, given.frames)
+        report = {
+            "backend": device.backend_name,
+            "device": device.capabilities.device,
+            "scene": scene.name,
+            "camera_path": given.camera_path,
+            "first_frame": first + 1,
+            "frames": given.frames,
+            "size": list(given.size),
+            "rows": [asdict(row) for row in rows],
+        }
+    if given.plot is not None:
+        plot(rows, f"{scene.name}, {given.camera_path}, {report['device']}", given.plot)
+        note(f"wrote {given.plot}")
+    print(json.dumps(report) if given.json else show_rows(rows))
+
+
+def measure(
+    renderer: Renderer, algorithms: dict[str, VisibilityAlgorithm], path: str, first: int, count: int
+) -> list[Row]:
+    """A row for each of `algorithms`, over the `count` frames of the path after `first`."""
+    scene, device = renderer.scene, renderer.device
+    reference = NoCulling(scene)
+    draws_pixels = device.capabilities.shading
+    names = list(algorithms)
+    samples: dict[str, list[_Sample]] = {name: [] for name in names}
+    for turn in show_progress(range(count + 1), count + 1, "compare"):
+        camera, seconds = scene.paths[path].camera(first + turn), (first + turn) / FRAMES_PER_SECOND
+        renderer.visibility = reference
+        expected = Picture.of(renderer.render(camera, seconds)) if draws_pixels else None
+        start = turn % len(names)
+        for name in names[start:] + names[:start]:
+            renderer.visibility = algorithms[name]
+            result, cost = measure_frame(renderer, camera, seconds)
+            found, counters = result.visibility, cost.statistics
+            assert found is not None
+            wrong, tied = (None, None) if expected is None else Picture.of(result).compare(expected)
+            sample = _Sample(
+                milliseconds=cost.milliseconds,
+                triangles=counters.triangles + TRIANGLES * found.boxes,
+                draws=counters.draws + found.box_draws,
+                queries=counters.queries,
+                software_state_changes=counters.software_state_changes,
+                hardware_state_changes=counters.hardware_state_changes,
+                wrong_pixels=wrong,
+                tied_pixels=tied,
+                stalled_milliseconds=found.stalled_milliseconds,
+            )
+            if turn:
+                samples[name].append(sample)
+        if not device.capabilities.shading:
+            device.stream.clear()
+    return [_summarize(name, samples[name], samples[names[0]]) for name in names]
+
+
+def _summarize(name: str, samples: list[_Sample], base: list[_Sample]) -> Row:
+    def average(counter: str) -> float:
+        return float(mean(getattr(sample, counter) for sample in samples))
+
+    def most(counter: str) -> int | None:
+        counts = [getattr(sample, counter) for sample in samples]
+        return None if None in counts else max(counts)
+
+    return Row(
+        algorithm=name,
+        milliseconds=round(median(sample.milliseconds for sample in samples), 3),
+        ratio=round(
+            median(one.milliseconds / other.milliseconds for one, other in zip(samples, base, strict=True)), 3
+        ),
+        triangles=round(average("triangles")),
+        draws=round(average("draws")),
+        queries=round(average("queries")),
+        software_state_changes=round(average("software_state_changes")),
+        hardware_state_changes=round(average("hardware_state_changes")),
+        wrong_pixels=most("wrong_pixels"),
+        tied_pixels=most("tied_pixels"),
+        stalled_milliseconds=round(average("stalled_milliseconds"), 3),
+    )
+
+
+def show_rows(rows: list[Row]) -> str:
+    """The table for people."""
+    names = [field.name for field in fields(Row)]
+    header = [name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s") for name in names]
+    values = [[getattr(row, name) for name in names] for row in rows]
+    return format_table(header, [["-" if value is None else value for value in row] for row in values])
+
+
+def plot(rows: list[Row], title: str, path: Path) -> None:
+    """A chart of times and triangles, an algorithm a bar."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    names = [row.algorithm for row in rows]
+    charts: list[tuple[str, list[float], str]] = [
+        ("milliseconds a frame", [row.milliseconds for row in rows], "{:,.1f}"),
+        ("triangles a frame", [row.triangles for row in rows], "{:,}"),
+    ]
+    for place, (label, values, form) in enumerate(charts, 1):
+        axes = figure.add_subplot(1, len(charts), place)
+        bars = axes.barh(names, values, color="#4477aa")
+        axes.bar_label(bars, labels=[form.format(value) for value in values])
+        axes.set_xlabel(label)
+        axes.margins(x=0.2)
+        axes.invert_yaxis()
+    figure.savefig(path, dpi=100)
+
+
+def _parse_algorithms(text: str) -> list[str]:
+    names = text.split(",")
+    for name in names:
+        if name not in ALGORITHMS:
+            raise argparse.ArgumentTypeError(f"{name!r} is no algorithm; there are {', '.join(ALGORITHMS)}")
+    return list(dict.fromkeys(names))

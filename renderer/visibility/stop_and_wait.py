@@ -1,0 +1,60 @@
+"""Stop-and-wait occlusion culling (thesis 6.2, Listing 6.2): simple, exact, and slow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from renderer.scene import Camera, Scene
+from renderer.visibility.algorithm import DrawObjects, Statistics, find_visible_objects
+from renderer.visibility.bounds import find_near, pad_boxes
+from renderer.visibility.box_queries import BoxQueries
+from renderer.visibility.frustum import FrustumCulling
+from rhi import Device
+
+__rhi_internal__ = True
+
+
+class StopAndWait:
+    """Asks for each object in the frustum, front to back, and waits for the answer before the next.
+
+    No more is drawn than what shows its box, given all that is nearer. CPU and GPU work in turns: while one
+    works, the other waits.
+    """
+
+    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
+        """`threshold`: an object whose box passes no more samples than this is taken for hidden."""
+        self._objects = scene.objects
+        self._frustum = FrustumCulling(scene)
+        self._queries = BoxQueries(device, np.ones(len(scene.objects), np.int64), threshold)
+
+    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        """Draw the objects that are not hidden behind nearer ones."""
+        lower, upper = self._objects.lower, self._objects.upper
+        rows = find_visible_objects(self._frustum, camera)
+        rows = rows[np.argsort((lower[rows] + upper[rows]) @ camera.forward, kind="stable")]
+        lower, upper, far = pad_boxes(camera, lower, upper)
+        near = find_near(camera, lower, upper, far)
+        queries = self._queries
+        queries.begin_frame(camera, lower, upper)
+        visible = 0
+        for place, row in enumerate(rows.tolist()):
+            if not near[row]:
+                with queries.states():
+                    query = queries.ask((row,))
+                if not queries.answer(query):
+                    continue
+            draw(rows[place : place + 1])
+            visible += 1
+        return Statistics(
+            objects=len(self._objects),
+            visible=visible,
+            batches=visible,
+            queries=queries.issued,
+            box_draws=queries.draws,
+            boxes=queries.boxes,
+            stalled_milliseconds=1e3 * queries.stalled,
+        )
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        self._queries.destroy()

@@ -1,0 +1,36 @@
+"""The OpenCL backend: memory, time and compute on any OpenCL device, such as the CPU through PoCL.
+
+`create_backend` is its entry point in the group `rhi.backends`. Nothing of OpenCL is imported before it is called.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from rhi.errors import DeviceError
+from rhi.rules import DEVICE_DRIVER
+
+if TYPE_CHECKING:
+    from rhi.backends.cl.backend import ClBackend
+
+__rhi_internal__ = True
+
+
+def create_backend(*, validation: bool = False) -> ClBackend:
+    """A backend on the first OpenCL device that works, or the one that `RHI_CL_DEVICE` names.
+
+    OpenCL has no debug layer that `validation` could turn on.
+
+    Raises:
+        DeviceError: `device-driver` without pyopencl or a device that works; its tip says what to install.
+    """
+    try:
+        import pyopencl  # noqa: F401
+    except ImportError as error:
+        raise DeviceError(
+            DEVICE_DRIVER, "rhi.create_device('cl')", str(error), tip="pip install pyopencl"
+        ) from error
+    from rhi.backends.cl.backend import ClBackend
+    from rhi.backends.cl.context import open_context
+
+    return ClBackend(open_context())

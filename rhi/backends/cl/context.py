@@ -1,0 +1,162 @@
+"""Which OpenCL device is used, and the queue on it.
+
+- A device is chosen by trying: the first that builds a probe kernel, runs it and gives the right numbers. Names
+  tell nothing: two platforms of one name may be installed, of which one can't compile for this CPU.
+- `RHI_CL_DEVICE` names one device: its number, or a part of its name or its platform's. No other is tried then.
+- The queue executes in order, so that memory written by one command is what the next one reads.
+- The probe also finds out whether kernels read the host's memory in place. Where they do, memory that the CPU
+  streams to the device needs no command.
+"""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from rhi.backends.cl.errors import shorten
+from rhi.errors import DeviceError
+from rhi.rules import DEVICE_DRIVER
+
+__rhi_internal__ = True
+
+ENVIRONMENT: Final = "RHI_CL_DEVICE"
+_CALL: Final = "rhi.create_device('cl')"
+_ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
+_INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
+_OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
+_PAGE: Final = 4096
+_COUNT: Final = 64
+_PROBE: Final = """
+__kernel void probe(__global uint *words) {
+    uint i = get_global_id(0);
+    words[i] = words[i] * 3u + i;
+    atomic_add(&words[get_global_size(0)], i);
+}
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class Context:
+    """A device that works.
+
+    Attributes:
+        shares_memory: whether kernels read and write a `USE_HOST_PTR` buffer's host memory in place.
+        passed_over: the devices tried before, each with why it can't be used.
+    """
+
+    device: cl.Device
+    context: cl.Context
+    queue: cl.CommandQueue
+    shares_memory: bool
+    passed_over: tuple[str, ...]
+
+
+def open_context() -> Context:
+    """A queue on the first device that works.
+
+    Raises:
+        DeviceError: `device-driver`, with why each device was passed over and what to install.
+    """
+    devices = find_devices()
+    wanted = os.environ.get(ENVIRONMENT, "")
+    if wanted:
+        devices = [choose_device(wanted, devices)]
+    passed_over: list[str] = []
+    for device in devices:
+        try:
+            context = cl.Context([device])
+            queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
+            shares_memory = probe(context, queue)
+        except (cl.Error, RuntimeError) as error:
+            passed_over.append(f"{describe(device)}: {shorten(error)}")
+        else:
+            return Context(device, context, queue, shares_memory, tuple(passed_over))
+    given = "\n".join(passed_over) or "no OpenCL device"
+    tip = f"{_OUTDATED}{_INSTALL}" if "unknown target CPU" in given else _INSTALL
+    raise DeviceError(DEVICE_DRIVER, _CALL, given, _ALLOWED, tip)
+
+
+def find_devices() -> list[cl.Device]:
+    """All devices of all platforms, in OpenCL's order."""
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # there are none
+        return []
+    devices: list[cl.Device] = []
+    for platform in platforms:
+        try:
+            devices += platform.get_devices()
+        except cl.Error:  # a platform without any
+            continue
+    return devices
+
+
+def describe(device: cl.Device) -> str:
+    """A device's name and driver in a line; two versions of one driver differ in it."""
+    return f"{device.name} ({' '.join(device.platform.version.split())})"
+
+
+def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
+    """The device of this number, or the first whose description contains `wanted`."""
+    names = [describe(device) for device in devices]
+    if wanted.isdecimal() and int(wanted) < len(devices):
+        return devices[int(wanted)]
+    for name, device in zip(names, devices, strict=True):
+        if wanted.lower() in f"{device.platform.name} {name}".lower() and not wanted.isdecimal():
+            return device
+    if not names:
+        raise DeviceError(DEVICE_DRIVER, _CALL, "no OpenCL device", _ALLOWED, _INSTALL)
+    rows = "".join(f"\n{number}: {name}" for number, name in enumerate(names))
+    tip = f"unset {ENVIRONMENT}, or set it to a device's number or a part of its name"
+    raise DeviceError(DEVICE_DRIVER, _CALL, f"{ENVIRONMENT}={wanted!r}; the devices are{rows}", tip=tip)
+
+
+def probe(context: cl.Context, queue: cl.CommandQueue) -> bool:
+    """Build and run a kernel twice, on memory that the host changes in between; whether it saw the change.
+
+    Raises:
+        pyopencl.Error: it can't be built or run.
+        RuntimeError: it computes wrong numbers.
+    """
+    kernel = cl.Kernel(build(context, _PROBE), "probe")
+    words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
+    memory = cl.Buffer(context, flags, hostbuf=words)
+    kernel.set_arg(0, memory)
+    ramp = np.arange(_COUNT, dtype=np.uint32)
+    seen = np.empty_like(words)
+
+    def run() -> None:
+        cl.enqueue_nd_range_kernel(queue, kernel, (_COUNT,), None)
+        cl.enqueue_copy(queue, seen, memory)
+
+    run()
+    if not (np.array_equal(seen[:_COUNT], ramp) and seen[_COUNT] == ramp.sum()):
+        raise RuntimeError("a probe kernel computed wrong numbers")
+    shows = np.array_equal(words, seen)
+    words[:] = 7
+    run()
+    return shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
+
+
+def build(context: cl.Context, source: str) -> cl.Program:
+    """A built program. Built once: PoCL keeps kernels on disk, and for drivers that don't pyopencl does, both
+    under a key of source, options, device and driver. What a compiler says about what it accepts is dropped."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", cl.CompilerWarning)
+        built: cl.Program = cl.Program(context, source).build()
+        return built
+
+
+def allocate_pages(size: int) -> NDArray[np.uint8]:
+    """Zeroed host memory that begins at a page: drivers copy what is not aligned."""
+    memory = np.zeros(size + _PAGE, np.uint8)
+    start = -memory.ctypes.data % _PAGE
+    return memory[start : start + size]

@@ -1,0 +1,181 @@
+"""Kernels that average texels: mip levels and resolved samples, in linear light.
+
+One program for all formats: what a channel is stored as is an argument, the same for all work-items, so that
+nothing is compiled per format. PoCL's pow takes 100 ns, so sRGB goes through tables.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+import pyopencl as cl
+
+from rhi.backends.cl.context import Context, build
+from rhi.formats import Format, Kind
+from rhi.texels import from_srgb
+
+__rhi_internal__ = True
+
+_SOURCE: Final = """
+enum { UNORM8, UNORM16, SNORM8, SRGB8, HALF, FLOAT };
+
+// sRGB: the linear value of each stored number, and where one number ends and the next begins.
+__constant float LINEAR[256] = {LINEAR_VALUES};
+__constant float EDGES[255] = {EDGE_VALUES};
+
+uchar to_srgb(float value) {
+    int place = 0;
+    for (int step = 128; step > 0; step /= 2)
+        if (EDGES[place + step - 1] <= value) place += step;
+    return place;
+}
+
+float load(__global const void *texels, size_t place, int stored) {
+    switch (stored) {
+    case UNORM8: return ((__global const uchar *)texels)[place] * (1.0f / 255.0f);
+    case UNORM16: return ((__global const ushort *)texels)[place] * (1.0f / 65535.0f);
+    case SNORM8: return max(((__global const char *)texels)[place] * (1.0f / 127.0f), -1.0f);
+    case SRGB8: return LINEAR[((__global const uchar *)texels)[place]];
+    case HALF: return vload_half(place, (__global const half *)texels);
+    default: return ((__global const float *)texels)[place];
+    }
+}
+
+// A mean lies between the loaded values, so nothing needs to be clamped.
+void store(__global void *texels, size_t place, int stored, float value) {
+    switch (stored) {
+    case UNORM8: ((__global uchar *)texels)[place] = value * 255.0f + 0.5f; break;
+    case UNORM16: ((__global ushort *)texels)[place] = value * 65535.0f + 0.5f; break;
+    case SNORM8: ((__global char *)texels)[place] = floor(value * 127.0f + 0.5f); break;
+    case SRGB8: ((__global uchar *)texels)[place] = to_srgb(value); break;
+    case HALF: vstore_half_rte(value, place, (__global half *)texels); break;
+    default: ((__global float *)texels)[place] = value;
+    }
+}
+
+// Alpha is linear in sRGB formats, too.
+int kept(int stored, int channel) { return stored == SRGB8 && channel == 3 ? UNORM8 : stored; }
+
+// The texels of an axis that a texel of the next level covers, and their weights: 2, or 3 along an odd axis.
+int taps(int place, int size, int target, float *weights) {
+    if (size == target) { weights[0] = 1.0f; return 1; }
+    if (size % 2 == 0) { weights[0] = weights[1] = 0.5f; return 2; }
+    weights[0] = (float)(target - place) / size;
+    weights[1] = (float)target / size;
+    weights[2] = (float)(place + 1) / size;
+    return 3;
+}
+
+// A row of the next level. `from` and `to` are where the levels start, in channels.
+__kernel void halve(__global void *texels, ulong from, ulong to, int stored, int channels, int4 size, int4 target) {
+    int y = get_global_id(0), z = get_global_id(1);
+    float u[3], v[3], w[3];
+    int rows = taps(y, size.y, target.y, v), layers = taps(z, size.z, target.z, w);
+    int top = rows == 1 ? y : 2 * y, first = layers == 1 ? z : 2 * z;
+    size_t row = (size_t)size.x * channels, layer = row * size.y;
+    size_t source = from + first * layer + top * row;
+    size_t result = to + ((size_t)z * target.y + y) * target.x * channels;
+    if (layers == 1 && rows == 2 && size.x == 2 * target.x && size.y % 2 == 0) {  // the usual 2 by 2 texels
+        for (int x = 0; x < target.x; ++x)
+            for (int channel = 0; channel < channels; ++channel) {
+                int format = kept(stored, channel);
+                size_t above = source + 2 * x * channels + channel, below = above + row;
+                float mean = 0.25f * (load(texels, above, format) + load(texels, above + channels, format) +
+                                      load(texels, below, format) + load(texels, below + channels, format));
+                store(texels, result + x * channels + channel, format, mean);
+            }
+        return;
+    }
+    for (int x = 0; x < target.x; ++x) {
+        int columns = taps(x, size.x, target.x, u), left = columns == 1 ? x : 2 * x;
+        for (int channel = 0; channel < channels; ++channel) {
+            int format = kept(stored, channel);
+            float mean = 0.0f;
+            for (int k = 0; k < layers; ++k)
+                for (int j = 0; j < rows; ++j)
+                    for (int i = 0; i < columns; ++i) {
+                        size_t place = source + k * layer + j * row + (left + i) * channels + channel;
+                        mean += w[k] * v[j] * u[i] * load(texels, place, format);
+                    }
+            store(texels, result + x * channels + channel, format, mean);
+        }
+    }
+}
+
+// A channel of a texel; its samples are planes, one behind the other.
+__kernel void resolve(__global const void *samples, __global void *texels, int stored, int channels, int count) {
+    size_t place = get_global_id(0), plane = get_global_size(0);
+    int format = kept(stored, place % channels);
+    float sum = 0.0f;
+    for (int sample = 0; sample < count; ++sample)
+        sum += load(samples, sample * plane + place, format);
+    store(texels, place, format, sum / count);
+}
+"""
+
+_STORED: Final = {
+    (Kind.UNORM, 1): 0, (Kind.UNORM, 2): 1, (Kind.SNORM, 1): 2, (Kind.SRGB, 1): 3, (Kind.FLOAT, 2): 4,
+    (Kind.FLOAT, 4): 5,
+}  # fmt: skip
+"""What a channel is stored as, by kind and bytes: the numbers of the kernels' enum."""
+
+
+class Filters:
+    """The kernels of one device, built when the first is needed."""
+
+    def __init__(self, context: Context) -> None:
+        self._context = context
+        self._kernels: dict[str, cl.Kernel] = {}
+
+    def halve(
+        self, format: Format, texels: cl.Buffer, above: int, size: tuple[int, int, int], below: int,
+        target: tuple[int, int, int],
+    ) -> None:  # fmt: skip
+        """The mip level that starts at byte `below`, from the one at `above`; sizes are (width, height, layers)."""
+        _, height, layers = target
+        starts = [np.uint64(start // format.dtype.itemsize) for start in (above, below)]
+        self._run(
+            "halve", (height, layers), texels, *starts, _storage(format),
+            np.int32(format.channels), np.array([*size, 0], np.int32), np.array([*target, 0], np.int32),
+        )  # fmt: skip
+
+    def resolve(
+        self, format: Format, samples: cl.Buffer, texels: cl.Buffer, size: tuple[int, int], count: int
+    ) -> None:
+        """The mean of each texel's samples; of integers, the first sample."""
+        numbers = size[0] * size[1] * format.channels
+        if format.is_integer:
+            byte_count = numbers * format.dtype.itemsize
+            cl.enqueue_copy(self._context.queue, texels, samples, byte_count=byte_count)
+            return
+        self._run(
+            "resolve",
+            (numbers,),
+            samples,
+            texels,
+            _storage(format),
+            np.int32(format.channels),
+            np.int32(count),
+        )
+
+    def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
+        if not self._kernels:
+            program = build(self._context.context, _write_source())
+            self._kernels = {each: cl.Kernel(program, each) for each in ("halve", "resolve")}
+        kernel = self._kernels[name]
+        kernel.set_args(*arguments)
+        cl.enqueue_nd_range_kernel(self._context.queue, kernel, size, None)
+
+
+def _storage(format: Format) -> np.int32:
+    return np.int32(_STORED[format.kind, format.dtype.itemsize])
+
+
+def _write_source() -> str:
+    numbers = {"LINEAR_VALUES": np.arange(256.0), "EDGE_VALUES": np.arange(255) + 0.5}
+    source = _SOURCE
+    for name, stored in numbers.items():
+        values = from_srgb(np.asarray(stored / 255.0, np.float64)).astype(np.float32).tolist()
+        source = source.replace(name, ", ".join(f"{value!r}f" for value in values))
+    return source

@@ -1,0 +1,99 @@
+"""The fence and timestamps: markers in the queue, whose events are polled without blocking.
+
+- A marker is done when everything before it is. PoCL completes one without a flush, other drivers need it.
+- A fence value also ends the life of the staged copies before it.
+- Timestamps are the markers' own times, by the device's clock, in nanoseconds.
+"""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import Final
+
+import pyopencl as cl
+
+from rhi.backends.cl.resources import Staging
+from rhi.descriptors import Id
+from rhi.errors import DeviceError
+from rhi.rules import DEVICE_LOST
+
+__rhi_internal__ = True
+
+_FIRST_NAP: Final = 20e-6
+_LONGEST_NAP: Final = 1e-3
+
+
+def is_done(event: cl.Event) -> bool:
+    """Whether everything up to a marker is done; never waits.
+
+    Raises:
+        DeviceError: `device-lost` if a command before it failed.
+    """
+    status: int = event.command_execution_status
+    if status < 0:
+        raise DeviceError(DEVICE_LOST, "the command queue", f"a command failed with OpenCL's status {status}")
+    return status == cl.command_execution_status.COMPLETE
+
+
+class Fence:
+    """The device's fence: a value that rises as the device gets done."""
+
+    def __init__(self, queue: cl.CommandQueue, staging: Staging) -> None:
+        self._queue = queue
+        self._staging = staging
+        self._pending: deque[tuple[int, cl.Event, list[cl.Event]]] = deque()
+        self._value = 0
+
+    def signal(self, value: int) -> None:
+        self._pending.append((value, cl.enqueue_marker(self._queue), self._staging.clear()))
+        self._queue.flush()
+
+    def poll(self) -> int:
+        """The value reached; doesn't wait."""
+        pending = self._pending
+        while pending and is_done(pending[0][1]):
+            self._value = pending.popleft()[0]
+        return self._value
+
+    def wait(self, value: int, seconds: float) -> bool:
+        """Until `value` is reached, for at most `seconds`. OpenCL's own wait has no limit, so this one naps."""
+        if self.poll() >= value:
+            return True
+        if not self._pending or self._pending[-1][0] < value:
+            return False  # nobody will ever signal it
+        end = time.monotonic() + seconds
+        nap = _FIRST_NAP
+        while self.poll() < value:
+            left = end - time.monotonic()
+            if left <= 0:
+                return False
+            time.sleep(min(nap, left))
+            nap = min(2 * nap, _LONGEST_NAP)
+        return True
+
+
+class Queries:
+    """All timestamps of a device, by id."""
+
+    def __init__(self, queue: cl.CommandQueue) -> None:
+        self._queue = queue
+        self._markers: dict[Id, cl.Event | None] = {}
+
+    def create(self, query: Id) -> None:
+        self._markers[query] = None
+
+    def destroy(self, query: Id) -> None:
+        del self._markers[query]
+
+    def write(self, query: Id) -> None:
+        self._markers[query] = cl.enqueue_marker(self._queue)
+
+    def read(self, query: Id) -> int | None:
+        marker = self._markers[query]
+        if marker is None:
+            return None
+        if not is_done(marker):
+            self._queue.flush()
+            return None
+        return int(marker.profile.end)

@@ -1,0 +1,31 @@
+"""What holds as commands come: the bound program, what is bound to its slots, the open pass, the labels.
+
+OpenCL knows none of these: a kernel has arguments, and labels only serve to say where something failed.
+"""
+
+from __future__ import annotations
+
+from rhi.descriptors import BindingKind, Id, PassDescriptor
+
+__rhi_internal__ = True
+
+
+class States:
+    """Of one device.
+
+    Attributes:
+        ranges: what is bound to slots: (buffer, offset, size) by kind and slot.
+        labels: the open ones, outermost first.
+    """
+
+    __slots__ = ("labels", "program", "ranges", "render_pass")
+
+    def __init__(self) -> None:
+        self.program: Id = 0
+        self.ranges: dict[tuple[BindingKind, int], tuple[Id, int, int]] = {}
+        self.render_pass = PassDescriptor((0, 0))
+        self.labels: list[str] = []
+
+    def place(self, call: str) -> str:
+        """A call and the labels it lies in, for a message."""
+        return f"{call} in {' / '.join(self.labels)}" if self.labels else call

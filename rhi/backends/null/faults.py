@@ -1,0 +1,166 @@
+"""Faults: a Backend in front of the null one that fails as real devices do, at a chosen place.
+
+- One `Faults` says what fails when; `Faults.from_seed` draws one fault for a program from a clean run of it.
+- A failed creation or compilation is refused before the backend hears of it, as the contract wants it. A lost
+  device stays lost: every further call but `close` fails.
+- Counts are from 0, in the order of the calls.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import Counter
+from dataclasses import dataclass
+
+from rhi.backend import Backend, Capabilities
+from rhi.commands import CommandStream
+from rhi.descriptors import Id, ProgramDescriptor, QueryKind
+from rhi.errors import DeviceError, ShaderError
+from rhi.ops import Op
+from rhi.recorder import CommandMethods
+from rhi.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
+
+__rhi_internal__ = True
+
+FRAME_SECONDS = 1 / 60
+"""How long a wait for a fence that is a frame late takes."""
+_CREATIONS = frozenset(op for op in Op if op.method.startswith("create_"))
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """What fails; None and 0: nothing.
+
+    Attributes:
+        memory: the creation (of anything) that finds no memory left, `device-out-of-memory`.
+        compilation: the program that the driver refuses, `shader-driver`.
+        loss: the command at which the device is lost, `device-lost`.
+        late_frames: how many frames (`present`) after its signal the fence is seen to be reached.
+        silent_query: the query, in the order of creation, that never answers.
+    """
+
+    memory: int | None = None
+    compilation: int | None = None
+    loss: int | None = None
+    late_frames: int = 0
+    silent_query: int | None = None
+
+    @classmethod
+    def from_seed(cls, seed: int, stream: CommandStream) -> Faults:
+        """One fault somewhere in a program of which `stream` is a clean run; equal seeds, equal faults."""
+        ops = Counter(command.op for command in stream)
+        creations = sum(ops[op] for op in _CREATIONS)
+        generator = random.Random(seed)
+        places = {
+            "memory": creations,
+            "compilation": ops[Op.CREATE_PROGRAM],
+            "loss": len(stream),
+            "silent_query": ops[Op.CREATE_QUERY],
+        }
+        kinds = [kind for kind, count in places.items() if count] + ["late_frames"] * bool(ops[Op.PRESENT])
+        if not kinds:
+            return cls()
+        kind = generator.choice(kinds)
+        if kind == "late_frames":
+            return cls(late_frames=generator.randint(1, 4))
+        return cls(**{kind: generator.randrange(places[kind])})
+
+
+class FaultInjector(CommandMethods):
+    """A Backend that fails as its `faults` say, and else passes calls on."""
+
+    METHOD = """\
+    self._enter({op})
+    return self.backend.{method}({arguments})
+"""
+
+    def __init__(self, backend: Backend, faults: Faults) -> None:
+        self.backend = backend
+        self.faults = faults
+        self._commands = 0
+        self._creations = 0
+        self._programs = 0
+        self._queries = 0
+        self._lost = False
+        self._presented = 0
+        self._signalled: dict[int, int] = {}  # by fence value not seen yet, the frames presented before
+        self._seen = 0
+        self._silent: Id = 0
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self.backend.capabilities
+
+    def close(self) -> None:
+        self.backend.close()
+
+    # -- faults ------------------------------------------------------------------------------------------
+
+    def _enter(self, op: int) -> None:
+        """Count a command; fail if it is its turn."""
+        name = Op(op).method
+        number, self._commands = self._commands, self._commands + 1
+        self._lost = self._lost or number == self.faults.loss
+        self._check_lost(name)
+        if op in _CREATIONS:
+            creation, self._creations = self._creations, self._creations + 1
+            if creation == self.faults.memory:
+                raise DeviceError(DEVICE_MEMORY, name, f"creation {creation}, an injected fault")
+
+    def _check_lost(self, call: str) -> None:
+        if self._lost:
+            raise DeviceError(DEVICE_LOST, call, f"lost at command {self.faults.loss}, an injected fault")
+
+    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+        self._enter(Op.CREATE_PROGRAM)
+        number, self._programs = self._programs, self._programs + 1
+        if number == self.faults.compilation:
+            given = f"program {number} ({descriptor.name}), an injected fault"
+            raise ShaderError(SHADER_DRIVER, f"device.program({descriptor.name})", given)
+        self.backend.create_program(program, descriptor)
+
+    def create_query(self, query: Id, kind: QueryKind) -> None:
+        self._enter(Op.CREATE_QUERY)
+        number, self._queries = self._queries, self._queries + 1
+        if number == self.faults.silent_query:
+            self._silent = query
+        self.backend.create_query(query, kind)
+
+    def read_query(self, query: Id) -> int | None:
+        self._check_lost("read_query")
+        answer = self.backend.read_query(query)
+        return None if query == self._silent else answer
+
+    def present(self, texture: Id) -> None:
+        self._enter(Op.PRESENT)
+        self.backend.present(texture)
+        self._presented += 1
+
+    def signal(self, value: int) -> None:
+        self._enter(Op.SIGNAL)
+        self.backend.signal(value)
+        self._signalled[value] = self._presented
+
+    def completed(self) -> int:
+        self._check_lost("completed")
+        reached = self.backend.completed()
+        for value in sorted(self._signalled):
+            if value > reached or self._signalled[value] + self.faults.late_frames > self._presented:
+                break
+            self._see(value)
+        return self._seen
+
+    def wait(self, value: int, seconds: float) -> bool:
+        self._enter(Op.WAIT)
+        missing = self._signalled.get(value, 0) + self.faults.late_frames - self._presented
+        if value > self._seen and missing * FRAME_SECONDS > seconds:
+            return False
+        reached = self.backend.wait(value, seconds)
+        if reached:
+            self._see(value)
+        return reached
+
+    def _see(self, value: int) -> None:
+        self._seen = max(self._seen, value)
+        for each in [each for each in self._signalled if each <= value]:
+            del self._signalled[each]

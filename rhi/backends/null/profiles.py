@@ -1,0 +1,79 @@
+"""Profiles: the capabilities of other devices, for the null device to pretend to.
+
+The limits of the OpenGL profiles are the smallest that a specification allows (OpenGL 3.3 and 4.5 core, tables of
+chapter 6 and 23; OpenGL ES 3.0.6, chapter 6), as a port by its means alone could offer them: what passes there runs
+on every such driver. Two are not: multi-sampled targets have 4 samples, which the specifications guarantee for
+renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest that a driver may ask for.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from rhi.backend import Capabilities
+from rhi.errors import refuse
+from rhi.formats import Format, Kind
+from rhi.rules import DEVICE_ARGUMENT
+
+__rhi_internal__ = True
+
+_SNORM: Final = frozenset(form for form in Format if form.kind is Kind.SNORM)
+_UNORM16: Final = frozenset({Format.R16, Format.RG16, Format.RGBA16})
+_FLOAT: Final = frozenset(form for form in Format if form.kind is Kind.FLOAT)
+
+
+def _device(name: str) -> Capabilities:
+    """Without the features that not every device has."""
+    return Capabilities(
+        backend="null", device=name, driver=f"NumPy {np.__version__}", shading=False, indirect_count=False,
+        depth_bias_clamp=False, blend_per_target=False, unrenderable_formats=_SNORM,
+    )  # fmt: skip
+
+
+PROFILES: Final[Mapping[str, Capabilities]] = {
+    "everything": Capabilities(
+        backend="null", device="null", driver=f"NumPy {np.__version__}", shading=False, sample_counter=True,
+        alpha_test=True, max_anisotropy=16.0,
+    ),
+    "gl-4.5": replace(
+        _device("gl-4.5"), max_texture_size=16384, max_texture_layers=2048, max_uniform_slots=14, sample_counter=True,
+        blend_per_target=True,
+    ),
+    "gl-3.3": replace(
+        _device("gl-3.3"), max_texture_size=1024, max_texture_layers=256, max_storage_bytes=0, max_storage_slots=0,
+        max_image_slots=0, compute=False,
+    ),
+    "gles-3": replace(
+        _device("gles-3"), max_texture_size=2048, max_texture_layers=256, max_color_targets=4, max_storage_bytes=0,
+        max_storage_slots=0, max_image_slots=0, compute=False, occlusion_queries=False, conditional_rendering=False,
+        timestamps=False, unsupported_formats=_UNORM16, unrenderable_formats=_SNORM | _UNORM16 | _FLOAT,
+    ),
+    "opencl-cpu": replace(
+        _device("opencl-cpu"), max_samples=1, max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),
+        max_work_group_invocations=4096, uniform_alignment=128, storage_alignment=128, sample_counter=True,
+        conditional_rendering=False, alpha_to_coverage=False,
+    ),
+}  # fmt: skip
+"""By name. `everything` is what a null device has when nobody asks for less."""
+
+
+def find_profile(profile: str | Capabilities) -> Capabilities:
+    """A profile by its name, or any capabilities as those of a null device: it runs no shaders whatever they say.
+
+    Raises:
+        ValidationError: `device-argument` for an unknown name.
+    """
+    if isinstance(profile, Capabilities):
+        return replace(profile, backend="null", shading=False)
+    found = PROFILES.get(profile) if isinstance(profile, str) else None
+    if found is None:
+        close = difflib.get_close_matches(str(profile), PROFILES, 1)
+        tip = f"did you mean {close[0]!r}?" if close else ""
+        allowed = f"{', '.join(PROFILES)}, or a Capabilities"
+        refuse(DEVICE_ARGUMENT, "profile=", repr(profile), allowed, tip)
+    return found

@@ -1,0 +1,106 @@
+"""Who says what is seen: answers from a script, by query, from a function, or from a run on another backend.
+
+- An answer belongs to one use of a query: its n-th beginning (of a counter, its n-th writing).
+- `AnswerLog` is a Backend in front of another that notes what its queries answered. Since ids are handed out
+  in the order of creation, the same program asks the null device the same questions by the same names.
+- None means that nobody knows. It is never taken for zero.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from rhi.backend import Backend, Capabilities
+from rhi.descriptors import Id
+from rhi.recorder import CommandMethods
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True)
+class RecordedAnswers:
+    """What queries answered in another run: samples by (query, n-th use from 0)."""
+
+    samples: Mapping[tuple[Id, int], int]
+
+    def save(self, path: str | Path) -> None:
+        """As JSON: a list of [query, use, samples]."""
+        rows = [[query, use, samples] for (query, use), samples in sorted(self.samples.items())]
+        Path(path).write_text(json.dumps(rows), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: str | Path) -> RecordedAnswers:
+        """What `save` wrote."""
+        rows = json.loads(Path(path).read_text(encoding="utf-8"))
+        return cls({(int(query), int(use)): int(samples) for query, use, samples in rows})
+
+
+Answers: TypeAlias = int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
+"""Samples for every query; a script, in the order in which OCCLUSION queries end; by query; from a function of
+the query's id; or of another run. None, a missing key and the end of a script: unknown."""
+
+Oracle: TypeAlias = Callable[[Id, int, int], object]
+"""What `Answers` come to: a function of the query, its use, and its place in the order of endings (−1: none)."""
+
+
+def make_oracle(answers: Answers) -> Oracle:
+    """Answers of any form as one function; None where they don't say."""
+    given: Any = answers
+    if isinstance(answers, RecordedAnswers):
+        return lambda query, use, place: answers.samples.get((query, use))
+    if callable(answers):
+        return lambda query, use, place: given(query)
+    if isinstance(answers, Mapping):
+        return lambda query, use, place: given.get(query)
+    if isinstance(answers, Sequence) and not isinstance(answers, str):
+        script = tuple(answers)
+        return lambda query, use, place: script[place] if 0 <= place < len(script) else None
+    return lambda query, use, place: given
+
+
+class AnswerLog(CommandMethods):
+    """A Backend in front of another, which notes the answers of its queries: `rhi.Device(AnswerLog(backend))`.
+
+    Only what the program asked for is known; of a query begun twice and read once, one use stays unknown.
+    """
+
+    METHOD = "    return self.backend.{method}({arguments})"
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend = backend
+        self._uses: Counter[Id] = Counter()
+        self._samples: dict[tuple[Id, int], int] = {}
+
+    @property
+    def answers(self) -> RecordedAnswers:
+        """What was answered up to now."""
+        return RecordedAnswers(self._samples.copy())
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self.backend.capabilities
+
+    def close(self) -> None:
+        self.backend.close()
+
+    def completed(self) -> int:
+        return self.backend.completed()
+
+    def begin_query(self, query: Id) -> None:
+        self.backend.begin_query(query)
+        self._uses[query] += 1
+
+    def write_query(self, query: Id) -> None:
+        self.backend.write_query(query)
+        self._uses[query] += 1
+
+    def read_query(self, query: Id) -> int | None:
+        answer = self.backend.read_query(query)
+        if answer is not None:
+            self._samples[query, self._uses[query] - 1] = answer
+        return answer

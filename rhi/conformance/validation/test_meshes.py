@@ -1,0 +1,108 @@
+"""Rules of meshes."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhi import (
+    Device,
+    rules,
+)
+from rhi.conformance.shaders import Corner
+from rhi.conformance.shapes import rectangle
+from rhi.conformance.validation.refusal import refuses
+
+SIZE = (4, 4)
+
+
+@pytest.mark.parametrize(
+    "vertices",
+    [
+        np.zeros((4, 3), "f4"),
+        np.zeros(4, "f4"),
+        np.zeros(0, Corner.dtype),
+        np.zeros((2, 2), Corner.dtype),
+        {},
+    ],
+    ids=["plain", "flat", "empty", "2d", "no arrays"],
+)
+def test_vertices_are_named_and_in_a_row(recording: Device, vertices: Any) -> None:
+    with refuses(rules.MESH_DATA, recording):
+        recording.mesh(vertices)
+
+
+def test_arrays_of_a_mesh_have_one_length(recording: Device) -> None:
+    with refuses(rules.MESH_DATA, recording):
+        recording.mesh({"position": np.zeros((4, 4)), "color": np.zeros((3, 4))})
+    recording.mesh({"position": np.zeros((4, 4)), "color": np.zeros((4, 4))}).destroy()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_vertices_are_finite(recording: Device, value: float) -> None:
+    rows = rectangle()
+    rows["position"][3, 1] = value
+    with refuses(rules.MESH_DATA, recording) as refusal:
+        recording.mesh(rows)
+    assert "position[3]" in str(refusal.error)
+    recording.mesh(rectangle()).destroy()
+
+
+@pytest.mark.parametrize("count", [0, -1])
+def test_a_mesh_without_attributes_has_vertices(recording: Device, count: int) -> None:
+    with refuses(rules.MESH_DATA, recording):
+        recording.mesh(count)
+    recording.mesh(1).destroy()
+
+
+def test_a_buffer_of_vertices_has_fields(recording: Device) -> None:
+    with recording.buffer(np.zeros(12, "f4")) as buffer, refuses(rules.MESH_DATA, recording):
+        recording.mesh(buffer)
+
+
+@pytest.mark.parametrize(
+    "indices",
+    [
+        np.array([0, 1, 6]),
+        np.array([0, 1, -1]),
+        np.array([0.0, 1.0, 2.0]),
+        np.zeros(0, "u2"),
+        np.array([0, 1, 6], "u2"),
+    ],
+    ids=["beyond", "negative", "float", "empty", "beyond uint16"],
+)
+def test_indices_point_to_vertices(recording: Device, indices: Any) -> None:
+    with refuses(rules.MESH_INDEX, recording):
+        recording.mesh(rectangle(), indices)
+    recording.mesh(rectangle(), np.array([0, 1, 5])).destroy()
+    recording.mesh(rectangle(), np.array([0, 0xFFFF, 5], "u2")).destroy()
+
+
+def test_a_buffer_of_indices_has_16_or_32_bits(recording: Device) -> None:
+    for dtype, fits in (("u1", False), ("i4", False), ("f4", False), ("u2", True), ("u4", True)):
+        with recording.buffer(np.zeros(3, dtype)) as buffer:
+            if fits:
+                recording.mesh(rectangle(), buffer).destroy()
+            else:
+                with refuses(rules.MESH_INDEX, recording):
+                    recording.mesh(rectangle(), buffer)
+
+
+@pytest.mark.parametrize(("first", "count"), [(0, 7), (6, 1), (-1, 1), (0, -1), (7, 0)])
+def test_a_view_lies_in_its_mesh(recording: Device, first: int, count: int) -> None:
+    with recording.mesh(rectangle()) as mesh:
+        with refuses(rules.MESH_RANGE, recording):
+            mesh.view(first, count)
+        mesh.view(0, 6)
+        mesh.view(6, 0)
+
+
+def test_a_base_vertex_needs_indices(recording: Device) -> None:
+    with recording.mesh(rectangle()) as mesh, refuses(rules.MESH_RANGE, recording):
+        mesh.view(base_vertex=1)
+    with recording.mesh(rectangle(), np.array([0, 1, 2])) as mesh:
+        mesh.view(base_vertex=1)
+        with refuses(rules.MESH_RANGE, recording):
+            mesh.view(base_instance=-1)

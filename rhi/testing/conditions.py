@@ -1,0 +1,221 @@
+"""Conditions on a command. Each can say what it wants and what a command has instead, so that a failed
+expectation can show the commands that came nearest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from rhi.command_text import describe
+from rhi.commands import Command
+from rhi.descriptors import Binding, Id, ProgramDescriptor
+from rhi.ops import DRAWS, Op
+from rhi.states import MAX_TARGETS, PER_TARGET
+
+
+class Condition(Protocol):
+    """Something that holds for a command or doesn't."""
+
+    def miss(self, command: Command) -> str:
+        """What is different about the command; empty if the condition holds."""
+
+    def __str__(self) -> str:
+        """What is wanted."""
+
+
+@dataclass(frozen=True)
+class IsOp:
+    """The command is one of these."""
+
+    ops: frozenset[Op]
+
+    def miss(self, command: Command) -> str:
+        return "" if command.op in self.ops else f"it is a {command.op.method}"
+
+    def __str__(self) -> str:
+        return "draws" if self.ops == DRAWS else " or ".join(op.method for op in sorted(self.ops))
+
+
+@dataclass(frozen=True)
+class Within:
+    """The command lies in these labels, nested in this order, whatever lies between."""
+
+    labels: tuple[str, ...]
+
+    def miss(self, command: Command) -> str:
+        open_labels = iter(command.labels)
+        if all(label in open_labels for label in self.labels):  # each is searched after the one before
+            return ""
+        return f"its labels are {' / '.join(command.labels) or 'none'}"
+
+    def __str__(self) -> str:
+        return f"within {' / '.join(self.labels)}"
+
+
+@dataclass(frozen=True)
+class Arguments:
+    """The command's arguments equal these; `pytest.approx` gives a tolerance."""
+
+    wanted: Mapping[str, object]
+
+    def miss(self, command: Command) -> str:
+        given = command.arguments
+        wrong = [
+            f"{name} is {describe(given[name])}" if name in given else f"it has no {name}"
+            for name, value in self.wanted.items()
+            if name not in given or given[name] != value
+        ]
+        return ", ".join(wrong)
+
+    def __str__(self) -> str:
+        return "with " + ", ".join(f"{name}={describe(value)}" for name, value in self.wanted.items())
+
+
+@dataclass(frozen=True)
+class Uses:
+    """The bound program is this one: by its object, its id, or its shader's name."""
+
+    program: object
+
+    def miss(self, command: Command) -> str:
+        bound = command.program
+        name = name_program(command, bound)
+        wanted = self.program
+        if isinstance(wanted, str):
+            fits = wanted in (name, name.rpartition(".")[2])
+        else:
+            fits = bound == getattr(wanted, "id", wanted)
+        return "" if fits else f"its program is {name or 'none'}"
+
+    def __str__(self) -> str:
+        wanted = self.program
+        shown = wanted if isinstance(wanted, str) else getattr(wanted, "name", wanted)
+        return f"of program {shown!r}"
+
+
+@dataclass(frozen=True)
+class HasStates:
+    """These states hold; their numbers within a tolerance."""
+
+    states: tuple[object, ...]
+    tolerance: float
+
+    def miss(self, command: Command) -> str:
+        held = command.states
+        wrong = [
+            f"{type(state).__name__} is {describe(found)}"
+            for state in self.states
+            for found in self._held(held, state)
+            if not is_near(found, state, self.tolerance)
+        ]
+        return ", ".join(dict.fromkeys(wrong))
+
+    @staticmethod
+    def _held(held: Mapping[type, object], state: object) -> Iterable[object]:
+        """What holds in place of `state`: one value, or those of the targets it is for."""
+        value: Any = held.get(type(state))
+        if type(state) not in PER_TARGET:
+            return (value,)
+        target = getattr(state, "target", None)
+        return value[:MAX_TARGETS] if target is None else (value[target],)
+
+    def __str__(self) -> str:
+        return "with " + ", ".join(map(describe, self.states))
+
+
+@dataclass(frozen=True)
+class HasBindings:
+    """The bound program reads these resources, by the names of its bindings."""
+
+    wanted: Mapping[str, object]
+
+    def miss(self, command: Command) -> str:
+        bound = command.bindings
+        wrong = []
+        for name, value in self.wanted.items():
+            if name not in bound:
+                names = ", ".join(binding.name for binding in bindings_of(command))
+                wrong.append(f"nothing is bound as {name} (the program's bindings: {names or 'none'})")
+            elif not self._fits(command, bound[name], value):
+                wrong.append(f"{name} is {describe_resource(command, bound[name][0])}{list(bound[name][1:])}")
+        return ", ".join(wrong)
+
+    @staticmethod
+    def _fits(command: Command, bound: tuple[int, ...], wanted: Any) -> bool:
+        """A label or an id names a resource; a range must be the bound one, a whole buffer or texture only
+        the owner of what is bound."""
+        resource = bound[0]
+        if isinstance(wanted, str):
+            return getattr(command.resource(resource), "label", None) == wanted
+        if isinstance(wanted, int):
+            return resource == wanted
+        if getattr(wanted, "owner", wanted) is wanted and hasattr(wanted, "id"):
+            return resource == int(wanted.id)
+        if hasattr(wanted, "buffer") and hasattr(wanted, "offset"):
+            return bound[:2] == (int(wanted.buffer), int(wanted.offset))
+        if hasattr(wanted, "sampler"):
+            return bound == (int(wanted.texture), int(wanted.sampler))
+        layer = -1 if wanted.layer is None else wanted.layer
+        return bound == (int(wanted.texture), int(wanted.level), layer)
+
+    def __str__(self) -> str:
+        return "with " + ", ".join(f"{name}={value!r}" for name, value in self.wanted.items()) + " bound"
+
+
+@dataclass(frozen=True)
+class Where:
+    """A predicate of one's own, with a name for messages."""
+
+    name: str
+    predicate: Callable[[Command], bool]
+
+    def miss(self, command: Command) -> str:
+        return "" if self.predicate(command) else f"not {self.name}"
+
+    def __str__(self) -> str:
+        return self.name
+
+
+def is_near(found: object, wanted: object, tolerance: float) -> bool:
+    """Equal, numbers within `tolerance`; the target of a per-target state is left out of account."""
+    if type(found) is not type(wanted):
+        return False
+    if isinstance(wanted, enum.Enum) or not dataclasses.is_dataclass(wanted):
+        return found == wanted
+    for field in dataclasses.fields(wanted):
+        if field.name == "target":
+            continue
+        a, b = getattr(found, field.name), getattr(wanted, field.name)
+        if isinstance(b, float) and isinstance(a, (int, float)):
+            if not math.isclose(a, b, rel_tol=0.0, abs_tol=tolerance):
+                return False
+        elif isinstance(b, int) and not isinstance(b, bool) and isinstance(a, (int, float)):
+            if abs(a - b) > tolerance:
+                return False
+        elif a != b:
+            return False
+    return True
+
+
+def bindings_of(command: Command) -> tuple[Binding, ...]:
+    """The bindings of the bound program."""
+    program = command.resource(command.program)
+    return program.bindings if isinstance(program, ProgramDescriptor) else ()
+
+
+def name_program(command: Command, program: Id) -> str:
+    """A program's name, "" if it isn't known."""
+    descriptor = command.resource(program)
+    return descriptor.name if isinstance(descriptor, ProgramDescriptor) else ""
+
+
+def describe_resource(command: Command, resource: Id) -> str:
+    """A resource in a message: its label or name if it has one, and its id."""
+    descriptor = command.resource(resource)
+    label = getattr(descriptor, "label", "") or getattr(descriptor, "name", "")
+    return f"{label!r} (id {resource})" if label and isinstance(label, str) else f"id {resource}"

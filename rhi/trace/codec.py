@@ -1,0 +1,219 @@
+"""Values to JSON and back, by the types that `Backend`'s signatures and the descriptors' fields declare.
+
+- The contract is the schema: an argument is written without a tag and read back as its declared type, and
+  nothing else; so a file can't make anything but integers, enums and descriptors.
+- An enum is its member's name, a descriptor an object of its fields, a tuple an array. A field that a file lacks
+  takes its default, so that descriptors may get fields without a new version.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import types
+from collections.abc import Sequence
+from functools import cache
+from typing import Any, Final, Union, get_args, get_origin, get_type_hints
+
+from rhi.backend import Backend
+from rhi.descriptors import (
+    Attribute,
+    Binding,
+    ProgramDescriptor,
+    Stage,
+)
+from rhi.errors import RhiError, ShaderError
+from rhi.ops import Op
+from rhi.state_cache import StateChange
+from rhi.states import MAX_TARGETS, PER_TARGET, STATE_TYPES
+from rhi.trace.rules import TRACE_SOURCE
+
+__rhi_internal__ = True
+
+LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
+"""In which a program's stages are saved, as far as they can be had in them."""
+
+_STATES: Final = {state_type.__name__: state_type for state_type in STATE_TYPES}
+
+
+class MismatchError(Exception):
+    """What was read isn't of the declared type; the text says where and what."""
+
+
+@cache
+def argument_types(op: Op) -> dict[str, Any]:
+    """The declared types of a command's arguments."""
+    hints = get_type_hints(getattr(Backend, op.method))
+    return {name: hints[name] for name in op.parameters}
+
+
+@cache
+def field_types(cls: type) -> dict[str, Any]:
+    """The declared types of a descriptor's fields."""
+    hints = get_type_hints(cls)
+    return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
+
+
+# -- writing -------------------------------------------------------------------------------------------------
+
+
+def encode(value: Any) -> Any:
+    """A value of the contract as JSON; memory and programs' sources are kept elsewhere."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, StateChange):
+        return {"type": value.type.__name__, "value": encode(value.value)}
+    if isinstance(value, (tuple, list)):
+        return [encode(part) for part in value]
+    if isinstance(value, (frozenset, set)):
+        return sorted(encode(part) for part in value)
+    if isinstance(value, ProgramDescriptor):
+        left_out = {"emit", "lines"}
+        fields = [field.name for field in dataclasses.fields(value) if field.name not in left_out]
+        return {name: encode(getattr(value, name)) for name in fields}
+    if isinstance(value, (Binding, Attribute)):
+        fields = [field.name for field in dataclasses.fields(value) if field.name != "type"]
+        name = getattr(value.type, "__name__", None) or str(value.type)
+        return {field: encode(getattr(value, field)) for field in fields} | {"type": name}
+    if dataclasses.is_dataclass(value):
+        return {field.name: encode(getattr(value, field.name)) for field in dataclasses.fields(value)}
+    return value.item()  # a NumPy number
+
+
+# -- reading -------------------------------------------------------------------------------------------------
+
+
+def decode(wanted: Any, given: Any, where: str) -> Any:
+    """`given` as the type `wanted`.
+
+    Raises:
+        MismatchError: it isn't.
+    """
+    origin = get_origin(wanted)
+    if origin in (Union, types.UnionType):
+        return _decode_optional(wanted, given, where)
+    if origin in (tuple, frozenset, Sequence):
+        return _decode_sequence(origin, get_args(wanted), given, where)
+    if wanted is StateChange:
+        return _decode_change(given, where)
+    if wanted is ProgramDescriptor:
+        return _decode_program(given, where)
+    if isinstance(wanted, type) and issubclass(wanted, enum.Enum):
+        if not isinstance(given, str) or given not in wanted.__members__:
+            raise MismatchError(f"{where}: {_show(given)} is no {wanted.__name__}")
+        return wanted[given]
+    if dataclasses.is_dataclass(wanted):
+        return _decode_dataclass(wanted, given, where)  # type: ignore[arg-type]
+    if wanted is float:
+        fits = isinstance(given, (int, float)) and not isinstance(given, bool)
+    elif wanted is int:
+        fits = isinstance(given, int) and not isinstance(given, bool) and abs(given) < 1 << 63
+    elif wanted is object:
+        fits = isinstance(given, str)
+    else:
+        fits = isinstance(given, wanted)
+    if not fits:
+        raise MismatchError(f"{where}: {_show(given)} is no {getattr(wanted, '__name__', wanted)}")
+    return given
+
+
+def _decode_optional(wanted: Any, given: Any, where: str) -> Any:
+    options = get_args(wanted)
+    if given is None and type(None) in options:
+        return None
+    rest = [option for option in options if option is not type(None)]
+    return decode(rest[0], given, where)
+
+
+def _decode_sequence(origin: Any, parts: tuple[Any, ...], given: Any, where: str) -> Any:
+    if not isinstance(given, list):
+        raise MismatchError(f"{where}: {_show(given)} is no array")
+    if origin is tuple and not (len(parts) == 2 and parts[1] is Ellipsis):
+        if len(given) != len(parts):
+            raise MismatchError(f"{where}: {len(given)} values instead of {len(parts)}")
+        return tuple(decode(part, value, where) for part, value in zip(parts, given, strict=True))
+    values = [decode(parts[0], value, f"{where}[{index}]") for index, value in enumerate(given)]
+    return frozenset(values) if origin is frozenset else tuple(values)
+
+
+def _decode_dataclass(cls: type, given: Any, where: str) -> Any:
+    hints = field_types(cls)
+    if not isinstance(given, dict):
+        raise MismatchError(f"{where}: {_show(given)} is no {cls.__name__}")
+    for name in given:
+        if name not in hints:
+            raise MismatchError(f"{where}: a {cls.__name__} has no {name!r}")
+    values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in given.items()}
+    try:
+        return cls(**values)
+    except (TypeError, RhiError) as error:
+        raise MismatchError(f"{where}: {str(error).splitlines()[0]}") from None
+
+
+def _decode_change(given: Any, where: str) -> StateChange:
+    if not isinstance(given, dict) or given.keys() != {"type", "value"} or given["type"] not in _STATES:
+        raise MismatchError(f"{where}: {_show(given)} is no change of a state")
+    state_type = _STATES[given["type"]]
+    if state_type in PER_TARGET:
+        wanted: Any = tuple.__class_getitem__((state_type,) * MAX_TARGETS)
+    else:
+        wanted = state_type
+    return StateChange(state_type, decode(wanted, given["value"], f"{where}.value"))
+
+
+def _decode_program(given: Any, where: str) -> ProgramDescriptor:
+    if not isinstance(given, dict):
+        raise MismatchError(f"{where}: {_show(given)} is no program")
+    hints = {name: hint for name, hint in field_types(ProgramDescriptor).items() if name not in ("emit", "lines")}
+    required = {
+        field.name for field in dataclasses.fields(ProgramDescriptor)
+        if field.name in hints and field.default is dataclasses.MISSING
+    }  # fmt: skip
+    if not required <= given.keys() <= hints.keys():
+        raise MismatchError(f"{where}: a program has {', '.join(hints)}")
+    values = {name: decode(hints[name], value, f"{where}.{name}") for name, value in given.items()}
+    return ProgramDescriptor(**values, emit=Sources(values["name"]).emit)
+
+
+def _show(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) < 60 else f"{text[:57]}…"
+
+
+class Sources:
+    """A loaded program's texts, in place of the shader class that wrote them."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.texts: dict[tuple[str, Stage], str] = {}
+
+    def emit(self, language: str, stage: Stage) -> str:
+        """As `ProgramDescriptor.emit`.
+
+        Raises:
+            ShaderError: `trace-source` if the trace has none in this language.
+        """
+        text = self.texts.get((language, stage))
+        if text is None:
+            had = ", ".join(sorted({language for language, _ in self.texts})) or "none"
+            raise ShaderError(TRACE_SOURCE, f"program {self.name!r}, {stage.value} stage", language, had)
+        return text
+
+
+def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
+    """A program's texts in the languages that it can be had in."""
+    found: dict[tuple[str, Stage], str] = {}
+    for language in LANGUAGES:
+        for stage in descriptor.stages:
+            try:
+                found[language, stage] = descriptor.emit(language, stage)
+            except RhiError:  # there is none, such as an OpenCL kernel of a vertex stage
+                continue
+    return found
+
+
+__all__ = [
+    "LANGUAGES", "MismatchError", "Sources", "argument_types", "decode", "encode", "sources_of",
+]  # fmt: skip

@@ -1,0 +1,227 @@
+"""`diff`: what two traces do differently, aligned by labels.
+
+- Labels make a tree. Children of a label are aligned with those of the label that stands for it on the other
+  side, so a command that is missing in one pass doesn't shift the comparison of the next.
+- Ids are compared by what they stand for (kind, label or descriptor, which of several), so one more texture at
+  the start doesn't change every later command. A program is its name and its sources.
+- Commands of the same kind that stand in each other's place are one change, told by the arguments that differ.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, overload
+
+import numpy as np
+
+from rhi.command_text import describe
+from rhi.commands import Command, CommandStream
+from rhi.descriptors import Id, ProgramDescriptor
+from rhi.device import Device
+from rhi.ops import Op
+from rhi.trace.align import align
+from rhi.trace.codec import encode, sources_of
+from rhi.trace.file import Trace
+from rhi.trace.ids import ID_ARGUMENTS
+
+__rhi_internal__ = True
+
+Source = Trace | Device | CommandStream
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One command that is only in one trace, or two that stand in each other's place.
+
+    Attributes:
+        labels: where, outermost first.
+        a, b: the command in each trace, None where there is none.
+        changes: for two commands, "argument: value in a → value in b".
+    """
+
+    labels: tuple[str, ...]
+    a: Command | None
+    b: Command | None
+    changes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        if self.a is not None and self.b is not None:
+            return f"~ {self.a.index:>6}  {self.a.op.method}: {', '.join(self.changes)}  {self.b.site or ''}"
+        command = self.a or self.b
+        assert command is not None
+        return f"{'-' if self.b is None else '+'} {command.index:>6}  {command}"
+
+
+class Differences(Sequence[Difference]):
+    """All differences in order; false if there are none. As text they stand under their labels."""
+
+    def __init__(self, items: list[Difference]) -> None:
+        self._items = items
+
+    def __len__(self) -> int:
+        return len(self._items)
+
+    @overload
+    def __getitem__(self, index: int) -> Difference: ...
+    @overload
+    def __getitem__(self, index: slice) -> Differences: ...
+    def __getitem__(self, index: int | slice) -> Difference | Differences:
+        return Differences(self._items[index]) if isinstance(index, slice) else self._items[index]
+
+    def __str__(self) -> str:
+        lines: list[str] = []
+        place: tuple[str, ...] | None = None
+        for item in self._items:
+            if item.labels != place:
+                place = item.labels
+                lines.append(" / ".join(place) or "(no label)")
+            lines.append(f"  {item}")
+        return "\n".join(lines) or "no differences"
+
+
+def diff(a: Source, b: Source) -> Differences:
+    """What `b` does differently from `a`."""
+    left, right = _Side(_stream(a)), _Side(_stream(b))
+    found: list[Difference] = []
+    _compare(left, right, left.root, right.root, (), found)
+    return Differences(found)
+
+
+def _stream(source: Source) -> CommandStream:
+    return source.stream if isinstance(source, (Trace, Device)) else source
+
+
+@dataclass(slots=True)
+class _Node:
+    """A label: its children, each a command or another label, and what each of them is compared by."""
+
+    index: int
+    keys: list[Hashable] = field(default_factory=list)
+    items: list[int | _Node] = field(default_factory=list)
+
+
+class _Side:
+    """One trace, ready to be compared."""
+
+    def __init__(self, stream: CommandStream) -> None:
+        self.stream = stream
+        self.names: dict[Id, str] = {}
+        self._seen: Counter[Hashable] = Counter()
+        self._keys: dict[Hashable, Hashable] = {}
+        self.root = _Node(-1)
+        path = [self.root]
+        for index in range(len(stream)):
+            op, values, _, _ = stream.entry(index)
+            if op is Op.PUSH_LABEL:
+                node = _Node(index)
+                path[-1].keys.append(("label", values[0]))
+                path[-1].items.append(node)
+                path.append(node)
+            elif op is Op.POP_LABEL and len(path) > 1:
+                path.pop()
+            else:
+                path[-1].keys.append(self._key(op, values, stream.failures.get(index)))
+                path[-1].items.append(index)
+
+    def _key(self, op: Op, values: tuple[Any, ...], failure: object) -> Hashable:
+        """What a command is compared by; equal ones are worked out once."""
+        if op.method.startswith("create_"):
+            made = (op, self.normalize(values[1]))
+            self._seen[made] += 1
+            label = getattr(values[1], "label", "") or getattr(values[1], "name", "")
+            kind = op.method.removeprefix("create_").replace("_", " ")
+            shown = repr(label) if label and isinstance(label, str) else "without a label"
+            self.names[values[0]] = f"{kind} {shown} #{self._seen[made]}"
+            return (*made, self._seen[made], failure)
+        key = self._keys.get((op, values, failure))
+        if key is None:
+            places = ID_ARGUMENTS[op]
+            parts = (self.name(v) if i in places else self.normalize(v) for i, v in enumerate(values))
+            key = self._keys[op, values, failure] = (op, *parts, failure)
+        return key
+
+    def name(self, resource: Id) -> str:
+        return self.names.get(resource, f"id {resource}") if resource else "none"
+
+    def normalize(self, value: Any) -> Hashable:
+        """A value with names in place of ids."""
+        if isinstance(value, ProgramDescriptor):
+            texts = sorted((language, stage.value, text) for (language, stage), text in sources_of(value).items())
+            return repr(encode(value)), tuple(texts)
+        if type(value) is tuple:
+            return tuple(map(self.normalize, value))
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            fields = dataclasses.fields(value)
+            return (type(value), *(
+                self.name(getattr(value, f.name)) if f.type == "Id" else self.normalize(getattr(value, f.name))
+                for f in fields
+            ))  # fmt: skip
+        hashable: Hashable = value
+        return hashable
+
+
+def _compare(
+    left: _Side, right: _Side, a: _Node, b: _Node, labels: tuple[str, ...], found: list[Difference]
+) -> None:
+    """The differences between the children of two labels."""
+    x = y = 0
+    for next_x, next_y in [*align(a.keys, b.keys), (len(a.keys), len(b.keys))]:
+        _tell(left, right, a.items[x:next_x], b.items[y:next_y], labels, found)
+        if next_x < len(a.keys):
+            one, other = a.items[next_x], b.items[next_y]
+            if isinstance(one, _Node) and isinstance(other, _Node):
+                label = left.stream.entry(one.index)[1][0]
+                _compare(left, right, one, other, (*labels, label), found)
+        x, y = next_x + 1, next_y + 1
+
+
+def _tell(
+    left: _Side, right: _Side, removed: list[int | _Node], added: list[int | _Node], labels: tuple[str, ...],
+    found: list[Difference],
+) -> None:  # fmt: skip
+    """What lies between two things that agree: changes where kinds agree, else removals, then additions."""
+    a = [Command(left.stream, _index(item)) for item in removed]
+    b = [Command(right.stream, _index(item)) for item in added]
+    x = y = 0
+    for next_x, next_y in [*align([c.op for c in a], [c.op for c in b]), (len(a), len(b))]:
+        found.extend(Difference(labels, command, None) for command in a[x:next_x])
+        found.extend(Difference(labels, None, command) for command in b[y:next_y])
+        if next_x < len(a):
+            one, other = a[next_x], b[next_y]
+            found.append(Difference(labels, one, other, tuple(_changes(left, right, one, other))))
+        x, y = next_x + 1, next_y + 1
+
+
+def _index(item: int | _Node) -> int:
+    return item.index if isinstance(item, _Node) else item
+
+
+def _changes(left: _Side, right: _Side, a: Command, b: Command) -> list[str]:
+    changes = []
+    for (name, annotation), old, new in zip(a.op.parameters.items(), a.values, b.values, strict=True):
+        if annotation == "Id":
+            if a.op.method.startswith("create_"):
+                continue
+            old, new = left.name(old), right.name(new)
+            if old != new:
+                changes.append(f"{name}: {old} → {new}")
+        elif isinstance(old, bytes) and isinstance(new, bytes):
+            if old != new:
+                changes.append(f"{name}: {_compare_bytes(old, new)}")
+        elif left.normalize(old) != right.normalize(new):
+            shown = describe(old), describe(new)
+            changes.append(f"{name}: {shown[0]} → {shown[1]}" if shown[0] != shown[1] else f"{name}: its contents")
+    if a.failure != b.failure:
+        failures = [command.failure.error if command.failure is not None else "none" for command in (a, b)]
+        changes.append(f"failure: {failures[0]} → {failures[1]}")
+    return changes or ["which of several like it"]
+
+
+def _compare_bytes(a: bytes, b: bytes) -> str:
+    if len(a) != len(b):
+        return f"{len(a)} bytes → {len(b)} bytes"
+    differs = np.flatnonzero(np.frombuffer(a, np.uint8) != np.frombuffer(b, np.uint8))
+    return f"{len(differs)} of {len(a)} bytes differ, the first at {differs[0]}"

@@ -1,0 +1,284 @@
+"""`save` and `load`: a stream of commands as a file (docs/traces.md describes it).
+
+- A loaded trace is a stream like any other: what can be asked of a recorded command can be asked of a loaded
+  one, its call site included.
+- What is loaded has been checked: types by `codec`, sizes and names by `archive`, and by `check` that each
+  command can be issued where it stands, since backends check nothing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass
+from os import PathLike
+from pathlib import Path
+from types import CodeType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.commands import Command, CommandStream, Failure
+from rhi.descriptors import ProgramDescriptor, Region, TextureDescriptor
+from rhi.device import Device
+from rhi.errors import refuse
+from rhi.ops import Op
+from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, Reader, Writer, source_name
+from rhi.trace.check import Checker
+from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of
+from rhi.trace.rules import (
+    TRACE_ARRAY,
+    TRACE_COMMAND,
+    TRACE_COUNT,
+    TRACE_FILE,
+    TRACE_INCOMPLETE,
+    TRACE_VERSION,
+)
+
+__rhi_internal__ = True
+
+FORMAT: Final = "rhi-trace"
+VERSION: Final = 1
+_OPS: Final = {op.method: op for op in Op}
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """A stream of commands from the making of a device on.
+
+    Attributes:
+        stream: the commands; ask of them what can be asked of a recorded stream.
+        backend: the backend's name where it was recorded, "" if that isn't known.
+    """
+
+    stream: CommandStream
+    backend: str = ""
+
+    def __len__(self) -> int:
+        return len(self.stream)
+
+    def keep(self, indices: list[int]) -> Trace:
+        """A trace of some of the commands, in order."""
+        kept = CommandStream()
+        for index in indices:
+            op, values, code, lasti = self.stream.entry(index)
+            failure = self.stream.failures.get(index)
+            kept.data.extend((op, *values, code, lasti))
+            if failure is not None:
+                kept.failures[len(kept) - 1] = failure
+        return Trace(kept, self.backend)
+
+
+def as_trace(source: Trace | Device | CommandStream) -> Trace:
+    """What was recorded, as a trace.
+
+    Raises:
+        ValidationError: `trace-incomplete` if the stream was cleared or its recording paused.
+    """
+    if isinstance(source, Trace):
+        return source
+    stream = source.stream if isinstance(source, Device) else source
+    if not stream.is_complete:
+        refuse(TRACE_INCOMPLETE, "rhi.trace", f"a stream of {len(stream)} commands that was cleared or paused")
+    return Trace(stream, source.backend_name if isinstance(source, Device) else "")
+
+
+# -- writing -------------------------------------------------------------------------------------------------
+
+
+def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> None:
+    """Write all that was recorded to a file. An existing file is replaced, and only by a whole one.
+
+    Raises:
+        ValidationError: `trace-incomplete` if the stream was cleared or its recording paused.
+    """
+    trace = as_trace(source)
+    with Writer(Path(path)) as writer:
+        numbers: dict[bytes, int] = {}  # arrays by digest: what is written each frame is kept once
+        sites: dict[tuple[str, int, str], int] = {}
+        lines = []
+        for command in trace.stream:
+            arguments = command.arguments
+            if command.op is Op.CREATE_PROGRAM:
+                for (language, stage), text in sources_of(arguments["descriptor"]).items():
+                    writer.write(source_name(arguments["program"], stage.value, language), text)
+            plain = {
+                name: _write_array(writer, numbers, command, value) if isinstance(value, bytes) else encode(value)
+                for name, value in arguments.items()
+            }
+            lines.append(json.dumps(_describe(command, plain, sites), separators=(",", ":")))
+        writer.write(COMMANDS, "".join(f"{line}\n" for line in lines))
+        header = {
+            "format": FORMAT, "version": VERSION, "backend": trace.backend, "commands": len(lines),
+            "sites": [list(site) for site in sites],
+        }  # fmt: skip
+        writer.write(HEADER, json.dumps(header))
+
+
+def _describe(command: Command, arguments: dict[str, Any], sites: dict[tuple[str, int, str], int]) -> dict[str, Any]:
+    line: dict[str, Any] = {"op": command.op.method, "arguments": arguments}
+    site = command.site
+    if site is not None:
+        line["site"] = sites.setdefault((site.file, site.line, site.function), len(sites))
+    if command.failure is not None:
+        line["failure"] = {"error": command.failure.error, "message": command.failure.message}
+    return line
+
+
+def _write_array(writer: Writer, numbers: dict[bytes, int], command: Command, data: bytes) -> int:
+    array: NDArray[Any] = np.frombuffer(data, np.uint8)
+    if command.op is Op.WRITE_TEXTURE:
+        texture, region = command.resource(command["texture"]), command["region"]
+        if isinstance(texture, TextureDescriptor) and len(data) == _texel_bytes(texture, region):
+            array = array.view(texture.format.dtype).reshape(_texel_shape(texture, region))
+    digest = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode() + data).digest()
+    if digest not in numbers:
+        numbers[digest] = len(numbers)
+        writer.write_array(numbers[digest], array)
+    return numbers[digest]
+
+
+def _texel_shape(texture: TextureDescriptor, region: Region) -> tuple[int, int, int, int]:
+    return region.layers, region.height, region.width, texture.format.channels
+
+
+def _texel_bytes(texture: TextureDescriptor, region: Region) -> int:
+    layers, height, width, channels = _texel_shape(texture, region)
+    return layers * height * width * channels * texture.format.dtype.itemsize
+
+
+# -- reading -------------------------------------------------------------------------------------------------
+
+
+def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES) -> Trace:
+    """Read a trace, whoever wrote it; `max_bytes` is the most it may take when unpacked.
+
+    Raises:
+        ValidationError: a rule `trace-…`: the file is damaged, too large, or no trace.
+        OSError: it can't be opened.
+    """
+    with Reader(Path(path), max_bytes) as reader:
+        return _Loader(reader).load()
+
+
+class _Loader:
+    """Reads one file."""
+
+    def __init__(self, reader: Reader) -> None:
+        self.reader = reader
+        self.stream = CommandStream()
+        self.checker = Checker()
+        self.arrays: dict[int, NDArray[Any]] = {}
+        self.sites: list[CodeType] = []
+
+    def load(self) -> Trace:
+        header = self._read_header()
+        lines = self.reader.read_text(COMMANDS).splitlines()
+        if len(lines) != header["commands"]:
+            self.reader.refuse(TRACE_COUNT, f"{len(lines)} commands", f"{header['commands']}, as its header says")
+        self.sites = [_make_code(*site) for site in header["sites"]]
+        for number, line in enumerate(lines, 1):
+            self._read_command(number, line)
+        return Trace(self.stream, header["backend"])
+
+    def _read_header(self) -> dict[str, Any]:
+        header = self._parse(HEADER, self.reader.read_text(HEADER))
+        if header.get("format") != FORMAT:
+            self.reader.refuse(TRACE_FILE, f"format {header.get('format')!r}", FORMAT)
+        version = header.get("version")
+        if type(version) is not int or not 1 <= version <= VERSION:
+            self.reader.refuse(TRACE_VERSION, f"version {version!r}", f"1 to {VERSION}")
+        try:
+            wanted: dict[str, Any] = {"backend": str, "commands": int, "sites": tuple[tuple[str, int, str], ...]}
+            return {name: decode(type, header.get(name), name) for name, type in wanted.items()}
+        except MismatchError as error:
+            self.reader.refuse(TRACE_FILE, f"{HEADER}: {error}", "what rhi.trace.save writes")
+
+    def _parse(self, where: str, text: str) -> dict[str, Any]:
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError) as error:
+            self.reader.refuse(TRACE_FILE, f"{where}: {error}", "a JSON object")
+        if not isinstance(value, dict):
+            self.reader.refuse(TRACE_FILE, f"{where}: a {type(value).__name__}", "a JSON object")
+        return value
+
+    def _read_command(self, number: int, text: str) -> None:
+        where = f"line {number} of {COMMANDS}"
+        line = self._parse(where, text)
+        try:
+            op = _OPS.get(line.get("op", ""))
+            if op is None or not isinstance(line.get("arguments"), dict):
+                raise MismatchError(f"op {line.get('op')!r}")
+            if line.keys() - {"op", "arguments", "site", "failure"}:
+                raise MismatchError(f"unknown: {', '.join(line.keys() - {'op', 'arguments', 'site', 'failure'})}")
+            code = None
+            if "site" in line:
+                site = decode(int, line["site"], "site")
+                if not 0 <= site < len(self.sites):
+                    raise MismatchError(f"site {site} of {len(self.sites)}")
+                code = self.sites[site]
+            failure = decode(Failure, line["failure"], "failure") if "failure" in line else None
+            arguments = line["arguments"]
+            types = argument_types(op)
+            if arguments.keys() != types.keys():
+                raise MismatchError(f"{op.method}({', '.join(arguments)}) instead of ({', '.join(types)})")
+            values: list[Any] = [
+                self._read_array(where, arguments[name]) if type is BytesLike
+                else decode(type, arguments[name], f"{op.method}.{name}")
+                for name, type in types.items()
+            ]  # fmt: skip
+        except (MismatchError, TypeError) as error:
+            self.reader.refuse(TRACE_COMMAND, f"{where}: {error}", "a method of rhi.Backend and its arguments")
+        if op is Op.CREATE_PROGRAM:
+            self._read_sources(values[0], values[1])
+        values = self._check(where, op, values, failure)
+        self.stream.data.extend((int(op), *values, code, 0))
+        if failure is not None:
+            self.stream.failures[number - 1] = failure
+
+    def _read_array(self, where: str, number: object) -> NDArray[Any]:
+        if type(number) is not int:
+            self.reader.refuse(TRACE_ARRAY, f"{where}: array {number!r}", "the number of an array")
+        if number not in self.arrays:
+            self.arrays[number] = self.reader.read_array(number)
+        return self.arrays[number]
+
+    def _read_sources(self, program: int, descriptor: ProgramDescriptor) -> None:
+        sources: Sources = descriptor.emit.__self__  # type: ignore[attr-defined]
+        for language in LANGUAGES:
+            for stage in descriptor.stages:
+                name = source_name(program, stage.value, language)
+                if name in self.reader:
+                    sources.texts[language, stage] = self.reader.read_text(name)
+
+    def _check(self, where: str, op: Op, values: list[Any], failure: Failure | None) -> list[Any]:
+        """The arguments as a backend gets them: memory as bytes."""
+        if op in (Op.WRITE_BUFFER, Op.WRITE_TEXTURE):
+            array = values[-1]
+            plain = array.dtype == np.uint8 and array.ndim == 1
+            if op is Op.WRITE_TEXTURE and not plain:
+                texture = self.checker.context.resources.get(values[0])
+                plain = (
+                    isinstance(texture, TextureDescriptor)
+                    and array.dtype == texture.format.dtype
+                    and array.shape == _texel_shape(texture, values[2])
+                )
+            if not plain:
+                self.reader.refuse(TRACE_ARRAY, f"{where}: {array.dtype} of shape {array.shape}",
+                                   "uint8 in one dimension, or the texels that the region has")  # fmt: skip
+            values = [*values[:-1], array.tobytes()]
+        self.checker.check(op, values, failure is not None, where, self.reader)
+        return values
+
+
+def _make_code(file: str, line: int, function: str) -> CodeType:
+    """A code object that a command can name as its caller: a call site is a code object and an offset."""
+    return _nowhere.__code__.replace(
+        co_filename=file, co_firstlineno=max(0, min(line, 1 << 30)), co_name=function, co_qualname=function
+    )
+
+
+def _nowhere() -> None: ...

@@ -1,0 +1,188 @@
+"""`reduce`: the smallest trace that still shows a fault (delta debugging: Zeller, Hildebrandt 2002).
+
+- Parts are left out, half of the commands first and single ones last, as long as the predicate holds.
+- What is left of a trace after each cut is made whole before it is tried: a resource takes along all that
+  uses it, a label, pass or query goes with both of its ends, and draws need their pass and program.
+- `write_test` writes the result as a pytest file that needs nothing but this package.
+"""
+
+from __future__ import annotations
+
+import ast
+import base64
+import inspect
+import textwrap
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import FunctionType
+from typing import Final
+
+from rhi.commands import CommandStream
+from rhi.descriptors import Stage
+from rhi.errors import RhiError, refuse
+from rhi.ops import DRAWS, Op
+from rhi.trace.file import Trace, save
+from rhi.trace.ids import ids_of
+from rhi.trace.rules import TRACE_PREDICATE
+
+__rhi_internal__ = True
+
+ATTEMPTS: Final = 2000
+_PAIRS: Final = {
+    Op.END_PASS: Op.BEGIN_PASS,
+    Op.POP_LABEL: Op.PUSH_LABEL,
+    Op.END_QUERY: Op.BEGIN_QUERY,
+    Op.END_CONDITIONAL: Op.BEGIN_CONDITIONAL,
+}
+_DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
+
+
+def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = ATTEMPTS) -> Trace:
+    """The smallest part of a trace, found in so many attempts, for which `predicate` still holds.
+
+    `predicate(trace)` says whether the fault is there: it looks at the commands, or replays them on a device
+    of its own. An error of this package in it means that it isn't.
+
+    Raises:
+        ValidationError: `trace-predicate` if the predicate doesn't hold for the whole trace.
+    """
+
+    def holds(indices: list[int]) -> bool:
+        try:
+            return bool(predicate(trace.keep(indices)))
+        except RhiError:
+            return False
+
+    parts = _Parts(trace.stream)
+    kept = list(range(len(trace)))
+    if not holds(kept):
+        refuse(TRACE_PREDICATE, "rhi.trace.reduce", f"a trace of {len(trace)} commands", "one that shows the fault")
+    size = max(1, len(kept) // 2)
+    while attempts > 0:
+        start, shrunk = 0, False
+        while start < len(kept) and attempts > 0:
+            candidate = parts.make_whole(kept[:start] + kept[start + size :])
+            if len(candidate) < len(kept):
+                attempts -= 1
+                if holds(candidate):
+                    kept, shrunk = candidate, True
+                    continue  # what follows has moved to `start`
+            start += size
+        if size == 1 and not shrunk:
+            break
+        size = max(1, size // 2)
+    return trace.keep(kept)
+
+
+class _Parts:
+    """How the commands of a stream hang together."""
+
+    def __init__(self, stream: CommandStream) -> None:
+        entries = [stream.entry(index)[:2] for index in range(len(stream))]
+        self.ops = [op for op, _ in entries]
+        self.values = [values for _, values in entries]
+        self.ids = [frozenset(ids_of(op, values)) for op, values in entries]
+        self.failed = stream.failures.keys()
+        self.partners: dict[int, int] = {}
+        opened: dict[Op, list[int]] = {op: [] for op in _PAIRS.values()}
+        for index, op in enumerate(self.ops):
+            if index in self.failed:
+                continue
+            if op in opened:
+                opened[op].append(index)
+            elif op in _PAIRS and opened[_PAIRS[op]]:
+                begin = opened[_PAIRS[op]].pop()
+                self.partners[begin], self.partners[index] = index, begin
+
+    def make_whole(self, indices: list[int]) -> list[int]:
+        """Those of the commands that can still be issued, in order."""
+        while True:
+            fitting = self._drop_unfit(indices)
+            if len(fitting) == len(indices):
+                return fitting
+            indices = fitting  # what was dropped may have been one end of a pair
+
+    def _drop_unfit(self, indices: list[int]) -> list[int]:
+        chosen = set(indices)
+        alive: set[int] = set()
+        stages: dict[int, frozenset[Stage]] = {}
+        signalled = {0}
+        in_pass, program = False, 0
+        result = []
+        for index in indices:
+            op, values, ids = self.ops[index], self.values[index], self.ids[index]
+            if index in self.partners and self.partners[index] not in chosen:
+                continue
+            creates = op.method.startswith("create_")
+            if not (ids - {values[0]} if creates else ids) <= alive:
+                continue
+            stage = Stage.VERTEX if op in DRAWS else Stage.COMPUTE if op in _DISPATCHES else None
+            if stage and not (program in alive and stage in stages[program] and in_pass is (op in DRAWS)):
+                continue
+            if op is Op.WAIT and values[0] not in signalled:
+                continue
+            result.append(index)
+            if index in self.failed:
+                continue
+            if creates:
+                alive.add(values[0])
+                stages[values[0]] = getattr(values[1], "stages", frozenset())
+            elif op is Op.DESTROY:
+                alive.discard(values[0])
+            elif op is Op.BIND_PROGRAM:
+                program = values[0]
+            elif op is Op.SIGNAL:
+                signalled.add(values[0])
+            in_pass = op is Op.BEGIN_PASS or (in_pass and op is not Op.END_PASS)
+        return result
+
+
+def write_test(trace: Trace, path: str | PathLike[str], predicate: Callable[[Trace], bool]) -> None:
+    """Write a pytest file that holds the trace and fails as long as the predicate holds.
+
+    `predicate` must be a function with a `def` of its own; the imports of its module that it uses are copied.
+
+    Raises:
+        ValidationError: `trace-predicate` if its source can't be had.
+    """
+    source, imports = _source_of(predicate)
+    name = predicate.__name__
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / "trace.zip"
+        save(trace, file)
+        text = base64.b85encode(file.read_bytes()).decode()
+    listing = str(trace.stream).replace("\\", "\\\\").replace('"""', "'''")
+    packed = "\n".join(f'    "{text[start : start + 100]}"' for start in range(0, len(text), 100))
+    lines = [
+        f'"""A trace of {len(trace)} commands that shows the fault that `{name}` looks for.\n\n{listing}\n"""',
+        "\n".join(["import base64", "", *imports, "", "from rhi.trace import load"]),
+        f"TRACE = (\n{packed}\n)",
+        source.rstrip(),
+        f"def test_{name}(tmp_path):\n"
+        '    file = tmp_path / "trace.zip"\n'
+        "    file.write_bytes(base64.b85decode(TRACE))\n"
+        f"    assert not {name}(load(file))",
+    ]
+    Path(path).write_text("\n\n\n".join(lines) + "\n")
+
+
+def _source_of(predicate: Callable[[Trace], bool]) -> tuple[str, list[str]]:
+    """A function's text, and the imports of its module whose names it uses."""
+    try:
+        if not isinstance(predicate, FunctionType) or predicate.__name__ == "<lambda>":
+            raise OSError("a function with a def is needed")
+        source = textwrap.dedent(inspect.getsource(predicate))
+        module = inspect.getmodule(predicate)
+        whole = ast.parse(inspect.getsource(module)) if module is not None else ast.parse("")
+    except (OSError, TypeError) as error:
+        refuse(TRACE_PREDICATE, "rhi.trace.write_test", f"{predicate!r}: {error}", "a function defined in a file")
+    used = {node.id for node in ast.walk(ast.parse(source)) if isinstance(node, ast.Name)}
+    imports = [
+        ast.unparse(node)
+        for node in whole.body
+        if isinstance(node, (ast.Import, ast.ImportFrom))
+        and any((alias.asname or alias.name.partition(".")[0]) in used for alias in node.names)
+    ]
+    return source, imports

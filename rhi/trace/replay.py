@@ -1,0 +1,239 @@
+"""`replay`: the commands of a trace, issued again on any device.
+
+- Resource ids and fence values are translated to those of the device, so it may have been used before and may
+  be used after: states that were set are put back, open passes and labels are closed.
+- Ring memory (`BufferUsage.STREAM`) becomes plain memory: a ring relies on the fences of the device it was
+  recorded on, which were passed there at other times. Plain writes are in order.
+- A call that failed when it was recorded is issued too; that it fails again is noted, not raised.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.commands import CommandStream, Failure
+from rhi.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
+from rhi.device import Device
+from rhi.errors import RhiError, refuse
+from rhi.ops import WIDTHS, Context, Op
+from rhi.rules import PASS_OPEN
+from rhi.state_cache import StateChange, default_values
+from rhi.states import STATE_TYPES
+from rhi.trace.file import Trace, as_trace
+from rhi.trace.fit import check_fit
+from rhi.trace.ids import ID_ARGUMENTS, map_ids
+
+__rhi_internal__ = True
+
+_CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
+_FOLLOWED: Final = frozenset({Op.SET_STATES, Op.BEGIN_PASS, Op.END_PASS, Op.PUSH_LABEL, Op.POP_LABEL})
+_PAIRED: Final = frozenset({
+    Op.DESTROY, Op.SIGNAL, Op.WAIT, Op.PRESENT, Op.BEGIN_QUERY, Op.END_QUERY, Op.BEGIN_CONDITIONAL,
+    Op.END_CONDITIONAL,
+})  # fmt: skip
+
+
+@dataclass
+class Replay:
+    """What came of a replay.
+
+    Attributes:
+        image: what was presented last, (height, width, channels) of the format's dtype, top row first; None if
+            nothing was.
+        ids: the device's ids of the trace's resources that are alive; they live until the device is closed.
+        failures: for each call that was recorded as failed, by its index, how it failed now; None if it didn't.
+        commands: how many were issued.
+    """
+
+    image: NDArray[np.generic] | None = None
+    ids: dict[Id, Id] = field(default_factory=dict)
+    failures: dict[int, Failure | None] = field(default_factory=dict)
+    commands: int = 0
+
+
+def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
+    """Issue a trace's commands on the device `on`.
+
+    Raises:
+        ValidationError: `trace-capability` if the device lacks what the trace needs, `trace-incomplete` for a
+            stream without its beginning, `pass-open` inside a render pass; nothing was issued then.
+        RhiError: what a command raised that didn't when it was recorded; a note says which.
+    """
+    trace = as_trace(source)
+    core = on._core
+    core.check_open()
+    if core.render_pass is not None:
+        refuse(PASS_OPEN, "rhi.trace.replay", "a device with an open render pass")
+    stream = trace.stream
+    check_fit(stream, on.capabilities)
+    player = _Player(stream, on)
+    try:
+        player.play()
+    finally:
+        player.restore()
+    return player.result
+
+
+class _Player:
+    """One replay."""
+
+    def __init__(self, stream: CommandStream, device: Device) -> None:
+        self.stream = stream
+        self.core = device._core
+        self.result = Replay()
+        self.context = Context()
+        self.fences: dict[int, int] = {0: 0}
+        self.open_query: Id = 0
+        self.conditional = False
+        self.before = self.core.states.hardware.values
+        presents = stream.filter(Op.PRESENT, where=lambda command: bool(command["texture"]))
+        self.presents_left = len(presents)
+        self.methods: list[Callable[..., Any]] = [getattr(self.core.backend, op.method) for op in Op]
+
+    def play(self) -> None:
+        """Issue all commands."""
+        core, ids, stream, methods = self.core, self.result.ids, self.stream, self.methods
+        core.program = None
+        self.set_states(self.before, default_values())
+        own = {
+            Op.DESTROY: self.destroy, Op.SIGNAL: self.signal, Op.WAIT: self.wait, Op.PRESENT: self.present,
+            Op.BEGIN_QUERY: self.begin_query, Op.END_QUERY: self.end_query,
+            Op.BEGIN_CONDITIONAL: self.begin_conditional, Op.END_CONDITIONAL: self.end_conditional,
+            Op.DRAW_INDIRECT: self.draw_indirect,
+        }  # fmt: skip
+        handlers: list[Callable[[Op, list[Any]], None] | None] = [
+            self.create if op in _CREATIONS else self.follow if op in _FOLLOWED else own.get(op) for op in Op
+        ]
+        failures, data, ops = stream.failures, stream.data, tuple(Op)
+        plain = [
+            (method, handler, WIDTHS[op] - 2, *(ID_ARGUMENTS[op] + (-1, -1))[:2])
+            for op, method, handler in zip(Op, methods, handlers, strict=True)
+        ]  # DRAW_INDIRECT alone has more than two ids
+        place, end, index = 0, len(data), 0
+        try:
+            while place < end:
+                op = data[place]
+                method, handler, width, first, second = plain[op]
+                values = data[place + 1 : place + width]
+                if failures and index in failures:
+                    self.fail_again(index, ops[op], values)
+                elif handler is not None:
+                    handler(ops[op], values)
+                else:
+                    if first >= 0:
+                        values[first] = ids[values[first]]
+                    if second >= 0 and values[second]:  # 0 is none
+                        values[second] = ids[values[second]]
+                    method(*values)
+                place += width + 2
+                index += 1
+        except Exception as error:
+            error.add_note(f"while replaying command {index}: {stream[index]}")
+            raise
+        self.result.commands = index
+
+    def restore(self) -> None:
+        """Close what the trace left open, and put back the states that held before."""
+        backend, context = self.core.backend, self.context
+        self.core.program = None
+        if self.conditional:
+            backend.end_conditional()
+        if self.open_query:
+            backend.end_query(self.open_query)
+        if context.render_pass is not None:
+            backend.end_pass()
+        for _ in context.labels:
+            backend.pop_label()
+        self.set_states(tuple(context.states.values()), self.before)
+
+    def set_states(self, held: Sequence[object], wanted: Sequence[object]) -> None:
+        """Change the states that differ; both in the order of `STATE_TYPES`."""
+        changes = [
+            StateChange(state_type, new)
+            for state_type, old, new in zip(STATE_TYPES, held, wanted, strict=True)
+            if old != new
+        ]
+        if changes:
+            self.core.backend.set_states(changes)
+
+    # -- commands that aren't issued as they are -----------------------------------------------------------
+
+    def create(self, op: Op, values: list[Any]) -> None:
+        recorded, descriptor = values
+        new = self.core.new_id()
+        if isinstance(descriptor, BufferDescriptor):
+            descriptor = dataclasses.replace(descriptor, usage=BufferUsage.STATIC)
+        self.methods[op](new, map_ids(descriptor, self.result.ids.__getitem__))
+        self.result.ids[recorded] = new
+        self.context.follow(op, values)
+
+    def destroy(self, op: Op, values: list[Any]) -> None:
+        self.core.backend.destroy(self.result.ids.pop(values[0]))
+
+    def follow(self, op: Op, values: list[Any]) -> None:
+        """Passes, states and labels."""
+        self.methods[op](*(map_ids(value, self.result.ids.__getitem__) for value in values))
+        self.context.follow(op, values)
+
+    def signal(self, op: Op, values: list[Any]) -> None:
+        self.fences[values[0]] = self.core.timeline.signal()
+
+    def wait(self, op: Op, values: list[Any]) -> None:
+        self.core.timeline.wait(self.fences[values[0]], values[1])
+
+    def draw_indirect(self, op: Op, values: list[Any]) -> None:
+        ids = self.result.ids
+        self.methods[op](*(ids[v] if v and i in ID_ARGUMENTS[op] else v for i, v in enumerate(values)))
+
+    def begin_query(self, op: Op, values: list[Any]) -> None:
+        self.open_query = self.result.ids[values[0]]
+        self.core.backend.begin_query(self.open_query)
+
+    def end_query(self, op: Op, values: list[Any]) -> None:
+        self.core.backend.end_query(self.open_query)
+        self.open_query = 0
+
+    def begin_conditional(self, op: Op, values: list[Any]) -> None:
+        self.core.backend.begin_conditional(self.result.ids[values[0]], values[1])
+        self.conditional = True
+
+    def end_conditional(self, op: Op, values: list[Any]) -> None:
+        self.core.backend.end_conditional()
+        self.conditional = False
+
+    def present(self, op: Op, values: list[Any]) -> None:
+        texture = self.result.ids[values[0]] if values[0] else 0
+        self.core.backend.present(texture)
+        self.presents_left -= bool(texture)
+        if texture and not self.presents_left:  # now, since later commands may draw to it
+            descriptor = self.context.resources[values[0]]
+            assert isinstance(descriptor, TextureDescriptor)
+            if descriptor.samples == 1:
+                whole = Region(0, 0, *descriptor.size)
+                self.result.image = self.core.backend.read_texture(texture, 0, whole, False)[0]
+
+    def fail_again(self, index: int, op: Op, values: list[Any]) -> None:
+        """Issue a call that failed. What holds open passes, states and labels together is left alone."""
+        if op in _FOLLOWED or op in _PAIRED:
+            return
+        ids = self.result.ids
+        try:
+            if op in _CREATIONS:
+                new = self.core.new_id()
+                self.methods[op](new, map_ids(values[1], ids.__getitem__))
+                self.core.backend.destroy(new)
+            else:
+                self.methods[op](
+                    *(ids[v] if i in ID_ARGUMENTS[op] and v else v for i, v in enumerate(values))
+                )
+        except Exception as error:
+            name = error.rule.id if isinstance(error, RhiError) else type(error).__name__
+            self.result.failures[index] = Failure(name, str(error))
+        else:
+            self.result.failures[index] = None

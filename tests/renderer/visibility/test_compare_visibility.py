@@ -1,0 +1,92 @@
+"""`compare visibility`: its rows, table and chart."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from renderer.cli import main
+from renderer.cli.compare_visibility import Picture
+from renderer.visibility import ALGORITHMS
+
+ROW = [
+    "algorithm", "milliseconds", "ratio", "triangles", "draws", "queries", "software_state_changes",
+    "hardware_state_changes", "wrong_pixels", "tied_pixels", "stalled_milliseconds",
+]  # fmt: skip
+COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3"]
+
+
+@pytest.mark.usefixtures("gl")
+def test_rows_say_what_each_algorithm_costs(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*COMMAND, "--camera-path", "sky", "--backend", "gl", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["backend"] == "gl"
+    assert report["camera_path"] == "sky"
+    assert report["frames"] == 3
+    rows = {row["algorithm"]: row for row in report["rows"]}
+    assert list(rows) == list(ALGORITHMS)
+    assert all(list(row) == ROW for row in rows.values())
+    assert rows["none"]["ratio"] == 1.0
+    assert all(row["wrong_pixels"] == 0 for row in rows.values())
+    assert rows["none"]["queries"] == rows["frustum"]["queries"] == 0
+    assert rows["stop_and_wait"]["queries"] > rows["chc_plus_plus"]["queries"] > 0
+    assert rows["stop_and_wait"]["stalled_milliseconds"] > 0 == rows["none"]["stalled_milliseconds"]
+    # Boxes are counted: those that stop-and-wait asks for, and nothing hides the whole city.
+    assert rows["stop_and_wait"]["draws"] > rows["stop_and_wait"]["queries"]
+
+
+@pytest.mark.usefixtures("gl")
+def test_a_table_and_a_chart(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    chart = tmp_path / "new" / "chart.png"
+    assert main([*COMMAND, "--algorithms", "frustum,chc", "--plot", str(chart)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].split()[:3] == ["algorithm", "ms", "ratio"]
+    assert [line.split()[0] for line in lines[2:]] == ["frustum", "chc"]
+    assert np.asarray(Image.open(chart)).std() > 10
+
+
+def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*COMMAND, "--backend", "null", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["algorithm"] for row in rows] == ["none", "frustum", "auto"]
+    assert [row["wrong_pixels"] for row in rows] == [None, None, None]
+    assert rows[0]["triangles"] >= rows[1]["triangles"] > 0
+    with pytest.raises(SystemExit):
+        main([*COMMAND, "--backend", "null", "--algorithms", "chc"])
+    assert "null-samples" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("extra", "said"),
+    [
+        (["--algorithms", "frustum,magic"], "'magic' is no algorithm"),
+        (["--camera-path", "grund"], "did you mean 'ground'"),
+        (["--frame", "1798"], "camera-frame-range"),
+        (["--plot", "chart.nothing"], "names no image format"),
+    ],
+)
+def test_bad_input_of_compare_is_one_line(
+    capsys: pytest.CaptureFixture[str], extra: list[str], said: str
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*COMMAND, "--backend", "null", *extra])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+
+
+def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
+    image, depth = np.zeros((4, 5, 4), np.uint8), np.full((4, 5), 0.5, np.float32)
+    expected = Picture(image, depth)
+    other, nearer = image.copy(), depth.copy()
+    other[1, 2, 0] = 1
+    other[3, 4] = 255
+    assert expected.compare(expected) == (0, 0)
+    assert Picture(other, depth).compare(expected) == (0, 2)
+    nearer[3, 4] = np.nextafter(np.float32(0.5), np.float32(1.0))
+    assert Picture(other, nearer).compare(expected) == (1, 1)

@@ -1,0 +1,291 @@
+"""What the algorithms ask, and when: on the null device, where an oracle says what shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from occlusion_scenes import OCCLUSION, WAITING, Oracle, draw_with, make_boxes, visible
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Perspective, Scene
+from renderer.visibility import (
+    Chc,
+    ChcPlusPlus,
+    ConditionalCulling,
+    FrustumCulling,
+    StopAndWait,
+    make_visibility,
+)
+from renderer.visibility.forest import Forest
+from rhi import Op
+from rhi.errors import ValidationError
+
+EYE = Camera.look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), projection=Perspective(near=0.1))
+
+
+NAMES = {StopAndWait: "stop_and_wait", Chc: "chc", ChcPlusPlus: "chc_plus_plus"}
+
+
+def make_cloud(count: int = 60, seed: int = 1) -> Scene:
+    """Small boxes around the origin, all in view of EYE."""
+    rng = np.random.default_rng(seed)
+    return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
+
+
+@pytest.fixture
+def renderer(null: rhi.Device) -> Iterator[Renderer]:
+    with Renderer(null, make_cloud(), size=(64, 36)) as made:
+        yield made
+
+
+def frames(renderer: Renderer, algorithm: object, oracle: Oracle, *seen: set[int]) -> list[set[int]]:
+    """What is drawn while the oracle sees each of these in turn."""
+    drawn = []
+    for rows in seen:
+        oracle.seen = set(rows)
+        drawn.append(visible(draw_with(renderer, algorithm, EYE)))
+    return drawn
+
+
+def make(renderer: Renderer, name: str) -> tuple[object, Oracle]:
+    device, scene = renderer.device, renderer.scene
+    return make_visibility(name, scene, device), Oracle(device, scene, name)
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_what_shows_is_drawn_in_the_frame_in_which_it_shows(renderer: Renderer, name: str) -> None:
+    algorithm, oracle = make(renderer, name)
+    sets = [{1, 5, 9}, {5}, set(), set(range(60)), {59, 0}, {7}]
+    drawn = frames(renderer, algorithm, oracle, *sets)
+    assert all(shown <= got for shown, got in zip(sets, drawn, strict=True))
+
+
+@pytest.mark.parametrize("name", WAITING)
+def test_in_the_long_run_nothing_else_is_drawn(renderer: Renderer, name: str) -> None:
+    algorithm, oracle = make(renderer, name)
+    drawn = frames(renderer, algorithm, oracle, set(range(60)), *[{3, 4}] * 30)
+    assert drawn[0] == set(range(60))
+    assert drawn[-1] == {3, 4}
+
+
+def test_stop_and_wait_asks_for_every_object_in_the_frustum(renderer: Renderer) -> None:
+    oracle = Oracle(renderer.device, renderer.scene, "stop_and_wait")
+    oracle.seen = {1, 2}
+    result = draw_with(renderer, StopAndWait(renderer.scene, renderer.device), EYE)
+    assert result.statistics.queries == result.visibility.boxes == 60
+    assert visible(result) == {1, 2}
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_what_is_outside_the_frustum_is_neither_asked_for_nor_drawn(renderer: Renderer, name: str) -> None:
+    algorithm, oracle = make(renderer, name)
+    oracle.seen = set(range(60))
+    away = Camera.look_at((0.0, 0.0, 30.0), (0.0, 0.0, 60.0))
+    result = draw_with(renderer, algorithm, away)
+    assert result.statistics.queries == result.statistics.draws == 0
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_around_the_eye_nothing_is_asked_for(null: rhi.Device, name: str) -> None:
+    scene = make_boxes([(0.0, 0.0, 30.0)], [(2.0, 2.0, 2.0)])
+    Oracle(null, scene, name)  # sees nothing
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        for _ in range(3):
+            result = draw_with(renderer, make_visibility(name, scene, null), EYE)
+            assert visible(result) == {0}
+            assert result.statistics.queries == 0
+
+
+def test_chc_asks_for_visible_leaves_by_their_own_geometry(renderer: Renderer) -> None:
+    oracle = Oracle(renderer.device, renderer.scene, "chc", seen=set(range(60)))
+    algorithm = Chc(renderer.scene, renderer.device)
+    draw_with(renderer, algorithm, EYE)
+    second = draw_with(renderer, algorithm, EYE)
+    assert second.statistics.queries == 60  # none for inner nodes
+    assert second.visibility.boxes == 0
+    oracle.seen = set()
+    assert len(visible(draw_with(renderer, algorithm, EYE))) == 60  # drawn, and found to be hidden
+    last = draw_with(renderer, algorithm, EYE)
+    assert visible(last) == set()
+    assert last.visibility.boxes == last.statistics.queries
+
+
+def test_chc_pulls_up_visibility_so_hidden_trees_cost_one_query(renderer: Renderer) -> None:
+    Oracle(renderer.device, renderer.scene, "chc")  # sees nothing
+    algorithm = Chc(renderer.scene, renderer.device)
+    for _ in range(3):
+        assert draw_with(renderer, algorithm, EYE).statistics.queries == 1
+
+
+def test_chc_plus_plus_draws_in_fewer_batches_and_asks_with_fewer_queries(renderer: Renderer) -> None:
+    costs = []
+    for make_one in (Chc, ChcPlusPlus):
+        oracle = Oracle(renderer.device, renderer.scene, NAMES[make_one], seen=set(range(0, 60, 4)))
+        algorithm = make_one(renderer.scene, renderer.device)
+        for _ in range(12):
+            result = draw_with(renderer, algorithm, EYE)
+        assert visible(result) >= oracle.seen
+        costs.append(
+            (result.visibility.batches, result.statistics.queries, result.statistics.hardware_state_changes)
+        )
+    assert all(new < 0.5 * old for old, new in zip(*costs, strict=True)), costs
+
+
+def test_a_visible_leaf_is_asked_for_every_n_frames_and_first_at_random(renderer: Renderer) -> None:
+    Oracle(renderer.device, renderer.scene, seen=set(range(60)))
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, persistence=10)
+    queries = [draw_with(renderer, algorithm, EYE).statistics.queries for _ in range(41)]
+    spread = queries[1:11]
+    assert sum(spread) == 60
+    assert max(spread) < 20  # no frame bears them all
+    assert queries[11:21] == queries[21:31] == queries[31:41]
+
+
+def test_persistence_of_one_asks_in_every_frame(renderer: Renderer) -> None:
+    Oracle(renderer.device, renderer.scene, seen=set(range(60)))
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, persistence=1)
+    queries = [draw_with(renderer, algorithm, EYE).statistics.queries for _ in range(4)]
+    assert queries[1:] == [60] * 3
+
+
+@pytest.mark.parametrize(("batch", "least", "most"), [(1, 12, 60), (1000, 1, 3)])
+def test_hidden_nodes_gather_until_there_is_a_batch(
+    renderer: Renderer, batch: int, least: int, most: int
+) -> None:
+    oracle = Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, batch=batch, persistence=50)
+    for _ in range(3):
+        draw_with(renderer, algorithm, EYE)
+    before = renderer.device.statistics.software_state_changes
+    draw_with(renderer, algorithm, EYE)
+    scopes = (renderer.device.statistics.software_state_changes - before) / 4
+    assert least <= scopes <= most
+    assert oracle.seen
+
+
+def test_a_multiquery_that_shows_something_is_asked_again_one_by_one(renderer: Renderer) -> None:
+    oracle = Oracle(renderer.device, renderer.scene, seen={0})
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device)
+    settled = [draw_with(renderer, algorithm, EYE).statistics.queries for _ in range(12)][-1]
+    oracle.seen = {0, 1, 2, 30}
+    changed = draw_with(renderer, algorithm, EYE)
+    assert visible(changed) == oracle.seen
+    assert changed.statistics.queries > settled
+
+
+def test_conditional_culling_never_waits_and_the_gpu_drops_what_is_hidden(renderer: Renderer) -> None:
+    oracle = Oracle(renderer.device, renderer.scene)
+    algorithm = ConditionalCulling(renderer.scene, renderer.device, persistence=2)
+    for seen in ({3, 4, 50}, set(range(20)), {3}):
+        oracle.seen = seen
+        for _ in range(30):
+            oracle.executed.clear()
+            result = draw_with(renderer, algorithm, EYE)
+            renderer.device.finish()
+            assert seen <= set(oracle.executed) <= visible(result)
+            assert result.visibility.stalled_milliseconds == 0.0
+        assert set(oracle.executed) == seen
+
+
+def test_conditional_culling_needs_a_device_with_conditions(null: rhi.Device) -> None:
+    scene = make_cloud(3)
+    with rhi.create_device("null") as device:
+        device._core.capabilities = replace(device.capabilities, conditional_rendering=False)
+        with pytest.raises(ValidationError) as error:
+            ConditionalCulling(scene, device)
+    assert error.value.rule.id == "visibility-no-conditions"
+    ConditionalCulling(scene, null)
+
+
+@pytest.mark.parametrize("bad", [{"batch": 0}, {"persistence": 0}])
+def test_parameters_below_one_are_refused(null: rhi.Device, bad: dict[str, int]) -> None:
+    scene = make_cloud(3)
+    with pytest.raises(ValidationError) as error:
+        ChcPlusPlus(scene, null, **bad)
+    assert error.value.rule.id == "visibility-bad-parameter"
+    ChcPlusPlus(scene, null, **dict.fromkeys(bad, 1))
+
+
+@pytest.mark.parametrize("threshold", [99, 100])
+@pytest.mark.parametrize("name", [StopAndWait, Chc, ChcPlusPlus])
+def test_visible_is_what_passes_more_samples_than_the_threshold(
+    renderer: Renderer, name: type[ChcPlusPlus], threshold: int
+) -> None:
+    Oracle(renderer.device, renderer.scene, NAMES[name], seen=set(range(60)), samples=100)
+    algorithm = name(renderer.scene, renderer.device, threshold=threshold)
+    assert len(visible(draw_with(renderer, algorithm, EYE))) == (60 if threshold < 100 else 0)
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_boxes_leave_no_trace(renderer: Renderer, name: str) -> None:
+    algorithm, oracle = make(renderer, name)
+    oracle.seen = {1}
+    draw_with(renderer, algorithm, EYE)
+    device = renderer.device
+    states = device.backend_as(rhi.Recorder).stream
+    wanted = [command for command in states if command.op is Op.SET_STATES]
+    assert any(
+        any(change.value in (rhi.ColorWrite.OFF, (rhi.ColorWrite.OFF,) * 8) for change in command.values[0])
+        for command in wanted
+    )
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_a_frame_that_was_broken_off_does_not_disturb_the_next(renderer: Renderer, name: str) -> None:
+    algorithm, oracle = make(renderer, name)
+    oracle.seen = {1, 2, 3}
+    draw_with(renderer, algorithm, EYE)
+
+    def fail(rows: object) -> None:
+        raise RuntimeError("no")
+
+    with renderer.device.render_pass(renderer._targets.color, renderer._targets.depth):
+        with pytest.raises(RuntimeError):
+            algorithm.render(EYE, fail)
+    assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
+
+
+def test_the_second_tree_keeps_its_nodes_while_its_bounds_follow(null: rhi.Device) -> None:
+    scene = make_boxes(
+        [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (2.0, 0.0, 0.0)],
+        [(0.5, 0.5, 0.5)] * 3,
+        motion=lambda seconds: (0.0, seconds, 0.0),
+        moving=(1, 2),
+    )
+    forest = Forest(scene)
+    assert len(forest.roots) == 2
+    leaf = forest.object.index(1)
+    heights = []
+    for seconds in (0.0, 5.0):
+        scene.update(seconds)
+        forest.update(EYE)
+        heights.append((forest.lower[leaf][1], forest.upper[forest.roots[1]][1]))
+    assert np.subtract(heights[1], heights[0]) == pytest.approx([5.0, 5.0], abs=0.05)
+
+
+@pytest.mark.parametrize("count", [1, 2, 60])
+def test_tight_bounds_cover_their_node(count: int) -> None:
+    scene = make_cloud(count, seed=count)
+    forest = Forest(scene)
+    members: list[set[int]] = [set() for _ in range(len(forest))]
+    for node in reversed(range(len(forest))):
+        members[node].add(forest.object[node])
+        if forest.parent[node] >= 0:
+            members[forest.parent[node]] |= members[node]
+    runs = np.split(forest.tight, np.cumsum(forest.tight_sizes)[:-1])
+    for node, tight in enumerate(runs):
+        assert set().union(*(members[one] for one in tight)) - {-1} == members[node] - {-1}
+        assert 1 <= len(tight) <= 8
+    assert count < 60 or max(len(tight) for tight in runs) > 1
+
+
+def test_the_null_device_refuses_to_guess(renderer: Renderer) -> None:
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device)
+    with pytest.raises(ValidationError) as error:
+        draw_with(renderer, algorithm, EYE)
+    assert error.value.rule.id == "null-samples"
+    draw_with(renderer, FrustumCulling(renderer.scene), EYE)

@@ -1,0 +1,58 @@
+"""Answers that come late: after so many looks at them, or only when waited for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from occlusion_scenes import OCCLUSION, Oracle, draw_with, make_boxes, visible
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Perspective
+from renderer.visibility import make_visibility
+from rhi import OcclusionQuery
+
+NEVER = 10**9
+
+
+@pytest.fixture(params=[0, 1, 20, NEVER])
+def latency(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
+    """Looks at a query (`is_finished`) before its answer is there; waiting for it always helps."""
+    looks: int = request.param
+    left: dict[int, int] = {}
+    begin, poll, wait = OcclusionQuery.begin, OcclusionQuery._poll, OcclusionQuery.wait
+
+    def begin_late(query: OcclusionQuery) -> None:
+        begin(query)
+        left[query.id] = looks
+
+    def poll_late(query: OcclusionQuery) -> None:
+        left[query.id] -= 1
+        if left[query.id] < 0:
+            poll(query)
+
+    def wait_late(query: OcclusionQuery) -> int:
+        left[query.id] = 0
+        return wait(query)
+
+    monkeypatch.setattr(OcclusionQuery, "begin", begin_late)
+    monkeypatch.setattr(OcclusionQuery, "_poll", poll_late)
+    monkeypatch.setattr(OcclusionQuery, "wait", wait_late)
+    return looks
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_late_answers_lose_nothing(null: rhi.Device, latency: int, name: str) -> None:
+    rng = np.random.default_rng(5)
+    scene = make_boxes(rng.uniform(-6.0, 6.0, (40, 3)), rng.uniform(0.1, 0.8, (40, 3)))
+    camera = Camera.look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), projection=Perspective(near=0.1))
+    oracle = Oracle(null, scene, name)
+    algorithm = make_visibility(name, scene, null)
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        for seen in (range(40), range(10), range(30, 40), (), (7,), *[(7, 8)] * 60):
+            oracle.seen = set(seen)
+            drawn = visible(draw_with(renderer, algorithm, camera))
+            assert drawn >= oracle.seen
+    if name in ("stop_and_wait", "chc") or (name == "chc_plus_plus" and latency < 20):
+        # CHC++ looks once a frame at answers that it doesn't wait for, and conditional culling never waits.
+        assert drawn == {7, 8}

@@ -1,0 +1,92 @@
+"""Native OpenCL C programs for the tests of the OpenCL backend itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from rhi.backends.cl.backend import ClBackend
+from rhi.descriptors import (
+    Binding,
+    BindingKind,
+    BufferDescriptor,
+    BufferUsage,
+    Id,
+    ProgramDescriptor,
+    QueryKind,
+    Region,
+    Stage,
+    TextureDescriptor,
+)
+
+FILL = """
+__kernel void fill(__global uint *words, int count) {
+    words[get_global_id(0)] = get_global_id(0) + count;
+}
+"""
+SPIN = """
+__kernel void spin(__global uint *words, int count) {
+    uint n = words[0];
+    for (uint i = 0; i < 150000000u; ++i) n = n * 1664525u + 1013904223u;
+    words[0] = n;
+}
+"""
+STORAGE = (Binding("words", BindingKind.STORAGE, 0, True, None, 4),)
+
+
+def describe_program(
+    source: str,
+    bindings: tuple[Binding, ...] = STORAGE,
+    work_group: tuple[int, int, int] = (1, 1, 1),
+    lines: Mapping[Stage, tuple[tuple[str, int], ...]] | None = None,
+) -> ProgramDescriptor:
+    return ProgramDescriptor(
+        "Native", frozenset({Stage.COMPUTE}), bindings, (), (), work_group, lambda language, stage: source,
+        lines=lines or {},
+    )  # fmt: skip
+
+
+class ClKit:
+    """A backend with the ids handed out, and the few steps that most tests share."""
+
+    def __init__(self, backend: ClBackend) -> None:
+        self.backend = backend
+        self._last: Id = 0
+
+    def new_id(self) -> Id:
+        self._last += 1
+        return self._last
+
+    def buffer(self, data: ArrayLike | bytes, usage: BufferUsage = BufferUsage.STATIC) -> Id:
+        content = data if isinstance(data, bytes) else np.asarray(data).tobytes()
+        buffer = self.new_id()
+        self.backend.create_buffer(buffer, BufferDescriptor(len(content), usage))
+        self.backend.write_buffer(buffer, 0, content)
+        return buffer
+
+    def words(self, buffer: Id, count: int, offset: int = 0) -> list[int]:
+        return np.frombuffer(self.backend.read_buffer(buffer, offset, 4 * count), np.uint32).tolist()
+
+    def texture(self, descriptor: TextureDescriptor) -> Id:
+        texture = self.new_id()
+        self.backend.create_texture(texture, descriptor)
+        return texture
+
+    def read(self, texture: Id, width: int, height: int, level: int = 0) -> NDArray[np.generic]:
+        return self.backend.read_texture(texture, level, Region(0, 0, width, height), False)[0]
+
+    def program(self, descriptor: ProgramDescriptor) -> Id:
+        program = self.new_id()
+        self.backend.create_program(program, descriptor)
+        return program
+
+    def timestamp(self) -> Id:
+        query = self.new_id()
+        self.backend.create_query(query, QueryKind.TIMESTAMP)
+        return query
+
+    def dispatch(self, program: Id, groups: int = 1) -> None:
+        self.backend.bind_program(program)
+        self.backend.dispatch(groups, 1, 1)

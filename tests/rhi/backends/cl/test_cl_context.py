@@ -1,0 +1,97 @@
+"""Which device is taken, and what is said when there is none."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pyopencl as cl
+import pytest
+
+from rhi.backends.cl import context, create_backend
+from rhi.backends.cl.context import choose_device, describe, find_devices, open_context
+from rhi.errors import DeviceError
+
+REAL_PROBE = context.probe
+BROKEN = "__kernel void probe(__global uint *words) { words[0] = undeclared; }"
+WRONG = "__kernel void probe(__global uint *words) { words[get_global_id(0)] = 1; }"
+
+
+def devices_twice(monkeypatch: pytest.MonkeyPatch, first_probe: str) -> None:
+    """The machine's device as two, of which the first has another probe kernel."""
+    probes = [first_probe, context._PROBE]
+
+    def probe(made: cl.Context, queue: cl.CommandQueue) -> bool:
+        with monkeypatch.context() as patch:
+            patch.setattr(context, "_PROBE", probes.pop(0))
+            return REAL_PROBE(made, queue)
+
+    monkeypatch.delenv("RHI_CL_DEVICE", raising=False)
+    monkeypatch.setattr(context, "find_devices", lambda: find_devices()[:1] * 2)
+    monkeypatch.setattr(context, "probe", probe)
+
+
+def test_a_device_that_compiles_and_runs_is_taken() -> None:
+    opened = open_context()
+    assert opened.passed_over == ()
+    assert opened.device in find_devices()
+
+
+def test_a_device_that_cannot_compile_is_passed_over_with_the_reason(monkeypatch: pytest.MonkeyPatch) -> None:
+    devices_twice(monkeypatch, BROKEN)
+    (passed_over,) = create_backend().capabilities.passed_over
+    assert describe(find_devices()[0]) in passed_over
+    assert "undeclared" in passed_over
+    assert "\n" not in passed_over
+
+
+def test_a_device_that_computes_wrong_numbers_is_passed_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    devices_twice(monkeypatch, WRONG)
+    (passed_over,) = open_context().passed_over
+    assert "wrong numbers" in passed_over
+
+
+def test_where_no_device_works_each_is_named_with_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("RHI_CL_DEVICE", raising=False)
+    monkeypatch.setattr(context, "_PROBE", BROKEN)
+    with pytest.raises(DeviceError) as caught:
+        open_context()
+    assert caught.value.rule.id == "device-driver"
+    assert len(caught.value.given.splitlines()) == len(find_devices())
+    assert "pocl-opencl-icd" in caught.value.tip
+
+
+def test_without_any_opencl_driver_the_error_says_what_to_install() -> None:
+    code = "import rhi\ntry: rhi.create_device('cl')\nexcept rhi.DeviceError as e: print(e.rule.id, e.given, e.tip)"
+    environment = os.environ | {"OCL_ICD_VENDORS": "/nowhere"}
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment
+    ).stdout
+    assert output.startswith("device-driver no OpenCL device")
+    assert "pocl-opencl-icd" in output
+
+
+def test_a_device_is_chosen_by_its_number_or_a_part_of_its_name() -> None:
+    devices = find_devices()
+    assert choose_device("0", devices) is devices[0]
+    assert choose_device(devices[-1].name[2:9].upper(), devices[-1:]) is devices[-1]
+
+
+@pytest.mark.parametrize("wanted", ["no such name", "99"])
+def test_an_unknown_device_is_refused_with_those_there_are(
+    monkeypatch: pytest.MonkeyPatch, wanted: str
+) -> None:
+    monkeypatch.setenv("RHI_CL_DEVICE", wanted)
+    with pytest.raises(DeviceError) as caught:
+        open_context()
+    assert repr(wanted) in caught.value.given
+    assert describe(find_devices()[0]) in caught.value.given
+    assert "RHI_CL_DEVICE" in caught.value.tip
+
+
+def test_a_device_that_was_asked_for_is_the_only_one_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    devices_twice(monkeypatch, BROKEN)
+    monkeypatch.setenv("RHI_CL_DEVICE", "0")
+    with pytest.raises(DeviceError, match="undeclared"):
+        open_context()

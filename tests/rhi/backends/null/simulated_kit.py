@@ -1,0 +1,47 @@
+"""A simulated backend driven directly, with round numbers for its times."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rhi.backends.null import CostModel, SimulatedBackend, Simulation
+from rhi.descriptors import (
+    BufferDescriptor,
+    BufferUsage,
+    PassDescriptor,
+    Primitive,
+    VertexArrayDescriptor,
+    VertexStream,
+)
+
+PLAIN, STATIC, STREAM = 100, 200, 201
+
+ROUND = CostModel(command=0, vertex=0, pixel=1, byte=0, state_change=0, invocation=0)
+"""A draw takes a nanosecond for each sample that someone counts; everything else takes nothing."""
+
+
+def make_backend(cost: CostModel = ROUND, **times: Any) -> SimulatedBackend:
+    """A call takes 10 ns, a submission 100, a wake-up 7, unless said otherwise. A draw passes 1,000 samples
+    for each of its instances."""
+    simulation = Simulation(cost, **({"call": 10, "submission_latency": 100, "wake_latency": 7} | times))
+    backend = SimulatedBackend(simulation)
+    backend.create_vertex_array(PLAIN, VertexArrayDescriptor(1, (VertexStream(STATIC, 0, 8, False, ()),)))
+    backend.create_buffer(STATIC, BufferDescriptor(256))
+    backend.create_buffer(STREAM, BufferDescriptor(256, BufferUsage.STREAM))
+    backend.count_samples(lambda draw: draw.instances * 1000)
+    return backend
+
+
+def draw(backend: SimulatedBackend, instances: int = 1) -> None:
+    """One that takes the GPU 1 µs an instance."""
+    backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, instances, 0, 0)
+
+
+def begin_pass(backend: SimulatedBackend, label: str = "") -> None:
+    backend.begin_pass(PassDescriptor((64, 64), label=label))
+
+
+def words(*values: int) -> bytes:
+    return np.array(values, np.uint32).tobytes()

@@ -1,0 +1,137 @@
+"""Profiles: the null device as another device, and what a frame lacks there."""
+
+import dataclasses
+
+import pytest
+from null_kit import hand_made_program
+
+import rhi
+from rhi import BlendFunction, Format, PolygonOffset, Stage, ValidationError
+from rhi.backends.null import PROFILES, SimulatedBackend, Simulation, find_profile
+from rhi.descriptors import Binding, BindingKind
+
+
+def refused(profile, call):
+    """The rule that a call breaks on a profile, and must not break on everything."""
+    with rhi.create_device("null", profile="everything") as device:
+        call(device)
+    with rhi.create_device("null", profile=profile) as device:
+        try:
+            call(device)
+        except ValidationError as error:
+            return error.rule.id
+    return None
+
+
+def compute_program(device):
+    stages = frozenset({Stage.COMPUTE})
+    device.program(dataclasses.replace(hand_made_program(), stages=stages, attributes=(), outputs=()))
+
+
+def scope(*states):
+    def call(device):
+        with device.states(*states):
+            pass
+
+    return call
+
+
+def targets(count):
+    def call(device):
+        images = [device.texture((4, 4), Format.RGBA8) for _ in range(count)]
+        with device.render_pass(images):
+            pass
+
+    return call
+
+
+def target(form):
+    def call(device):
+        with device.render_pass(device.texture((4, 4), form)):
+            pass
+
+    return call
+
+
+def slots(kind, count):
+    def call(device):
+        bindings = [Binding(f"b{i}", kind, i) for i in range(count)]
+        device.program(hand_made_program("many", *bindings))
+
+    return call
+
+
+@pytest.mark.parametrize(
+    ("profile", "call", "rule"),
+    [
+        ("gl-3.3", lambda d: d.texture((1024, 1024), Format.R8), None),
+        ("gl-3.3", lambda d: d.texture((1025, 4), Format.R8), "texture-size"),
+        ("gles-3", lambda d: d.texture((2048, 4), Format.R8), None),
+        ("gles-3", lambda d: d.texture((2049, 4), Format.R8), "texture-size"),
+        ("gles-3", targets(4), None),
+        ("gles-3", targets(5), "device-capability"),
+        ("gl-4.5", targets(8), None),
+        ("gl-4.5", compute_program, None),
+        ("gl-3.3", compute_program, "device-capability"),
+        ("gl-4.5", slots(BindingKind.STORAGE, 8), None),
+        ("gl-3.3", slots(BindingKind.STORAGE, 1), "device-capability"),
+        ("gl-3.3", slots(BindingKind.IMAGE, 1), "device-capability"),
+        ("gl-3.3", slots(BindingKind.UNIFORM, 12), None),
+        ("gles-3", lambda d: d.texture((4, 4), Format.R16), "device-capability"),
+        ("gles-3", target(Format.RGBA16F), "pass-target"),
+        ("gl-3.3", target(Format.RGBA16F), None),
+        ("gl-4.5", target(Format.RGBA8_SNORM), "pass-target"),
+        ("gles-3", lambda d: d.occlusion_query(), "device-capability"),
+        ("gl-3.3", lambda d: d.occlusion_query(), None),
+        ("gl-3.3", lambda d: d.occlusion_query(emulated=True), "device-capability"),
+        ("opencl-cpu", lambda d: d.texture((4, 4), Format.RGBA8, samples=4), "texture-samples"),
+        ("gl-3.3", lambda d: d.texture((4, 4), Format.RGBA8, samples=4), None),
+        ("gl-3.3", scope(rhi.AlphaTest.ON), "state-capability"),
+        ("opencl-cpu", scope(rhi.AlphaToCoverage.ON), "state-capability"),
+        ("gl-3.3", scope(BlendFunction.ALPHA), None),
+        ("gl-3.3", scope(BlendFunction.ALPHA.at(1)), "state-capability"),
+        ("gl-4.5", scope(BlendFunction.ALPHA.at(1)), None),
+        ("gl-3.3", scope(PolygonOffset(slope=2.0)), None),
+        ("gl-3.3", scope(PolygonOffset(slope=2.0, clamp=1.0)), "state-capability"),
+    ],
+)
+def test_limits_and_features_of_a_profile_hold(profile, call, rule):
+    assert refused(profile, call) == rule
+
+
+def test_timing_needs_timestamps():
+    with rhi.create_device("null", profile="gles-3", timing=True) as device:
+        assert not device.timing
+        with pytest.raises(ValidationError):
+            device.timing = True
+
+
+def test_a_profile_of_ones_own_stays_a_null_device():
+    own = rhi.Capabilities("gl", "Toaster", "1.0", max_texture_size=16)
+    with rhi.create_device("null", profile=own) as device:
+        assert (device.backend_name, device.capabilities.device) == ("null", "Toaster")
+        assert not device.capabilities.shading
+        assert len(device.stream) == 0
+        with pytest.raises(ValidationError):
+            device.texture((17, 1), Format.R8)
+
+
+def test_profiles_are_named_as_they_are_asked_for():
+    for name, profile in PROFILES.items():
+        assert find_profile(name) is profile
+        assert profile.backend == "null"
+        assert profile.device == ("null" if name == "everything" else name)
+
+
+@pytest.mark.parametrize("profile", ["gl-3.4", 33, None])
+def test_an_unknown_profile_is_refused_with_those_there_are(profile):
+    with pytest.raises(ValidationError) as caught:
+        rhi.create_device("null", profile=profile)
+    assert caught.value.rule.id == "device-argument"
+    assert "gles-3" in caught.value.allowed
+
+
+def test_a_profile_and_a_simulation_go_together():
+    with rhi.create_device("null", profile="gles-3", simulation=Simulation()) as device:
+        assert device.capabilities.device == "gles-3"
+        assert device.backend_as(SimulatedBackend)

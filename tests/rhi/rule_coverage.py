@@ -1,0 +1,159 @@
+"""Which rules the tests break and which they keep, line by line.
+
+`python rule_coverage.py FOLDER… [-- OPTIONS OF PYTEST]` runs tests and prints a line of JSON: for each rule, how often
+a test broke it and how often one came to the same check and passed it.
+
+- A check is a call that names a rule (`refuse(PASS_NESTED, …)`) and the condition it stands under. It is passed
+  by a call of its function that gets to the condition and returns without getting to the refusal. A call of a
+  helper that does nothing but refuse (`-> NoReturn`) counts as naming its rules.
+- Only functions with a check in them are traced, so the tests take about twice their time.
+"""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib
+import json
+import os
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+import pytest
+from hypothesis import settings
+
+import rhi
+from rhi.errors import RULES, Rule
+
+PACKAGE = Path(rhi.__file__).parent
+RULE_MODULES = ("rhi.rules", "rhi.shading.rules", "rhi.trace.rules")
+LEFT_OUT = ("conformance", "testing")
+
+
+@dataclass(frozen=True)
+class Check:
+    """A refusal: the lines of the call, and those of the condition it stands under, none if it has none. A loop
+    around it is part of the condition: one that isn't entered has nothing to refuse."""
+
+    rule: str
+    refusal: frozenset[int]
+    condition: frozenset[int] = frozenset()
+
+
+def find_rules() -> dict[str, Rule]:
+    """All rules by the names of their constants."""
+    modules = [importlib.import_module(name) for name in RULE_MODULES]
+    return {name: value for module in modules for name, value in vars(module).items() if isinstance(value, Rule)}
+
+
+def find_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int, Check]]:
+    """The checks of a module, with the first line of the function that each is in."""
+    helpers: dict[str, set[str]] = {}
+
+    def named_rules(call: ast.Call) -> set[str]:
+        first = call.args[0] if call.args else None
+        name = first.attr if isinstance(first, ast.Attribute) else getattr(first, "id", "")
+        called = call.func.attr if isinstance(call.func, ast.Attribute) else getattr(call.func, "id", "")
+        return {rules[name].id} if name in rules else helpers.get(called, set())
+
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef) and getattr(node.returns, "id", "") == "NoReturn":
+            inner = [named_rules(call) for call in ast.walk(node) if isinstance(call, ast.Call)]
+            helpers[node.name] = set().union(*inner)
+
+    def visit(
+        node: ast.AST, function: int, loop: frozenset[int], condition: frozenset[int], statement: frozenset[int]
+    ) -> Iterator[tuple[int, Check]]:
+        if isinstance(node, (ast.FunctionDef, ast.Lambda)):
+            decorators = getattr(node, "decorator_list", [])
+            function = min([node.lineno, *(each.lineno for each in decorators)])
+            loop = condition = frozenset()
+            if getattr(node, "name", "") in helpers:
+                return
+        if isinstance(node, ast.stmt):
+            statement = lines(node)
+        if isinstance(node, ast.Call) and function:
+            for rule in named_rules(node):
+                yield function, Check(rule, statement, condition)
+        for field, value in ast.iter_fields(node):
+            around, under = loop, condition
+            if isinstance(node, (ast.If, ast.While)) and field == "body":
+                around = lines(node.test) if isinstance(node, ast.While) else loop
+                under = around | lines(node.test)
+            for child in value if isinstance(value, list) else [value]:
+                if isinstance(child, ast.AST):
+                    yield from visit(child, function, around, under, statement)
+
+    yield from visit(tree, 0, frozenset(), frozenset(), frozenset())
+
+
+def lines(node: Any) -> frozenset[int]:
+    return frozenset(range(node.lineno, node.end_lineno + 1))
+
+
+class Coverage:
+    """A pytest plugin that counts checks passed and broken."""
+
+    def __init__(self) -> None:
+        self.broken: Counter[str] = Counter()
+        self.passed: Counter[str] = Counter()
+        self.checks: dict[tuple[str, int], list[Check]] = defaultdict(list)
+        rules = find_rules()
+        for path in sorted(PACKAGE.rglob("*.py")):
+            if path.relative_to(PACKAGE).parts[0] not in LEFT_OUT:
+                for function, check in find_checks(ast.parse(path.read_text()), rules):
+                    self.checks[str(path), function].append(check)
+        self._known: dict[CodeType, list[Check] | None] = {}
+
+    def trace(self, frame: FrameType, event: str, argument: object) -> Any:
+        code = frame.f_code
+        try:
+            checks = self._known[code]
+        except KeyError:
+            checks = self._known[code] = self.checks.get((code.co_filename, code.co_firstlineno))
+        return None if checks is None else self._follow(checks)
+
+    def _follow(self, checks: list[Check]) -> Any:
+        seen: set[int] = set()
+
+        def local(frame: FrameType, event: str, argument: object) -> Any:
+            if event == "line":
+                seen.add(frame.f_lineno)
+            elif event == "return":
+                for check in checks:
+                    if not seen.isdisjoint(check.refusal):
+                        self.broken[check.rule] += 1
+                    elif not check.condition or not seen.isdisjoint(check.condition):
+                        self.passed[check.rule] += 1
+            return local
+
+        return local
+
+    def pytest_runtest_call(self) -> None:
+        sys.settrace(self.trace)
+
+    def pytest_runtest_teardown(self) -> None:
+        sys.settrace(None)
+
+
+def main(arguments: list[str]) -> None:
+    settings.register_profile("traced", deadline=None, max_examples=10)
+    settings.load_profile("traced")
+    coverage = Coverage()
+    options = ["-q", "-p", "no:cacheprovider", "-c", os.devnull, "-m", "not slow", "--rootdir", str(PACKAGE.parent)]
+    with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+        status = pytest.main([*options, *arguments], [coverage])
+    if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        raise RuntimeError(f"the tests did not run: {status!r}")
+    wanted = [rule.id for rule in find_rules().values()]
+    assert set(wanted) <= RULES.keys()
+    print(json.dumps({rule: [coverage.broken[rule], coverage.passed[rule]] for rule in wanted}))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

@@ -1,0 +1,187 @@
+"""Whole programs, made up: GLSL and one lane have real branches, 16 lanes and NumPy have masks; all must agree.
+
+Numbers are ints, so that agreement is equality. Programs nest loops with varying bounds, breaks, continues and early
+returns, write local arrays at varying places, store where a mask says so, and add atomically.
+"""
+
+import importlib.util
+import itertools
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import strategies as st
+from opencl_runner import run_opencl
+
+from rhi.shading import run_compute
+
+N = 64
+HEADER = """from rhi.shading import *
+
+class Test(Shader):
+    work_group = (32,)
+    given: Storage[int]
+    out: StorageRW[int]
+    sums: StorageRW[int]
+
+    def helper(self, x: int, y: int) -> int:
+{helper}
+        return x
+
+    def compute(self) -> None:
+        i = global_id().x
+        x = self.given[i]
+        y = i % 7
+        z = 1
+        table = array(int, 4)
+{body}
+        self.out[i] = x * 31 + y * 7 + z + table[1] + table[3]
+"""
+NAMES = ("x", "y", "z")
+numbers = itertools.count()
+
+
+@st.composite
+def expressions(draw, depth=2, names=NAMES, calls=True):
+    """An int expression; shifts, divisions and remainders by constants that allow them."""
+    if depth == 0 or draw(st.integers(0, 3)) == 0:
+        return draw(st.one_of(st.sampled_from(names), st.integers(-9, 9).map(str)))
+    left = draw(expressions(depth - 1, names, calls))
+    right = draw(expressions(depth - 1, names, calls))
+    form = draw(st.integers(0, 9 if calls else 6))
+    if form < 3:
+        return f"({left} {draw(st.sampled_from('+-*&|^'))} {right})"
+    if form == 3:
+        return f"({left} {draw(st.sampled_from(['//', '%']))} {draw(st.sampled_from([-7, -2, 3, 4, 5]))})"
+    if form == 4:
+        return f"({left} if {draw(conditions(depth - 1, names, calls))} else {right})"
+    if form == 5:
+        return f"min({left}, {right})"
+    if form == 6:
+        return f"({left} >> {draw(st.integers(0, 5))})"
+    if form == 7:
+        return f"self.given[({left}) & {N - 1}]"
+    if form == 8:
+        return f"table[({left}) & 3]"
+    return f"self.helper({left}, {right})"
+
+
+@st.composite
+def conditions(draw, depth=1, names=NAMES, calls=True):
+    left, right = draw(expressions(depth, names, calls)), draw(expressions(max(depth - 1, 0), names, calls))
+    one = f"{left} {draw(st.sampled_from(['<', '>', '==', '!=', '<=']))} {right}"
+    if depth > 0 and draw(st.integers(0, 2)) == 0:
+        other = draw(conditions(depth - 1, names, calls))
+        return f"({one} {draw(st.sampled_from(['and', 'or']))} {other})"
+    return one
+
+
+@st.composite
+def blocks(draw, depth=3, in_loop=False, result="", names=NAMES):
+    """Lines of a block; `result`: what `return` gives where the function gives something."""
+    is_helper = result != ""
+    lines = []
+    for _ in range(draw(st.integers(1, 3))):
+        kind = draw(st.integers(0, 11))
+        expression = draw(expressions(2, names, not is_helper))
+        if kind < 4 or depth == 0:
+            lines.append(f"{draw(st.sampled_from(names))} = {expression}")
+        elif kind == 4 and not is_helper:
+            lines.append(f"table[({expression}) & 3] = {draw(st.sampled_from(names))}")
+        elif kind == 5 and not is_helper:
+            lines.append(draw(st.sampled_from([
+                f"atomic_add(self.sums[({expression}) & 7], x & 255)",
+                "atomic_add(self.sums[8], 1)",
+                f"atomic_max(self.sums[9], {expression})",
+            ])))  # fmt: skip
+        elif kind == 6 and in_loop:
+            word = draw(st.sampled_from(["break", "continue"]))
+            lines += [f"if {draw(conditions(1, names, not is_helper))}:", f"    {word}"]
+        elif kind == 7:
+            lines += [f"if {draw(conditions(1, names, not is_helper))}:"]
+            lines += ["    self.out[i] = " + draw(st.sampled_from(names))] if not is_helper else []
+            lines += [f"    return {result}".rstrip()]
+        elif kind in (8, 9):
+            inner = draw(blocks(depth - 1, in_loop, result, names))
+            lines += [f"if {draw(conditions(1, names, not is_helper))}:", *indent(inner)]
+            if draw(st.booleans()):
+                lines += ["else:", *indent(draw(blocks(depth - 1, in_loop, result, names)))]
+        elif kind == 10:
+            counter = f"k{next(numbers)}"
+            bound = f"({expression}) & 3" if draw(st.booleans()) else str(draw(st.integers(0, 4)))
+            inner = draw(blocks(depth - 1, True, result, names))
+            lines += [f"for {counter} in range({bound}):", f"    x += {counter}", *indent(inner)]
+        else:
+            counter = f"n{next(numbers)}"
+            inner = draw(blocks(depth - 1, True, result, names))
+            condition = draw(conditions(1, names, not is_helper))
+            lines += [f"{counter} = 0", f"while {counter} < 4 and {condition}:", f"    {counter} += 1"]
+            lines += indent(inner)
+    return lines
+
+
+def indent(lines):
+    return ["    " + line for line in lines]
+
+
+@st.composite
+def programs(draw):
+    def text(block):
+        return "\n".join("        " + line for line in block)
+
+    helper = draw(blocks(2, result="y", names=("x", "y")))
+    return HEADER.format(helper=text(helper), body=text(draw(blocks())))
+
+
+def load(source, folder):
+    path = folder / f"program_{next(numbers)}.py"
+    path.write_text(source)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        del sys.modules[path.stem]
+    return module.Test
+
+
+def check(source, folder, run):
+    shader = load(source, folder)
+    given_values = (np.arange(N, dtype="i4") * 37) % 23 - 8
+    values = {"given": given_values, "out": N, "sums": 16}
+    expected = run(shader, N // 32, **values)
+    others = {
+        "one lane": run_opencl(shader, 1, N // 32, **values),
+        "16 lanes": run_opencl(shader, 16, N // 32, **values),
+        "NumPy": run_compute(shader, N // 32, **values),
+    }
+    for language, results in others.items():
+        for name in ("out", "sums"):
+            np.testing.assert_array_equal(results[name], expected[name], f"{language}: {name}\n{source}")
+
+
+def program_settings(count):
+    return settings(
+        max_examples=count,
+        deadline=None,
+        derandomize=True,
+        phases=[Phase.generate],  # a failure prints its program; shrinking builds hundreds of kernels
+        report_multiple_bugs=False,
+        database=None,
+        suppress_health_check=list(HealthCheck),
+    )
+
+
+@program_settings(100)
+@given(source=programs())
+def test_programs_mean_the_same_in_every_language(source, tmp_path, run):
+    check(source, tmp_path, run)
+
+
+@pytest.mark.nightly
+@program_settings(2000)
+@given(source=programs())
+def test_two_thousand_programs_mean_the_same_in_every_language(source, tmp_path, run):
+    check(source, tmp_path, run)

@@ -1,0 +1,156 @@
+"""`diff`: what differs is told where it is, and nothing else is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from testing_kit import House, Light
+
+import rhi
+from rhi import CullMode, Format, Op
+from rhi.trace import Differences, Trace, diff
+from rhi.trace.align import align
+
+
+@contextmanager
+def streams(*changes: Callable[[House], None]) -> Iterator[list[rhi.CommandStream]]:
+    """A stream for each change: a house, the change, a frame."""
+    result = []
+    for change in changes:
+        with rhi.create_device("null") as device:
+            house = House(device)
+            change(house)
+            house.render()
+            result.append(device.stream)
+    yield result
+
+
+def compare(change: Callable[[House], None], base: Callable[[House], None] = lambda house: None) -> Differences:
+    with streams(base, change) as (a, b):
+        return diff(a, b)
+
+
+def draw_more(house: House) -> None:
+    with house.device.event("extra"), house.device.render_pass(house.image):
+        house.device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+
+
+def test_equal_streams_have_no_differences() -> None:
+    differences = compare(lambda house: None)
+    assert not differences
+    assert len(differences) == 0
+    assert str(differences) == "no differences"
+
+
+def test_other_ids_are_no_difference() -> None:
+    differences = compare(lambda house: None, lambda house: None)
+    assert not differences
+    with rhi.create_device("null") as device:
+        device.buffer(4, label="more")
+        House(device).render()
+        with streams(lambda house: None) as (plain,):
+            (only,) = diff(plain, device)
+    assert only.a is None
+    assert only.b is not None
+    assert only.b.op is Op.CREATE_BUFFER
+
+
+def test_which_of_several_resources_is_used_is_a_difference() -> None:
+    with rhi.create_device("null") as a, rhi.create_device("null") as b:
+        for device, reverse in ((a, False), (b, True)):
+            images = [device.texture((2, 2), Format.R8) for _ in range(2)]
+            for image in images[::-1] if reverse else images:
+                device.present(image)
+        differences = diff(a, b)
+    assert differences
+    assert Op.PRESENT in {difference.a.op for difference in differences if difference.a is not None}
+    assert not diff(a, a)
+
+
+def test_an_argument_that_differs_is_named_with_both_values() -> None:
+    with rhi.create_device("null") as a, rhi.create_device("null") as b:
+        for device, count in ((a, 1), (b, 5)):
+            house = House(device)
+            with device.event("view"), device.render_pass(house.image):
+                device.draw(house.lit, house.walls, count, light=house.light, tint=house.tint)
+        (difference,) = diff(a, b)
+    assert difference.labels == ("view",)
+    assert difference.changes == ("instances: 1 → 5",)
+    assert "test_trace_diff.py:" in str(difference)
+
+
+def test_memory_that_differs_is_counted() -> None:
+    (difference,) = compare(
+        lambda house: house.light.write(Light(offset=(0, 0, 1, 0))),
+        lambda house: house.light.write(Light(offset=(0, 0, 0, 0))),
+    )
+    assert difference.changes == ("data: 2 of 16 bytes differ, the first at 10",)
+
+
+def test_what_one_label_has_more_does_not_shift_the_next() -> None:
+    differences = compare(draw_more)
+    assert any(d.b is not None and d.b.op is Op.PUSH_LABEL and d.a is None for d in differences)
+    assert not [d for d in differences if d.labels == ("sun", "casters") and d.b is not None and d.b.op is Op.DRAW]
+
+
+def test_a_change_inside_a_label_is_told_under_its_path() -> None:
+    with rhi.create_device("null") as a, rhi.create_device("null") as b:
+        for device, mode in ((a, CullMode.NONE), (b, CullMode.FRONT)):
+            house = House(device)
+            with device.event("outer"):
+                for label in ("one", "two"):
+                    with device.event(label), device.render_pass(house.image):
+                        with device.states(mode if label == "two" else CullMode.NONE):
+                            device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+        differences = diff(a, b)
+    assert str(differences).splitlines()[0] == "outer / two"
+    assert {difference.labels for difference in differences} == {("outer", "two")}
+
+
+def test_a_failure_is_a_difference() -> None:
+    with streams(lambda house: None, lambda house: None) as (a, b):
+        index = b.draws()[0].index
+        b.failures[index] = rhi.commands.Failure("device-lost", "gone")
+        (difference,) = diff(a, b)
+    assert difference.changes == ("failure: none → device-lost",)
+
+
+def test_the_same_sources_under_another_name_are_a_difference() -> None:
+    with rhi.create_device("null") as a, rhi.create_device("null") as b:
+        for device, tail in ((a, ""), (b, "// more")):
+            descriptor = rhi.ProgramDescriptor(
+                "p", frozenset({rhi.Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_, tail=tail: f"void f(){{}}{tail}"
+            )
+            device.program(descriptor)
+        assert len(diff(a, b)) >= 1
+        assert not diff(a, Trace(a.stream))
+
+
+@given(st.lists(st.integers(0, 4), max_size=30), st.lists(st.integers(0, 4), max_size=30))
+def test_an_alignment_pairs_equal_elements_in_rising_order(a: list[int], b: list[int]) -> None:
+    pairs = align(a, b)
+    assert all(a[x] == b[y] for x, y in pairs)
+    assert all(x < u and y < v for (x, y), (u, v) in pairwise(pairs))
+    if a == b:
+        assert len(pairs) == len(a)
+
+
+@given(st.integers(0, 2**32), st.integers(1, 20))
+def test_long_sequences_are_aligned_around_what_was_inserted(seed: int, count: int) -> None:
+    random = np.random.default_rng(seed)
+    a = random.integers(0, 2000, 1200).tolist()
+    b = list(a)
+    for place in sorted(random.integers(0, len(a), count).tolist(), reverse=True):
+        b.insert(place, -1)
+    assert len(align(a, b)) == len(a)
+
+
+def test_long_repetitive_sequences_are_aligned_in_no_time() -> None:
+    a = [1, 2] * 20_000
+    b = [3, *a[:10_000], 4, *a[10_000:]]
+    assert len(align(a, b)) >= 20_000

@@ -1,0 +1,304 @@
+"""A trace replays: on null to the same commands, on GL to the same image."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from testing_kit import House, gl_works
+from trace_kit import VERSION_1, Doubled, record, record_much
+
+import rhi
+from rhi import CullMode, Format, Op
+from rhi.conformance.validation.refusal import refuses
+from rhi.descriptors import BufferDescriptor
+from rhi.errors import DeviceError
+from rhi.rules import DEVICE_MEMORY, PASS_OPEN
+from rhi.testing import expect
+from rhi.trace import diff, load, replay, save
+from rhi.trace.fit import check_fit
+from rhi.trace.rules import TRACE_CAPABILITY, TRACE_INCOMPLETE
+
+needs_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return record(tmp_path / "t.zip")
+
+
+def test_a_trace_is_loaded_as_it_was_recorded(tmp_path: Path) -> None:
+    with rhi.create_device("null") as device:
+        record_much(device)
+        save(device, tmp_path / "t.zip")
+        trace = load(tmp_path / "t.zip")
+        assert trace.backend == "null"
+        assert len(trace) == len(device.stream)
+        for a, b in zip(device.stream, trace.stream, strict=True):
+            assert (a.op, a.site, a.labels, a.states, a.failure) == (b.op, b.site, b.labels, b.states, b.failure)
+            if a.op is not Op.CREATE_PROGRAM:
+                assert a.values == b.values
+        assert not diff(device, trace)
+
+
+def test_equal_recordings_are_equal_files(tmp_path: Path) -> None:
+    assert record(tmp_path / "a.zip").read_bytes() == record(tmp_path / "b.zip").read_bytes()
+
+
+def test_a_loaded_trace_can_be_asserted_on(file: Path) -> None:
+    stream = load(file).stream
+    expect(stream).draws(program="Shadow").within("sun").with_bindings(light="light").exactly(2)
+
+
+@needs_gl
+def test_a_frame_recorded_on_null_replays_on_gl_to_the_same_image(file: Path) -> None:
+    with rhi.create_device("gl", validation=True) as device:
+        image = replay(load(file), on=device).image
+    with rhi.create_device("gl") as device:
+        wanted = record_much(device).read()
+    assert image is not None
+    assert len(np.unique(wanted.reshape(-1, 4), axis=0)) >= 3
+    assert np.array_equal(image, wanted)
+
+
+@needs_gl
+def test_a_frame_recorded_on_gl_replays_on_null_to_the_same_commands(tmp_path: Path) -> None:
+    with rhi.create_device("gl", record=True) as device:
+        House(device).render()
+        save(device, tmp_path / "t.zip")
+    with rhi.create_device("null") as device:
+        replay(load(tmp_path / "t.zip"), on=device)
+        differences = diff(load(tmp_path / "t.zip"), device)
+        assert [d.b.op for d in differences if d.b is not None] == [Op.READ_TEXTURE, Op.SET_STATES], str(differences)
+
+
+def test_the_image_is_what_was_presented_last(null_device: rhi.Device) -> None:
+    with rhi.create_device("null") as source:
+        image = source.texture((2, 2), Format.R8)
+        for value in (0.2, 0.4):
+            with source.render_pass(image, clear=(value, 0, 0, 0)):
+                pass
+            source.present(image)
+        with source.render_pass(image, clear=(1, 0, 0, 0)):
+            pass
+        result = replay(source, on=null_device)
+    assert result.image is not None
+    assert result.image.shape == (2, 2, 1)
+    assert (result.image == 102).all()
+
+
+def test_without_present_there_is_no_image(null_device: rhi.Device) -> None:
+    with rhi.create_device("null") as source:
+        source.texture((2, 2), Format.R8)
+        source.present()
+        assert replay(source, on=null_device).image is None
+
+
+def test_a_used_device_can_replay_and_go_on(file: Path, null_device: rhi.Device) -> None:
+    house = House(null_device)
+    with null_device.states(CullMode.NONE):
+        with null_device.render_pass(house.image):
+            null_device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+    null_device.finish()
+    replay(load(file), on=null_device)
+    house.render()
+    with null_device.render_pass(house.image):
+        null_device.draw(house.lit, house.walls, light=house.light, tint=house.tint)
+    last = null_device.stream.draws()[-1]
+    assert last.states[CullMode] is CullMode.BACK
+    assert last.labels == ()
+    expect(null_device).draws(program=house.lit).with_bindings(tint=house.tint).at_least(3)
+
+
+def test_all_ids_of_a_command_are_translated(null_device: rhi.Device) -> None:
+    with rhi.create_device("null") as source:
+        house = House(source)
+        arguments, number = source.buffer(40), source.buffer(4, label="number")
+        draws = rhi.IndirectDraws(arguments, 2, count=number)
+        with source.render_pass(house.image):
+            source.draw_indirect(house.lit, house.walls, draws, light=house.light, tint=house.tint)
+        source.buffer(8, label="source").copy_to(source.buffer(8, label="target"))
+        for _ in range(3):
+            null_device.buffer(4)
+        before = len(null_device.stream)
+        replay(source, on=null_device)
+        replayed = null_device.stream[before:]
+    (indirect,) = replayed.filter(Op.DRAW_INDIRECT)
+    assert indirect["count_buffer"] != source.stream.filter(Op.DRAW_INDIRECT)[0]["count_buffer"]
+    assert indirect.resource(indirect["count_buffer"]).label == "number"
+    assert indirect.resource(indirect["vertex_array"]).program == indirect.program
+    (copy,) = replayed.filter(Op.COPY_BUFFER)
+    assert [copy.resource(copy[name]).label for name in ("source", "target")] == ["source", "target"]
+    image = replayed.filter(Op.BEGIN_PASS)[0]["descriptor"].colors[0].texture
+    assert indirect.resource(image).label == "image"
+
+
+def test_what_a_trace_leaves_open_is_closed(null_device: rhi.Device) -> None:
+    with rhi.create_device("null") as source:
+        image = source.texture((2, 2), Format.R8)
+        with source.event("outer"), source.render_pass(image), source.states(CullMode.NONE):
+            replay(source.stream, on=null_device)
+    assert null_device.stream[-1].op in (Op.POP_LABEL, Op.SET_STATES)
+    null_device.buffer(4)
+    command = null_device.stream[-1]
+    assert (command.labels, command.render_pass) == ((), None)
+
+
+def test_ring_memory_becomes_plain_memory(file: Path, null_device: rhi.Device) -> None:
+    replay(load(file), on=null_device)
+    created = null_device.stream.filter(Op.CREATE_BUFFER)
+    assert {command["descriptor"].usage for command in created} == {rhi.BufferUsage.STATIC}
+    recorded = load(file).stream.filter(Op.CREATE_BUFFER)
+    assert rhi.BufferUsage.STREAM in {command["descriptor"].usage for command in recorded}
+
+
+@pytest.mark.parametrize("backend", ["gl", "cl"])
+def test_a_dispatch_recorded_on_null_computes_on_another_backend(tmp_path: Path, backend: str) -> None:
+    with rhi.create_device("null") as source:
+        numbers, doubled = source.storage(int, np.arange(8, dtype=np.int32)), source.storage(int, 8)
+        source.dispatch(source.program(Doubled), 2, source=numbers, target=doubled)
+        save(source, tmp_path / "t.zip")
+    try:
+        device = rhi.create_device(backend)
+    except rhi.DeviceError as error:
+        pytest.skip(f"no {backend} device here: {error.given or error.rule.sentence}")
+    with device:
+        result = replay(load(tmp_path / "t.zip"), on=device)
+        data = device._backend.read_buffer(result.ids[doubled.owner.id], 0, 32)
+    assert np.frombuffer(data, np.int32).tolist() == list(range(0, 16, 2))
+
+
+# -- failures ------------------------------------------------------------------------------------------------
+
+
+class Full:
+    """Makes the null backend's creations of large buffers fail."""
+
+    def __init__(self, device: rhi.Device) -> None:
+        backend = device.backend_as(type(device._backend.backend))  # type: ignore[attr-defined]
+        create = backend.create_buffer
+
+        def create_buffer(buffer: int, descriptor: BufferDescriptor) -> None:
+            if descriptor.size > 1000:
+                raise DeviceError(DEVICE_MEMORY, "create_buffer")
+            create(buffer, descriptor)
+
+        backend.create_buffer = create_buffer
+
+
+def failing_trace(tmp_path: Path) -> Path:
+    with rhi.create_device("null") as source:
+        Full(source)
+        with pytest.raises(DeviceError):
+            source.buffer(2000)
+        source.buffer(10)
+        save(source, tmp_path / "t.zip")
+    return tmp_path / "t.zip"
+
+
+def test_failed_calls_are_kept(tmp_path: Path) -> None:
+    stream = load(failing_trace(tmp_path)).stream
+    failed = stream.filter(where=lambda command: command.failure is not None)
+    assert [command.failure.error for command in failed] == ["device-out-of-memory"]
+    assert failed[0]["descriptor"].size == 2000
+
+
+def test_a_failed_call_is_tried_again(tmp_path: Path, null_device: rhi.Device) -> None:
+    trace = load(failing_trace(tmp_path))
+    (index,) = trace.stream.failures
+    assert replay(trace, on=null_device).failures == {index: None}
+    Full(null_device)
+    failure = replay(trace, on=null_device).failures[index]
+    assert failure is not None
+    assert failure.error == "device-out-of-memory"
+
+
+def test_a_new_failure_says_which_command_it_was(file: Path, null_device: rhi.Device) -> None:
+    def refuse_textures(*_: object) -> None:
+        raise DeviceError(DEVICE_MEMORY, "create_texture")
+
+    null_device.backend_as(type(null_device._backend.backend)).create_texture = refuse_textures  # type: ignore
+    with pytest.raises(DeviceError) as caught:
+        replay(load(file), on=null_device)
+    assert "while replaying command" in caught.value.__notes__[0]
+    assert "testing_kit.py" in caught.value.__notes__[0]
+
+
+def test_a_stream_without_its_beginning_is_refused(null_device: rhi.Device, tmp_path: Path) -> None:
+    with rhi.create_device("null") as source:
+        source.buffer(4)
+        source.stream.clear()
+        source.buffer(4)
+        with refuses(TRACE_INCOMPLETE):
+            save(source, tmp_path / "t.zip")
+        with refuses(TRACE_INCOMPLETE):
+            replay(source, on=null_device)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_paused_recording_is_refused(tmp_path: Path) -> None:
+    with rhi.create_device("null") as source:
+        buffer = source.buffer(4)
+        with source._backend.paused():  # type: ignore[attr-defined]
+            buffer.write(np.zeros(4, np.uint8))
+        with refuses(TRACE_INCOMPLETE):
+            save(source, tmp_path / "t.zip")
+
+
+def test_an_open_pass_is_refused(file: Path, null_device: rhi.Device) -> None:
+    trace = load(file)
+    image = null_device.texture((2, 2), Format.R8)
+    with null_device.render_pass(image), refuses(PASS_OPEN, null_device):
+        replay(trace, on=null_device)
+
+
+@pytest.mark.parametrize(
+    ("lacking", "op"),
+    [
+        ({"max_texture_size": 48}, Op.CREATE_TEXTURE),
+        ({"max_texture_layers": 5}, Op.CREATE_TEXTURE),
+        ({"unsupported_formats": frozenset({Format.RGBA16F})}, Op.CREATE_TEXTURE),
+        ({"compute": False}, Op.CREATE_PROGRAM),
+        ({"max_work_group_invocations": 3}, Op.CREATE_PROGRAM),
+        ({"occlusion_queries": False}, Op.CREATE_QUERY),
+        ({"stencil": False}, Op.SET_STATES),
+        ({"max_uniform_slots": 1}, Op.BIND_UNIFORM),
+        ({"max_uniform_bytes": 15}, Op.BIND_UNIFORM),
+        ({"max_storage_bytes": 31}, Op.BIND_STORAGE),
+        ({"max_texture_slots": 0}, Op.BIND_TEXTURE),
+        ({"max_color_targets": 0}, Op.BEGIN_PASS),
+        ({"max_dispatch": (1, 1, 1)}, Op.DISPATCH),
+    ],
+)
+def test_a_device_that_lacks_something_is_refused_before_anything_is_issued(
+    file: Path, null_device: rhi.Device, lacking: dict[str, object], op: Op
+) -> None:
+    trace = load(file)
+    check_fit(trace.stream, null_device.capabilities)
+    null_device._core.capabilities = dataclasses.replace(null_device.capabilities, **lacking)
+    with refuses(TRACE_CAPABILITY, null_device) as refusal:
+        replay(trace, on=null_device)
+    assert f": {op.method}(" in refusal.error.given
+
+
+# -- the first version ---------------------------------------------------------------------------------------
+
+
+def test_a_trace_of_version_1_still_loads_and_replays(null_device: rhi.Device) -> None:
+    trace = load(VERSION_1)
+    assert len(trace) == 87
+    result = replay(trace, on=null_device)
+    assert result.image is not None
+    assert result.image.shape == (48, 64, 4)
+    expect(trace.stream).draws(program="Shadow").within("sun").exactly(2)
+
+
+@needs_gl
+def test_a_trace_of_version_1_still_draws_the_same() -> None:
+    with rhi.create_device("gl") as device:
+        image = replay(load(VERSION_1), on=device).image
+    assert image is not None
+    with rhi.create_device("gl") as device:
+        assert np.array_equal(image, record_much(device).read())

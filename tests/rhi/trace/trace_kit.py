@@ -1,0 +1,113 @@
+"""A recording that has something of everything, and ways to spoil a file."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from testing_kit import Corner, House
+
+import rhi
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    Format,
+    Primitive,
+    SamplerDescriptor,
+    Scissor,
+    StencilFront,
+    StencilTest,
+    TextureKind,
+    Viewport,
+)
+from rhi.shading import Shader, Storage, StorageRW, Texture2D, global_id, vec2, vec4
+from rhi.trace import save
+
+VERSION_1 = Path(__file__).parent / "version-1.zip"
+
+
+class Doubled(Shader):
+    source: Storage[int]
+    target: StorageRW[int]
+    work_group = (4, 1, 1)
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.target[i] = self.source[i] * 2
+
+
+class Pictured(Shader):
+    picture: Texture2D
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        return self.picture.sample(vec2(0.5, 0.5))
+
+
+def record_much(device: rhi.Device) -> rhi.Texture:
+    """A frame of the house, and a second one of what it leaves out; the presented image."""
+    house = House(device)
+    house.render()
+    picture = device.texture(np.full((4, 4, 4), (10, 200, 30, 255), np.uint8), Format.RGBA8, levels=None)
+    faces = device.texture((4, 4), Format.RGBA16F, kind=TextureKind.CUBE, label="faces")
+    faces.write(np.ones((6, 4, 4, 4), np.float16))
+    numbers = device.storage(int, np.arange(8, dtype=np.int32))
+    doubled = device.storage(int, 8)
+    device.dispatch(device.program(Doubled), 2, source=numbers, target=doubled)
+    device.buffer(np.arange(4)).copy_to(device.buffer(4, np.int64))
+    query = device.occlusion_query()
+    stencil = device.texture((64, 48), Format.D32FS8)
+    sampler = device.sampler(SamplerDescriptor(minify=rhi.Filter.NEAREST, magnify=rhi.Filter.NEAREST))
+    with device.event("second"), device.render_pass(
+        house.image, stencil, clear=(0, 0, 1, 1), clear_depth=0, clear_stencil=3
+    ):
+        with device.states(
+            CullMode.NONE, StencilTest.ON, StencilFront(), Scissor(0, 0, 32, 48), Viewport(0, 0, 64, 48),
+            BlendFunction.ALPHA.at(0), ColorWrite.OFF.at(3),
+        ):  # fmt: skip
+            with query:
+                device.draw(device.program(Pictured), house.walls, picture=picture.sampled(sampler))
+            draws = house.walls.draws(np.zeros(2, int), np.full(2, 3))
+            device.draw_many(device.program(Pictured), house.walls, draws, picture=picture.sampled(sampler))
+        with device.immediate(house.lit, Primitive.TRIANGLES, light=house.light, tint=house.tint) as corners:
+            for place in ((-1, -1), (1, -1), (0, 1)):
+                corners.vertex(position=place)
+    device.present(house.image)
+    return house.image
+
+
+def record(path: Path) -> Path:
+    with rhi.create_device("null") as device:
+        record_much(device)
+        save(device, path)
+    return path
+
+
+def rewrite(path: Path, members: Callable[[dict[str, bytes]], None]) -> Path:
+    """The same file with its members changed."""
+    with zipfile.ZipFile(path) as file:
+        contents = {name: file.read(name) for name in file.namelist()}
+    members(contents)
+    changed = path.with_name("changed.zip")
+    with zipfile.ZipFile(changed, "w", zipfile.ZIP_DEFLATED) as file:
+        for name, data in contents.items():
+            file.writestr(name, data)
+    return changed
+
+
+def edit_line(path: Path, op: str, change: Callable[[dict[str, Any]], None]) -> Path:
+    """The same file with the first command `op` changed."""
+
+    def edit(members: dict[str, bytes]) -> None:
+        lines = [json.loads(line) for line in members["commands.jsonl"].splitlines()]
+        change(next(line for line in lines if line["op"] == op))
+        members["commands.jsonl"] = "".join(json.dumps(line) + "\n" for line in lines).encode()
+
+    return rewrite(path, edit)
