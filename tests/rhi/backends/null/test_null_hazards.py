@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from null_kit import Camera, Object, hand_made_program
 from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
@@ -519,11 +519,12 @@ def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels)
 
 
 @settings(max_examples=60, deadline=None)
+@example([("signal", 0, 0), ("draw", 0, 1), ("wait", 0, 0), ("signal", 0, 0), ("write", 0, 1)], 0, 0)
 @given(ACTIONS, st.integers(0, 20_000), st.integers(0, 3000))
 def test_what_is_called_a_hazard_happens_on_a_gpu_that_is_slow_enough(actions, latency, pixels):
     """The same program, run again on a GPU that is never done before it is waited for."""
 
-    def run(latency):
+    def run(latency, pixels):
         backend = uniform_backend(submission_latency=latency)
         backend.count_samples(lambda draw: pixels)
         value = 0
@@ -537,12 +538,13 @@ def test_what_is_called_a_hazard_happens_on_a_gpu_that_is_slow_enough(actions, l
             elif what == "signal":
                 backend.signal(value := value + 1)
             elif what == "wait":
-                backend.wait(max(0, value - number), 1.0)
+                backend.wait(max(0, value - number), 1000.0)
             elif what == "spend":
                 backend.spend(number)
         return backend.hazards
 
-    here, slow = run(latency), run(10**8)
+    # Slow to start, and slow at each draw: one that takes no time is over before the CPU wakes from a wait.
+    here, slow = run(latency, pixels), run(10**8, 10**9)
     assert [(h.kind, h.bytes) for h in here] == [(h.kind, h.bytes) for h in slow]
     assert all(h.happened for h in slow)
 
