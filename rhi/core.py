@@ -145,7 +145,9 @@ class Core:
         self.program = None
 
     def flush_states(self) -> None:
-        """Tell the backend of the states that have changed."""
+        """Tell the backend of the states that have changed, if any have."""
+        if self.states.wanted is self.states.hardware:
+            return
         self.backend.set_states(self.states.flush())
         if self._prepares is not None:
             self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON

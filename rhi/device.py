@@ -619,8 +619,7 @@ class Device:
         program.ready_to_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
         program.bind(program.ready_to_draw, mesh, bindings)
-        if core.states.wanted is not core.states.hardware:
-            core.flush_states()
+        core.flush_states()
         return vertex_array
 
 

@@ -25,7 +25,7 @@ from rhi.descriptors import (
     VertexFormat,
     VertexStream,
 )
-from rhi.errors import ValidationError, refuse
+from rhi.errors import refuse
 from rhi.formats import IndexFormat
 from rhi.layout import VectorType
 from rhi.mesh import Mesh, check_finite
@@ -248,8 +248,7 @@ class Immediate(Generic[S]):
         program, core = self._program, self._program.core
         program.bind(program.ready_to_draw, EMPTY_MESH, self._bindings)
         mesh = self._memory.mesh(program, array, None, self._primitive)
-        if core.states.wanted is not core.states.hardware:
-            core.flush_states()
+        core.flush_states()
         program.draw_unprepared(mesh, 1)
         core.draws += 1
 
@@ -257,12 +256,10 @@ class Immediate(Generic[S]):
         rows, self._rows = self._rows, []
         try:
             array = np.array(rows, self._dtype)
-            check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
-            return array
-        except ValidationError:
-            raise
         except (TypeError, ValueError) as error:
             refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
+        check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
+        return array
 
 
 EMPTY_MESH = _TransientMesh({}, Primitive.TRIANGLES, 0, 0, 0)

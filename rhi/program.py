@@ -56,7 +56,6 @@ class Program(Generic[P]):
     """
 
     __slots__ = (
-        "_output_formats",
         "bind",
         "core",
         "descriptor",
@@ -91,7 +90,6 @@ class Program(Generic[P]):
         self.draw_with = code.draw_with
         self.bind = code.bind
         core.draw_counters.append(code.take_draws)
-        self._output_formats: object = None
 
     @property
     def label(self) -> str:
