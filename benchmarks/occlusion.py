@@ -4,7 +4,10 @@ The city's camera path, 60 frames. In place of a device stands an oracle that an
 if it is within 150 m of the eye, so that about as much is visible as from a street. Seeing all nodes as the
 camera does (NumPy over all nodes) is timed apart from the walk (Python, node by node).
 
-    python benchmarks/occlusion.py [--json] [--scene city]
+Then, where there is a device that draws, what twice as many objects cost if as many are seen: boxes behind a
+wall and 40 in front of it, the frames of both scenes taking turns.
+
+    python benchmarks/occlusion.py [--json] [--scene city] [--backend gl] [--boxes 10000]
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ import argparse
 import json
 import sys
 import time
-from contextlib import nullcontext
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,11 +25,15 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
-from renderer.scene import Camera, load_scene
+from renderer.measure import alternate
+from renderer.renderer import Renderer
+from renderer.scene import BUILT_IN, Camera, Scene, SceneBuilder, load_scene, scaling, translation
+from renderer.scene.transforms import multiply
 from renderer.visibility import ChcPlusPlus
 
 FRAMES = 60
 TARGET = 4.0
+DOUBLING = 1.2
 SIGHT = 150.0
 
 
@@ -101,14 +108,60 @@ def measure(text: str) -> dict[str, Any]:
     }
 
 
+def make_hidden(count: int) -> Scene:
+    """`count` boxes behind a wall, the same place filled the more densely, and 40 in front of it."""
+    rng = np.random.default_rng(3)
+    builder = SceneBuilder(f"{count} boxes")
+    mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
+    hidden = rng.uniform((-60.0, -30.0, -160.0), (60.0, 30.0, -60.0), (count, 3))
+    shown = rng.uniform((-14.0, -7.0, -40.0), (14.0, 7.0, -20.0), (40, 3))
+    wall = multiply(translation((0.0, 0.0, -50.0)), scaling((200.0, 120.0, 1.0)))
+    places = np.concatenate([translation(hidden), translation(shown), wall[None]])
+    builder.add_objects(builder.add_nodes(places), mesh, material)
+    builder.views["front"] = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))
+    return builder.build()
+
+
+def measure_doubling(backend: str | None, boxes: int) -> dict[str, Any]:
+    """How much longer a frame of twice as many boxes takes; the eye moves a little each frame."""
+    scenes = {str(count): make_hidden(count) for count in (boxes, 2 * boxes)}
+    with rhi.create_device(backend) as device, ExitStack() as stack:
+        if not device.capabilities.renders:
+            return {}
+        renderers = {
+            name: stack.enter_context(Renderer(device, scene, visibility=ChcPlusPlus(scene, device)))
+            for name, scene in scenes.items()
+        }
+
+        def render(name: str, frame: int) -> None:
+            eye = np.array([0.02 * frame, 0.0, 0.0])
+            renderers[name].render(Camera.look_at(eye, eye - (0.0, 0.0, 1.0)))
+            device.finish()
+
+        work = {name: lambda frame, name=name: render(name, frame) for name in renderers}
+        times = alternate(work, range(1, FRAMES + 1), warm_ups=5)
+        one, two = times.values()
+        return {
+            "backend": device.backend_name,
+            "boxes": [boxes, 2 * boxes],
+            "milliseconds": [round(1e3 * time.median, 2) for time in (one, two)],
+            "doubling_ratio": round(two.ratio_to(one), 3),
+            "target_doubling_ratio": DOUBLING,
+        }
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
         "--scene", default="city", help="a generator with a ground path (default: %(default)s)"
     )
+    parser.add_argument("--backend", help="for twice as many objects (default: the first that works)")
+    parser.add_argument(
+        "--boxes", type=int, default=10_000, help="of the smaller scene (default: %(default)s)"
+    )
     given = parser.parse_args()
-    result = measure(given.scene)
+    result = measure(given.scene) | measure_doubling(given.backend, given.boxes)
     if given.json:
         print(json.dumps(result, indent=2))
         return 0

@@ -17,67 +17,28 @@ import sys
 import time
 from collections.abc import Callable
 
-import numpy as np
+from scenes import Scene
 
 import rhi
 from rhi.backends.null import create_backend
 from rhi.descriptors import Primitive
 from rhi.recorder import Recorder
-from rhi.shading import Shader, Struct, Uniform, vec2, vec4
-
-
-class Corner(Struct):
-    position: vec2
-
-
-class Camera(Struct):
-    scale: vec4
-
-
-class Object(Struct):
-    offset: vec4
-
-
-class Varying(Struct):
-    clip: vec4
-
-
-class Flat(Shader):
-    camera: Uniform[Camera]
-    object: Uniform[Object]
-
-    def vertex(self, v: Corner) -> Varying:
-        return Varying(clip=vec4(v.position, 0.5, 1.0) * self.camera.scale + self.object.offset)
-
-    def fragment(self, v: Varying) -> vec4:
-        return vec4(1.0, 1.0, 1.0, 1.0)
 
 
 def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
     """Commands a second and bytes a command, by variant."""
     device = rhi.create_device("null")
-    program = device.program(Flat)
-    mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
-    image = device.texture((64, 64), rhi.Format.RGBA8)
-    camera = device.uniform(Camera(scale=(1, 1, 1, 1)))
-    objects = device.uniform_array(Object, draws)
-    ranges = [objects[i] for i in range(draws)]
-
-    def through_device() -> None:
-        draw = device.draw
-        with device.render_pass(image, clear=(0, 0, 0, 1)):
-            for constants in ranges:
-                draw(program, mesh, camera=camera, object=constants)
+    scene = Scene(device, draws)
 
     def through_program() -> None:
-        draw = program.draw
-        with device.render_pass(image, clear=(0, 0, 0, 1)):
-            for constants in ranges:
-                draw(mesh, camera=camera, object=constants)
+        draw, mesh = scene.program.draw, scene.mesh
+        with device.render_pass(scene.image, clear=(0, 0, 0, 1)):
+            for constants in scene.ranges:
+                draw(mesh, object=constants)
 
     backend = create_backend()
     recorder = Recorder(backend)
-    offsets = [constants.offset for constants in ranges]
+    offsets = [constants.offset for constants in scene.ranges]
 
     def bare() -> None:
         bind_uniform, draw = recorder.bind_uniform, recorder.draw
@@ -87,7 +48,7 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
 
     fences = iter(range(1, 1 << 30))
     variants: dict[str, tuple[Callable[[], None], Callable[[], object], rhi.CommandStream]] = {
-        "device.draw": (through_device, device.finish, device.stream),
+        "device.draw": (lambda: scene.draw(device), device.finish, device.stream),
         "program.draw": (through_program, device.finish, device.stream),
         "recorder alone": (bare, lambda: recorder.signal(next(fences)), recorder.stream),
     }

@@ -14,75 +14,43 @@ import json
 import statistics
 import time
 
-import numpy as np
+from scenes import Scene
 
 import rhi
 from rhi.backends.null import Simulation
-from rhi.shading import Shader, Struct, Uniform, vec2, vec4
 
 
-class Corner(Struct):
-    position: vec2
+def make(draws: int, simulation: Simulation | None) -> Scene:
+    """A scene on a null device, simulated or not."""
+    options = {} if simulation is None else {"simulation": simulation}
+    return Scene(rhi.create_device("null", **options), draws, size=256)
 
 
-class Object(Struct):
-    offset: vec4
-
-
-class Flat(Shader):
-    object: Uniform[Object]
-
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position, 0.5, 1.0) + self.object.offset
-
-    def fragment(self) -> vec4:
-        return vec4(1.0, 1.0, 1.0, 1.0)
-
-
-class Scene:
-    """A device, and a frame of it: constants in own memory (static) or in the ring (transient)."""
-
-    def __init__(self, draws: int, simulation: Simulation | None, transient: bool) -> None:
-        options = {} if simulation is None else {"simulation": simulation}
-        self.device = rhi.create_device("null", **options)
-        self.program = self.device.program(Flat)
-        self.mesh = self.device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
-        self.image = self.device.texture((256, 256), rhi.Format.RGBA8)
-        self.objects = self.device.uniform_array(Object, draws)
-        self.transient = transient
-        self.device.finish()
-
-    def frame(self) -> int:
-        """Record and execute one; returns how many commands it was."""
-        device, program, mesh = self.device, self.program, self.mesh
-        with device.render_pass(self.image, clear=(0, 0, 0, 1)):
-            if self.transient:
-                value = Object(offset=(0, 0, 0, 0))
-                for _ in range(len(self.objects)):
-                    device.draw(program, mesh, object=device.transient.uniform(value))
-            else:
-                for i in range(len(self.objects)):
-                    device.draw(program, mesh, object=self.objects[i])
-        device.present(self.image)
-        device.finish()
-        return len(device.stream)
+def frame(scene: Scene, transient: bool) -> int:
+    """Record and execute one, with constants in own memory or in the ring; returns how many commands it was."""
+    if transient:
+        scene.draw_transient(scene.device)
+    else:
+        scene.draw(scene.device)
+    scene.present()
+    return len(scene.device.stream)
 
 
 def measure(draws: int, rounds: int) -> dict[str, float]:
     """Commands a second, by variant."""
     scenes = {
-        "executed": Scene(draws, None, False),
-        "simulated": Scene(draws, Simulation(), False),
-        "executed, transient": Scene(draws, None, True),
-        "simulated, transient": Scene(draws, Simulation(), True),
+        "executed": (make(draws, None), False),
+        "simulated": (make(draws, Simulation()), False),
+        "executed, transient": (make(draws, None), True),
+        "simulated, transient": (make(draws, Simulation()), True),
     }
     rates: dict[str, list[float]] = {name: [] for name in scenes}
     for _ in range(rounds):
-        for name, scene in scenes.items():
+        for name, (scene, transient) in scenes.items():
             scene.device.stream.clear()
             gc.collect()
             start = time.perf_counter()
-            commands = scene.frame()
+            commands = frame(scene, transient)
             rates[name].append(commands / (time.perf_counter() - start))
     return {name: statistics.median(each) for name, each in rates.items()}
 

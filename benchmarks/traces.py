@@ -18,48 +18,26 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
+from scenes import Scene
 
 import rhi
-from rhi import CullMode, DepthWrite, Format
-from rhi.shading import Shader, Struct, Uniform, vec2, vec4
+from rhi import CullMode, DepthWrite
 from rhi.trace import Trace, diff, load, replay, save
-
-
-class Corner(Struct):
-    position: vec2
-
-
-class Object(Struct):
-    offset: vec4
-
-
-class Flat(Shader):
-    object: Uniform[Object]
-
-    def vertex(self, v: Corner) -> vec4:
-        return vec4(v.position, 0.5, 1.0) + self.object.offset
-
-    def fragment(self) -> vec4:
-        return vec4(1.0, 1.0, 1.0, 1.0)
 
 
 def record(commands: int, changed: int = -1) -> Trace:
     """A trace of about so many commands; draw `changed` is another."""
     with rhi.create_device("null") as device:
-        flat = device.program(Flat)
-        mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
-        image = device.texture((64, 64), Format.RGBA8, label="image")
-        objects = device.uniform_array(Object, 64, label="objects")
+        scene = Scene(device, 64)
         drawn = 0
         while len(device.stream) < commands:
             with device.event("frame"):
                 for state in (CullMode.NONE, DepthWrite.OFF):
-                    with device.event(state.name), device.render_pass(image), device.states(state):
-                        for index in range(64):
-                            device.draw(flat, mesh, 1 + (drawn == changed), object=objects[index])
+                    with device.event(state.name), device.render_pass(scene.image), device.states(state):
+                        for constants in scene.ranges:
+                            device.draw(scene.program, scene.mesh, 1 + (drawn == changed), object=constants)
                             drawn += 1
-            device.present(image)
+            device.present(scene.image)
         return Trace(device.stream, "null")
 
 

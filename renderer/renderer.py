@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Self
+from functools import cached_property
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.frame import Frame, SceneResources, Targets
-from renderer.scene import Camera, Scene
+from renderer.frame import Drawn, Frame, SceneResources, Targets
+from renderer.scene import Camera, Scene, Simulator
 from renderer.techniques import Forward, Technique
-from renderer.visibility import FrustumCulling, Statistics, VisibilityAlgorithm
+from renderer.visibility import Statistics, VisibilityAlgorithm, make_visibility
 from rhi import Device, Texture
+
+_COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
+"""Of the device, that frames are measured by."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,8 @@ class FrameStatistics:
         queries: occlusion queries.
         software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device.
         upload_bytes: memory written to the device.
+        simulation_steps: steps that simulations of objects drawn took, each of each object.
+        skipped_simulations: simulations of objects that weren't drawn, and took none.
     """
 
     triangles: int
@@ -33,18 +39,35 @@ class FrameStatistics:
     software_state_changes: int
     hardware_state_changes: int
     upload_bytes: int
+    simulation_steps: int
+    skipped_simulations: int
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class FrameResult:
-    """A frame that was submitted: `image` and `depth` are drawn to again by the next one; `visible` are rows of
-    objects, and `visibility` is what finding them cost (None if the technique asked for none)."""
+    """A frame that was submitted: `image` and `depth` are drawn to again by the next one; `visibility` is what
+    finding the visible objects cost (None if the technique asked for none).
+
+    Where the device decides what is drawn, `visible` and `statistics` wait for it when they are first asked for, and
+    can be asked for until the next frame.
+    """
 
     image: Texture
     depth: Texture
-    statistics: FrameStatistics
-    visible: NDArray[np.int64]
     visibility: Statistics | None
+    _drawn: Drawn
+    _counters: dict[str, int]
+
+    @property
+    def visible(self) -> NDArray[np.int64]:
+        """Rows of the objects drawn."""
+        return self._drawn.rows
+
+    @cached_property
+    def statistics(self) -> FrameStatistics:
+        """What the frame cost."""
+        drawn = self._drawn
+        return FrameStatistics(triangles=drawn.triangles, draws=len(drawn.rows), **self._counters)
 
 
 class Renderer:
@@ -62,12 +85,16 @@ class Renderer:
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
     ) -> None:
-        """`size` is (width, height) in pixels. Without more, shading is forward, and what is outside the view
-        frustum is culled. `visibility` must have been made for `scene`."""
+        """`size` is (width, height) in pixels. Without more, shading is forward, and visibility `auto`, which
+        measures what is fastest. `visibility` must have been made for `scene`."""
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
-        self.visibility: VisibilityAlgorithm = visibility or FrustumCulling(scene)
+        self._own: list[VisibilityAlgorithm] = []
+        if visibility is None:
+            visibility = make_visibility("auto", scene, device)
+            self._own.append(visibility)
+        self.visibility: VisibilityAlgorithm = visibility
         self._targets = Targets(device, size)
         self._resources = SceneResources(device, scene)
 
@@ -83,6 +110,16 @@ class Renderer:
             self._targets.destroy()
             self._targets = targets
 
+    @property
+    def simulator(self) -> Simulator:
+        """Steps what is simulated and drawn. Another one of the same scene may have gone other ways to the same
+        time: `Simulator(scene.simulated, len(scene.objects))`."""
+        return self._resources.simulator
+
+    @simulator.setter
+    def simulator(self, simulator: Simulator) -> None:
+        self._resources.simulator = simulator
+
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
         """Draw the scene at `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the GPU."""
         device = self.device
@@ -90,24 +127,22 @@ class Renderer:
         camera = camera.with_aspect(width / height)
         before = device.statistics
         self.scene.update(seconds)
+        self.simulator.begin_frame(seconds)
         self._resources.update(camera)
         frame = Frame(camera, self._resources, self._targets, self.visibility)
         self.technique.render(device, frame)
         device.present(self._targets.color)
-        visible = frame.visible
         after = device.statistics
-        statistics = FrameStatistics(
-            triangles=self.scene.count_triangles(visible),
-            draws=len(visible),
-            queries=after.queries - before.queries,
-            software_state_changes=after.software_state_changes - before.software_state_changes,
-            hardware_state_changes=after.hardware_state_changes - before.hardware_state_changes,
-            upload_bytes=after.upload_bytes - before.upload_bytes,
-        )
-        return FrameResult(self._targets.color, self._targets.depth, statistics, visible, frame.statistics)
+        counters = {name: getattr(after, name) - getattr(before, name) for name in _COUNTERS}
+        counters["simulation_steps"] = self.simulator.steps
+        counters["skipped_simulations"] = len(self.simulator) - self.simulator.seen
+        return FrameResult(self._targets.color, self._targets.depth, frame.statistics, frame.drawn, counters)
 
     def destroy(self) -> None:
-        """Give back everything made on the device."""
+        """Give back everything made on the device; not a visibility algorithm that was given."""
+        for visibility in self._own:
+            visibility.destroy()
+        self._own.clear()
         self._targets.destroy()
         self._resources.destroy()
 

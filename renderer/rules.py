@@ -47,6 +47,16 @@ STATIC_NODE: Final = Rule(
     "a static node can't be moved",
     "add the node, or one of its ancestors, with dynamic=True",
 )
+SHARED_MESH: Final = Rule(
+    "scene-shared-mesh",
+    "an object that is simulated needs a simulation and a mesh of its own",
+    "add a mesh for each member",
+)
+UNBOUND_MESH: Final = Rule(
+    "scene-unbound-mesh",
+    "the mesh of an object that is simulated needs bounds that hold at all times",
+    "give add_mesh(bounds=...): what is hidden isn't stepped, so where it is must be known without that",
+)
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
 # Scene text
@@ -64,6 +74,9 @@ UNKNOWN_CAMERA: Final = Rule(
     "the text names no camera of the scene",
     "give a name, a position x,y,z, or a position and a target x,y,z,x,y,z",
 )
+BAD_WALK: Final = Rule(
+    "camera-bad-walk", "the file holds no walk-through", "CameraPath.record(cameras).save(path) writes one"
+)
 FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such frame")
 
 # Visibility
@@ -76,9 +89,34 @@ NO_CONDITIONS: Final = Rule(
     "conditional culling needs a device with conditional rendering",
     "chc_plus_plus needs occlusion queries alone",
 )
+NO_COMPUTE: Final = Rule(
+    "visibility-no-compute",
+    "culling on the device needs compute shaders and draws",
+    "frustum needs neither",
+)
+NO_SCENE_PASS: Final = Rule(
+    "visibility-no-scene-pass",
+    "an algorithm that lists draws on the device renders in a renderer's pass",
+    "give it to a Renderer as its `visibility`; `result.visible` are the rows that it drew",
+)
+STALE_LIST: Final = Rule(
+    "visibility-stale-list",
+    "what the device has listed is known until the next frame is listed",
+    "ask for `result.visible` and `result.statistics` before the next frame",
+)
 BAD_PARAMETER: Final = Rule(
     "visibility-bad-parameter", "a visibility algorithm's parameter is out of its range"
 )
+BAD_SETTINGS: Final = Rule(
+    "visibility-bad-settings",
+    "the file holds no settings of visibility algorithms",
+    "python -m renderer tune writes one",
+)
+
+# Measurements
+
+NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
+NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to be timed")
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:

@@ -14,7 +14,8 @@ Drivers are loaded when a device is made, not when this package is imported.
 
 from rhi.backend import Backend, Capabilities
 from rhi.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
-from rhi.commands import Command, CommandStream, Op
+from rhi.command_buffer import CommandBuffer
+from rhi.commands import Command, CommandStream, Op, Refusal
 from rhi.containers import FixedQueue, FixedStack
 from rhi.core import Statistics
 from rhi.descriptors import (
@@ -30,7 +31,8 @@ from rhi.descriptors import (
     VertexFormat,
     Wrap,
 )
-from rhi.device import Device, IndirectDraws
+from rhi.device import Device
+from rhi.encoder import Encoder, IndirectDraws
 from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
 from rhi.formats import Format, IndexFormat
 from rhi.immediate import Immediate, TransientMemory
@@ -94,6 +96,7 @@ __all__ = [
     "Capabilities",
     "ColorWrite",
     "Command",
+    "CommandBuffer",
     "CommandStream",
     "Comparison",
     "CullMode",
@@ -103,6 +106,7 @@ __all__ = [
     "DepthWrite",
     "Device",
     "DeviceError",
+    "Encoder",
     "Filter",
     "FixedQueue",
     "FixedStack",
@@ -119,6 +123,7 @@ __all__ = [
     "Program",
     "ProgramDescriptor",
     "Recorder",
+    "Refusal",
     "Region",
     "RenderPass",
     "RhiError",

@@ -1,5 +1,6 @@
 """`python -m rhi`: which backends work on this machine, what they can do, and what to install for the rest.
-`python -m rhi trace` looks at traces."""
+`python -m rhi trace` looks at traces, `python -m rhi shading accuracy` measures built-ins,
+`python -m rhi new-backend` begins a port."""
 
 from __future__ import annotations
 
@@ -9,11 +10,15 @@ import json
 import platform
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 import rhi
+from rhi import accuracy
+from rhi.conformance.template import write_package
+from rhi.errors import RhiError
 from rhi.registry import BackendReport
 from rhi.trace import cli as trace_cli
 
@@ -21,14 +26,20 @@ __rhi_internal__ = True
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report, or run `trace …`; 0 if a backend that renders works, else 1."""
+    """Print the report, or run `trace …`, `shading …` or `new-backend …`; 0 if a backend that renders works, else 1."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["trace"]:
         return trace_cli.main(given[1:])
+    if given[:1] == ["shading"]:
+        return accuracy.main(given[1:])
+    if given[:1] == ["new-backend"]:
+        return _new_backend(given[1:])
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         description="Say which backends work on this machine.",
         epilog="examples:\n  python -m rhi\n  python -m rhi --json\n  python -m rhi trace --help\n"
+        "  python -m rhi shading accuracy --help\n"
+        "  python -m rhi new-backend --help\n"
         "  RHI_BACKEND=null python app.py",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -37,6 +48,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reports = rhi.report()
     print(json.dumps(_as_json(reports), indent=2) if options.json else _as_text(reports))
     return 0 if any(r.capabilities and r.capabilities.renders for r in reports) else 1
+
+
+def _new_backend(arguments: Sequence[str]) -> int:
+    """Write the package that a port starts from; 2 if it can't be."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rhi new-backend",
+        description="Write a package that registers a new backend and fails the conformance kit by name.",
+        epilog="example:\n  python -m rhi new-backend vulkan --folder ports\n"
+        "  pip install --editable ports/rhi-vulkan\n"
+        "  pytest --pyargs rhi.conformance --rhi-backend vulkan --tb=line -q",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("name", metavar="NAME", help="as in rhi.create_device(NAME)")
+    parser.add_argument("--folder", type=Path, default=Path(), help="where to write it (default: here)")
+    options = parser.parse_args(arguments)
+    try:
+        root = write_package(options.name, options.folder)
+    except RhiError as error:
+        print(f"error: {error.given} (allowed: {error.allowed})", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    print(root)
+    print(f"next: pip install --editable {root}, then let the kit say what to write first:\n"
+          f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} --tb=line -q", file=sys.stderr)  # fmt: skip
+    return 0
 
 
 def _as_json(reports: list[BackendReport]) -> dict[str, Any]:

@@ -122,18 +122,28 @@ class Buffer:
 
     def clear(self, value: int = 0) -> None:
         """Fill with a 32-bit pattern; the size must be a multiple of 4 bytes."""
-        self._check("Buffer.clear")
-        if self.size % 4:
-            refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
-        self.core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
+        self._clear(self.core, value)
 
     def copy_to(
         self, target: Buffer, *, size: int | None = None, offset: int = 0, target_offset: int = 0
     ) -> None:
         """Copy `size` bytes (None: all from `offset`) on the device; offsets in bytes."""
+        self._copy(self.core, target, size, offset, target_offset)
+
+    def _clear(self, core: Core, value: int) -> None:
+        """`clear`, commanded to `core`: the buffer's own, or a command buffer's."""
+        core.check_open()
+        core.check_usable(self, "Buffer.clear")
+        if self.size % 4:
+            refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
+        core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
+
+    def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
+        """`copy_to`, commanded to `core`."""
         call = "Buffer.copy_to"
-        self._check(call)
-        self.core.check_usable(target, call)
+        core.check_open()
+        core.check_usable(self, call)
+        core.check_usable(target, call)
         size = self.size - offset if size is None else size
         for buffer, start in ((self, offset), (target, target_offset)):
             if start < 0 or size <= 0 or start + size > buffer.size:
@@ -142,7 +152,7 @@ class Buffer:
                 )
         if target is self and abs(offset - target_offset) < size:
             refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
-        self.core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
+        core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
 
     def _check(self, call: str) -> None:
         self.core.check_open()

@@ -10,6 +10,7 @@
 from __future__ import annotations
 
 from array import array
+from collections import deque
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
@@ -24,7 +25,7 @@ from rhi.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
 
 __rhi_internal__ = True
 
-__all__ = ["Command", "CommandStream", "Commands", "Context", "Failure", "Op"]
+__all__ = ["Command", "CommandStream", "Commands", "Context", "Failure", "Op", "Refusal"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +34,36 @@ class Failure:
 
     error: str
     message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A call that was refused and so never became a command.
+
+    Attributes:
+        index: how many commands came before it.
+        error: the rule's id.
+        call, given, allowed: what the message says.
+        labels: those it was made in, outermost first.
+    """
+
+    index: int
+    error: str
+    call: str
+    given: str = ""
+    allowed: str = ""
+    site: CallSite | None = None
+    labels: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        given = f": {_on_one_line(self.given)}" if self.given else ""
+        allowed = f" (allowed: {_on_one_line(self.allowed)})" if self.allowed else ""
+        return f"{self.call}{given}{allowed}{f'  {self.site}' if self.site is not None else ''}  REFUSED [{self.error}]"
+
+
+def _on_one_line(text: str) -> str:
+    first, more, _ = text.partition("\n")
+    return first + " …" * bool(more)
 
 
 def find_site(code: CodeType | None, offset: int) -> CallSite | None:
@@ -67,6 +98,11 @@ class Command:
         """The arguments, in order."""
         self.failure: Failure | None = stream.failures.get(index)
         """Why the call failed, None if it didn't."""
+
+    @property
+    def stream(self) -> CommandStream:
+        """The stream that it is in."""
+        return self._stream
 
     @property
     def arguments(self) -> dict[str, Any]:
@@ -207,13 +243,30 @@ class Commands(Sequence[Command]):
         """The draws among them, indirect ones included."""
         return self.filter(DRAWS)
 
-    def format(self, limit: int | None = None) -> str:
-        """One line each, at most `limit` lines, indented by the labels they lie in."""
-        lines = [
-            f"{command.index:>6}  {'  ' * len(command.labels)}{command}" for command in islice(self, limit)
-        ]
-        if len(lines) < len(self):
-            lines.append(f"… and {len(self) - len(lines)} more")
+    @property
+    def refusals(self) -> tuple[Refusal, ...]:
+        """The calls that were refused between the first and the last of them, or of the whole stream."""
+        indices, refused = self.indices(), self._stream._refusals
+        if self._stream is self or not refused:
+            return tuple(refused)
+        first, last = (indices[0], indices[-1]) if indices else (0, -1)
+        return tuple(refusal for refusal in refused if first < refusal.index <= last)
+
+    def format(self, limit: int | None = None, refusals: Sequence[Refusal] | None = None) -> str:
+        """One line each, at most `limit` commands, indented by the labels they lie in, with the refused calls at
+        their places: `refusals`, or those of `refusals` the attribute."""
+        refused = deque(self.refusals if refusals is None else refusals)
+        lines: list[str] = []
+        shown = 0
+        for command in islice(self, limit):
+            while refused and refused[0].index <= command.index:
+                lines.append(_format_refusal(refused.popleft()))
+            lines.append(f"{command.index:>6}  {'  ' * len(command.labels)}{command}")
+            shown += 1
+        if shown < len(self):
+            lines.append(f"… and {len(self) - shown} more")
+        else:
+            lines.extend(map(_format_refusal, refused))
         return "\n".join(lines)
 
     def __str__(self) -> str:
@@ -221,6 +274,10 @@ class Commands(Sequence[Command]):
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__}: {len(self)} commands>"
+
+
+def _format_refusal(refusal: Refusal) -> str:
+    return f"     ×  {'  ' * len(refusal.labels)}{refusal}"
 
 
 PRINTED: Final = 1000
@@ -239,12 +296,15 @@ class CommandStream(Commands):
         is_complete: whether all commands since its beginning are in it: never cleared, nothing left out.
     """
 
-    __slots__ = ("_base", "_cursor", "_gaps", "_starts", "data", "failures", "generation", "is_complete")
+    __slots__ = (
+        "_base", "_cursor", "_gaps", "_refusals", "_starts", "data", "failures", "generation", "is_complete",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         super().__init__(self, ())
         self.data: list[Any] = []
         self.failures: dict[int, Failure] = {}
+        self._refusals: list[Refusal] = []
         self.generation = 0
         self.is_complete = True
         self._starts = array("Q")  # where each command begins in data, as far as anyone has looked
@@ -300,17 +360,35 @@ class CommandStream(Commands):
         self._base = self.context(len(self)).copy()
         self.data.clear()
         self.failures.clear()
+        self._refusals.clear()
         self._gaps.clear()
         self._starts = array("Q")
         self._cursor = (0, 0, self._base.copy())
         self.generation += 1
         self.is_complete = False
 
+    def assume(self, resource: Id, descriptor: Descriptor) -> None:
+        """Know of a resource that was made before the first command."""
+        self._base.resources[resource] = descriptor
+        self._cursor = (0, 0, self._base.copy())
+
     def leave_out(self, entry: tuple[Any, ...]) -> None:
         """In place of `data.extend(entry)`: don't keep the command, but what holds after it."""
         self.is_complete = False
         if entry[0] in CONTEXT_OPS:
             self._gaps.append((len(self), entry[0], entry[1:-2]))
+
+    def note_refusal(self, error: RhiError) -> None:
+        """A call was refused here."""
+        index = len(self)
+        labels = self.context(index).labels
+        self.add_refusal(
+            Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels)
+        )
+
+    def add_refusal(self, refusal: Refusal) -> None:
+        """Keep a refused call; its index isn't below those before it."""
+        self._refusals.append(refusal)
 
     def fail(self, error: BaseException) -> None:
         """Mark the last command as failed."""

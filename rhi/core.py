@@ -7,15 +7,23 @@ to know the device.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, Protocol, cast
 
 from rhi.backend import Backend, PreparesDraws
 from rhi.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.errors import refuse
-from rhi.rules import DEVICE_CLOSED, LOCK_OPEN, RESOURCE_DESTROYED, RESOURCE_FOREIGN
-from rhi.state_cache import StateCache
+from rhi.rules import (
+    DEVICE_CAPABILITY,
+    DEVICE_CLOSED,
+    LOCK_OPEN,
+    RECORD_TRANSIENT,
+    RESOURCE_DESTROYED,
+    RESOURCE_FOREIGN,
+)
+from rhi.state_cache import StateCache, StateVector
 from rhi.states import AlphaTest
 from rhi.timeline import Timeline
 
@@ -67,7 +75,7 @@ class Core:
     """
 
     __slots__ = (
-        "_next_id",
+        "_ids",
         "_prepares",
         "_samplers",
         "backend",
@@ -89,6 +97,9 @@ class Core:
         "timeline",
         "upload_bytes",
     )
+
+    records: ClassVar[bool] = False
+    """Whether this is a command buffer's, whose memory nothing else may use."""
 
     def __init__(self, backend: Backend, states: StateCache) -> None:
         self.backend = backend
@@ -112,14 +123,13 @@ class Core:
         if hasattr(backend, "prepare_draw"):
             self._prepares = cast("PreparesDraws", backend)
             self._prepares.on_interruption(self.forget_program)
-        self._next_id = 0
+        self._ids = itertools.count(1)  # whose next() is one step, also for several threads
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
 
     def new_id(self) -> Id:
         """The next resource id; ids are never used twice."""
-        self._next_id += 1
-        return self._next_id
+        return next(self._ids)
 
     def create_id(self) -> Id:
         """An id for a resource that the user creates, counted as a creation."""
@@ -134,7 +144,7 @@ class Core:
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked or another device's."""
         if owner.core is not self:
-            refuse(RESOURCE_FOREIGN, call, describe(owner))
+            refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe(owner))
         if owner.destroyed:
             refuse(RESOURCE_DESTROYED, call, describe(owner))
         if owner in self.locked:
@@ -149,6 +159,17 @@ class Core:
         if self.states.wanted is self.states.hardware:
             return
         self.backend.set_states(self.states.flush())
+        if self._prepares is not None:
+            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+
+    def send_states(self, vector: StateVector) -> None:
+        """Bring the hardware to a state vector of whatever cache, wanted or not."""
+        if changes := self.states.change_to(vector):
+            self.backend.set_states(changes)
+
+    def adopt_states(self, values: tuple[object, ...]) -> None:
+        """Take note of what the backend was told past the cache: these values hold now."""
+        self.states.adopt(values)
         if self._prepares is not None:
             self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 
@@ -180,7 +201,10 @@ class Core:
         return lambda slot, offset, size: bind(slot, buffer, offset, size)
 
     def sampler(self, descriptor: SamplerDescriptor) -> Id:
-        """The id of a sampler; equal descriptors share one."""
+        """The id of a sampler; equal descriptors share one. `device-capability` for more anisotropy than there is."""
+        if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
+            given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
+            refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}")
         sampler = self._samplers.get(descriptor)
         if sampler is None:
             sampler = self.new_id()

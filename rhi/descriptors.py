@@ -330,13 +330,38 @@ class FragmentOutput:
     components: int
 
 
+class Interpolation(enum.Enum):
+    """How a varying gets its value in a fragment: in the world, from the first vertex, or in the image."""
+
+    SMOOTH = "smooth"
+    FLAT = "flat"
+    NO_PERSPECTIVE = "no_perspective"
+
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class StageVarying:
+    """A value that flows from the vertex to the fragment stage, in 32-bit words: `words` of them from `word` on, a
+    matrix's row by row. `kind` is "float", "int" or "uint"."""
+
+    name: str
+    word: int
+    words: int
+    kind: str
+    interpolation: Interpolation = Interpolation.SMOOTH
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramDescriptor:
     """What a backend makes a program from.
 
-    `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30) or, for compute stages,
-    "opencl" and the lanes of a work-item ("opencl16"); `lines` maps each line of a stage's text (from 0), as it was
-    emitted last, to the (file, line) it came from, for a driver's messages.
+    `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30); "opencl" and the lanes of a
+    work-item, 1, 4, 8 or 16 for compute stages, 16 for others ("opencl16", see `rhi.shading.opencl_stages`); or, of
+    compute stages, "numpy", a Python module. `lines` maps each line of a stage's text (from 0), as it was emitted
+    last, to the (file, line) it came from, for a driver's messages. `varyings` are those that the fragment stage
+    reads, in the order of their words. `shared_bytes` is the memory that a work-group shares.
+    `checked`: its stages report faults on OpenCL and NumPy (`rhi.shading.faults`).
     """
 
     name: str
@@ -350,4 +375,7 @@ class ProgramDescriptor:
     discards: bool = False
     early_depth: bool = False
     writes_depth: bool = False
+    varyings: tuple[StageVarying, ...] = ()
+    shared_bytes: int = 0
+    checked: bool = False
     lines: Mapping[Stage, tuple[tuple[str, int], ...]] = field(default_factory=dict)

@@ -9,8 +9,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
@@ -20,6 +19,7 @@ from typing_extensions import ParamSpec
 
 from rhi.backend import Backend, Capabilities
 from rhi.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
+from rhi.command_buffer import CommandBuffer, check_submissions
 from rhi.commands import CommandStream
 from rhi.core import Core, Statistics
 from rhi.descriptors import (
@@ -30,22 +30,21 @@ from rhi.descriptors import (
     TextureDescriptor,
     TextureKind,
 )
-from rhi.errors import refuse
+from rhi.encoder import Encoder
+from rhi.errors import listen, refuse
 from rhi.formats import Format
-from rhi.immediate import Immediate, TransientMemory
+from rhi.immediate import TransientMemory
 from rhi.layout import Layout, element_dtype
-from rhi.mesh import Mesh, MeshData, VertexSource, check_draws
-from rhi.passes import Clear, RenderPass, Target
+from rhi.mesh import Mesh, MeshData, VertexSource
 from rhi.program import Program
-from rhi.queries import Conditional, Event, OcclusionQuery, QueryDesk, TimerNode, Timers
+from rhi.queries import OcclusionQuery, TimerNode, Timers
 from rhi.recorder import Recorder
+from rhi.refusals import RefusalLog
 from rhi.rules import (
     BUFFER_DTYPE,
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
     DEVICE_NOT_RECORDING,
-    DISPATCH_SIZE,
-    INDIRECT_RANGE,
     LOCK_OPEN,
     PASS_OPEN,
     RESOURCE_FOREIGN,
@@ -53,7 +52,7 @@ from rhi.rules import (
     TEXTURE_SIZE,
 )
 from rhi.shading import Shader, Struct, compile_shader, value_type_of
-from rhi.state_cache import StateCache, StateScope
+from rhi.state_cache import StateCache
 from rhi.states import (
     AlphaFunction,
     AlphaReference,
@@ -61,7 +60,6 @@ from rhi.states import (
     AlphaToCoverage,
     BlendFunction,
     PolygonOffset,
-    State,
     StencilTest,
 )
 from rhi.textures import Sampler, Texture, full_levels
@@ -74,35 +72,19 @@ T = TypeVar("T")
 B = TypeVar("B")
 
 
-@dataclass(frozen=True, slots=True)
-class IndirectDraws:
-    """Draws whose arguments the GPU reads from a buffer when it executes them.
-
-    Each is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`), `stride` bytes apart from `offset`.
-    With `count`, their number is the uint32 at `count_offset` of that buffer, at most `draws`.
-    """
-
-    buffer: Buffer | StorageBuffer[Any]
-    draws: int
-    offset: int = 0
-    stride: int = 20
-    count: Buffer | StorageBuffer[Any] | None = None
-    count_offset: int = 0
-
-
-class Device:
+class Device(Encoder):
     """One device. `rhi.create_device` makes it; use it in a `with` block, or call `close`."""
 
     def __init__(self, backend: Backend, *, timing: bool = False, frames_in_flight: int = 2) -> None:
         """`backend` may be a `Recorder` in front of another."""
         capabilities = backend.capabilities
         self._backend = backend
-        self._core = Core(backend, StateCache(_unsupported_states(capabilities)))
-        self._scope = self._core.states.scope
-        self._desk = QueryDesk()
-        self._timers = Timers(self._core, timing and capabilities.timestamps)
-        self._transient = TransientMemory(self._core)
+        core = Core(backend, StateCache(_unsupported_states(capabilities)))
+        super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs: dict[object, Program[Any]] = {}
+        self._refusals = RefusalLog(core, backend) if isinstance(backend, Recorder) else None
+        if self._refusals is not None:
+            listen(self._refusals)
         self._frames: deque[int] = deque()
         self._frames_in_flight = max(1, frames_in_flight)
 
@@ -339,50 +321,9 @@ class Device:
             program = self._programs[shader] = Program(self._core, descriptor)
         return program
 
-    # -- passes and states -------------------------------------------------------------------------------
-
-    def render_pass(
-        self,
-        color: Target | Sequence[Target] | None = None,
-        depth: Target | None = None,
-        *,
-        clear: Clear = None,
-        clear_depth: float | None = None,
-        clear_stencil: int | None = None,
-        resolve: Texture | Sequence[Texture | None] | None = None,
-        label: str = "",
-    ) -> RenderPass:
-        """`with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):` draws go to these.
-
-        Args:
-            color, depth: textures, or `texture.at(level, layer)`, all of one size and number of samples.
-            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps it).
-            clear_depth: 0 is far and 1 near under reversed depth; None keeps what is there.
-            resolve: single-sampled textures that get the averaged samples at the end.
-        """
-        return RenderPass(
-            self._core, self._desk, color, depth, clear, clear_depth, clear_stencil, resolve, label
-        )  # fmt: skip
-
-    def states(self, *states: State) -> StateScope:
-        """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
-        return self._scope(states)
-
     # -- work --------------------------------------------------------------------------------------------
 
-    if TYPE_CHECKING:
-
-        def draw(
-            self, program: Program[P], mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
-        ) -> None:
-            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
-
-            Raises:
-                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
-                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
-            """
-
-    else:
+    if not TYPE_CHECKING:
         # Without *args, which cost 80 ns; there are none, a type checker only wants them named.
         def draw(self, program, mesh, instances=1, /, **bindings):
             """Draw `mesh` with `program`; a value for each of the program's bindings by name.
@@ -393,142 +334,38 @@ class Device:
             """
             try:
                 if program.core is not self._core:
-                    self._check_program(program, "device.draw")
+                    self._own(program, "device.draw")
                 program.draw_with(mesh, instances, bindings)
             except AttributeError:
-                self._check_program(program, "device.draw")
+                self._own(program, "device.draw")
                 raise
 
-    def draw_many(
-        self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
-    ) -> None:
-        """Draw parts of `mesh`, an array of `rhi.DRAW` (see `mesh.draws`), in one call.
+    def record(self, *, label: str = "") -> CommandBuffer:
+        """`with device.record() as commands:` commands that are written down now and carried out by `submit`.
 
-        The array is copied into a buffer of its own ring; shaders tell the draws apart by
-        `instance_index()` (which counts from `base_instance`) or `draw_index()`.
+        It takes what a device takes (passes, states, draws, dispatches, …), on any thread, one thread a buffer.
+        `label` lies on all of its commands.
         """
-        self._check_program(program, "device.draw_many")
-        check_mesh(mesh, "device.draw_many")
-        array = check_draws(mesh, draws, "device.draw_many")
-        if mesh.primitive is Primitive.QUADS:
-            refuse(DEVICE_CAPABILITY, "device.draw_many", "Primitive.QUADS", "any other primitive")
-        vertex_array = self._bind_draws(program, mesh, bindings)
-        if not len(array):
-            return
-        core = self._core
-        core.upload_bytes += array.nbytes
-        arguments = self._transient.arguments
-        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
-        core.backend.draw_indirect(
-            vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
-        )
-        core.draws += 1
+        self._core.check_open()
+        return CommandBuffer(self._core, label)
 
-    def draw_indirect(
-        self,
-        program: Program[P],
-        mesh: Mesh,
-        arguments: IndirectDraws,
-        /,
-        *args: P.args,
-        **bindings: P.kwargs,
-    ) -> None:
-        """Draw with arguments that the GPU reads from a buffer when it gets there."""
-        call = "device.draw_indirect"
-        self._check_program(program, call)
-        check_mesh(mesh, call)
-        core = self._core
-        buffer = _plain(arguments.buffer)
-        count = None if arguments.count is None else _plain(arguments.count)
-        core.check_usable(buffer, call)
-        end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
-        if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
-            given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
-            refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
-        if (
-            arguments.stride < 20
-            or arguments.stride % 4
-            or arguments.offset % 4
-            or arguments.count_offset % 4
-        ):
-            refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
-                   "a stride of 20 or more and offsets, all multiples of 4")  # fmt: skip
-        if mesh.primitive is Primitive.QUADS:
-            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
-        if count is not None:
-            if not core.capabilities.indirect_count:
-                refuse(DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count")
-            core.check_usable(count, call)
-            if not 0 <= arguments.count_offset <= count.size - 4:
-                refuse(
-                    INDIRECT_RANGE,
-                    call,
-                    f"count at byte {arguments.count_offset}",
-                    f"within {count.size} bytes",
-                )
-        vertex_array = self._bind_draws(program, mesh, bindings)
-        core.backend.draw_indirect(
-            vertex_array,
-            mesh.primitive,
-            buffer.id,
-            arguments.offset,
-            arguments.draws,
-            arguments.stride,
-            count.id if count is not None else 0,
-            arguments.count_offset,
-        )
-        core.draws += 1
+    def submit(self, *buffers: CommandBuffer) -> None:
+        """Carry out command buffers, in order, on the device's own thread; as often as you like.
 
-    def dispatch(
-        self, program: Program[P], groups: int | Sequence[int], /, *args: P.args, **bindings: P.kwargs
-    ) -> None:
-        """Run `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
+        What they read (buffers, textures) is what it is then. The device's state scopes don't reach into them,
+        nor theirs out.
 
-        What it writes is visible to everything after it; no barrier is needed.
+        Raises:
+            ValidationError: `record-state` for one that isn't whole, `resource-destroyed` for one that uses what
+                is gone, `lock-open`, `query-state`, `pass-open` inside a render pass; nothing was carried out.
         """
-        call = "device.dispatch"
-        self._check_program(program, call)
-        sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
-        sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
-        most = self._core.capabilities.max_dispatch
-        if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
-            refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
-        program.bind(program.ready_to_dispatch, None, bindings)
-        if 0 not in sizes:
-            self._core.backend.dispatch(*sizes)
-            self._core.dispatches += 1
-
-    def dispatch_indirect(
-        self,
-        program: Program[P],
-        buffer: Buffer | StorageBuffer[Any],
-        offset: int = 0,
-        /,
-        *args: P.args,
-        **bindings: P.kwargs,
-    ) -> None:
-        """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
-        call = "device.dispatch_indirect"
-        self._check_program(program, call)
-        plain = _plain(buffer)
-        self._core.check_usable(plain, call)
-        if offset < 0 or offset % 4 or offset + 12 > plain.size:
-            refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {plain.size - 12}")
-        program.bind(program.ready_to_dispatch, None, bindings)
-        self._core.backend.dispatch_indirect(plain.id, offset)
-        self._core.dispatches += 1
-
-    def immediate(
-        self, program: Program[P], primitive: Primitive, /, *args: P.args, **bindings: P.kwargs
-    ) -> Immediate[Any]:
-        """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
-        self._check_program(program, "device.immediate")
-        return Immediate(self._transient, program, primitive, bindings)
-
-    @property
-    def transient(self) -> TransientMemory:
-        """Ring memory for constants and vertices of this frame."""
-        return self._transient
+        core = self._core
+        core.check_open()
+        if core.render_pass is not None:
+            refuse(PASS_OPEN, "device.submit", "an open render pass")
+        check_submissions(buffers, core)
+        for buffer in buffers:
+            buffer.carry_out()
 
     # -- time --------------------------------------------------------------------------------------------
 
@@ -558,14 +395,6 @@ class Device:
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """A counter of visible samples; `emulated` asks for the thesis's emulation (4.4.2) where it can be had."""
         return OcclusionQuery(self._core, self._desk, emulated)
-
-    def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing."""
-        return Conditional(self._core, query, inverted)
-
-    def event(self, label: str) -> Event:
-        """`with device.event("shadows"):` a label on the commands inside and, with timing on, a timer."""
-        return Event(self._core, self._timers, label)
 
     @property
     def timing(self) -> bool:
@@ -603,33 +432,6 @@ class Device:
         if len(self._frames) > self._frames_in_flight:
             core.timeline.wait(self._frames.popleft())
             core.timeline.collect()
-
-    # -- inside ------------------------------------------------------------------------------------------
-
-    def _check_program(self, program: object, call: str) -> None:
-        if not isinstance(program, Program):
-            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
-        if program.core is not self._core:
-            refuse(RESOURCE_FOREIGN, call, repr(program))
-
-    def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
-        """Everything a draw needs but the draw itself; returns the vertex array."""
-        core = self._core
-        core.program = None  # many draws at once are worth a full check
-        program.ready_to_draw(mesh)
-        vertex_array = program.find_vertex_array(mesh)
-        program.bind(program.ready_to_draw, mesh, bindings)
-        core.flush_states()
-        return vertex_array
-
-
-def check_mesh(mesh: object, call: str) -> None:
-    if not isinstance(mesh, Mesh):
-        refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
-
-
-def _plain(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
-    return buffer.owner if isinstance(buffer, StorageBuffer) else buffer
 
 
 def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:

@@ -5,6 +5,8 @@
 - All state they keep lies in cells that they share: what is bound (compared by identity) and whose ranges are
   known to be good. What isn't current any more clears `core.program`, and the next call starts from nothing.
 - Up to `enter` everything may be refused; from there on nothing is. So what is refused leaves no trace.
+- A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
+  writes down, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
 - `draw` takes bindings as keywords, for the program's own draw; `draw_with` and `bind` take them as the dictionary
   that `device.draw(**bindings)` has anyway: to unpack it again would cost 70 ns.
 """
@@ -12,6 +14,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from types import CodeType
 from typing import Any, Final, NamedTuple
 
 from rhi.descriptors import Binding, BindingKind
@@ -33,6 +36,11 @@ _APPLY: Final = {
 }
 
 
+_APPLY_RECORDED: Final = _APPLY | {
+    BindingKind.UNIFORM: "_backend.bind_uniform({slot}, {name}.buffer, {name}.offset, {name}.size)"
+}
+
+
 class DrawCode(NamedTuple):
     """What is generated.
 
@@ -47,17 +55,21 @@ class DrawCode(NamedTuple):
     take_draws: Callable[[], int]
 
 
-def generate(program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
-    """The functions of a `Program`."""
-    source = "\n".join(_source(bindings))
+def write(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
+    """The code of the functions of a program; `recorded`: of those that a command buffer uses."""
+    return compile("\n".join(_source(bindings, recorded)), f"<draw of {name}>", "exec")
+
+
+def make(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
+    """The functions for one `Program`."""
     scope: dict[str, Any] = {"__rhi_internal__": True, "__name__": __name__}
-    exec(compile(source, f"<draw of {program.name}>", "exec"), scope)
+    exec(code, scope)
     core = program.core
     types = tuple(binding.type for binding in bindings)
     return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object()))
 
 
-def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
+def _source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
     """The text of a function `make` that returns the fields of `DrawCode`. Names of its own start with an
     underscore and a letter; bindings keep clear of `mesh` and `instances` by rule."""
     cells = [f"_{what}_{i}" for what in ("bound", "owner") for i in range(len(bindings))]
@@ -69,13 +81,13 @@ def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
         yield f"    _type_{i} = _types[{i}]"
 
     yield f"    def draw(mesh, instances=1{', *' if bindings else ''}{keywords}):"
-    yield from _draw(bindings, cells, unpack=False)
+    yield from _draw(bindings, cells, unpack=False, recorded=recorded)
     yield "    def draw_with(mesh, instances, _given):"
-    yield from _draw(bindings, cells, unpack=True)
+    yield from _draw(bindings, cells, unpack=True, recorded=recorded)
     yield "    def bind(_ready, mesh, _given):"
     yield from _nonlocal(cells)
     yield from _unpack(bindings)
-    yield from _bind(bindings, cells, ready="_ready(mesh)", find=())
+    yield from _bind(bindings, cells, ready="_ready(mesh)", find=(), recorded=recorded)
     yield "    def take_draws():"
     yield "        nonlocal _draws"
     yield "        taken, _draws = _draws, 0"
@@ -83,19 +95,19 @@ def _source(bindings: tuple[Binding, ...]) -> Iterator[str]:
     yield "    return draw, draw_with, bind, take_draws"
 
 
-def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool) -> Iterator[str]:
+def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool) -> Iterator[str]:
     yield from _nonlocal([*cells, "_draws"])
     if unpack:
         yield from _unpack(bindings)
     find = (
         "try:",
-        "    _draw = mesh.calls[_program]",
+        f"    _draw = {'_program.calls[mesh]' if recorded else 'mesh.calls[_program]'}",
         "except KeyError:",
         "    _draw = _program.attach(mesh)",
         "if instances != 1:",
         "    _program.check_instances(instances)",
     )
-    yield from _bind(bindings, cells, ready="_program.ready_to_draw(mesh)", find=find)
+    yield from _bind(bindings, cells, "_program.ready_to_draw(mesh)", find, recorded)
     yield "        if _states.wanted is not _states.hardware:"
     yield "            _core.flush_states()"
     yield "        if _core.tests_alpha:"
@@ -123,7 +135,7 @@ def _unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
 
 
 def _bind(
-    bindings: tuple[Binding, ...], cells: list[str], ready: str, find: tuple[str, ...]
+    bindings: tuple[Binding, ...], cells: list[str], ready: str, find: tuple[str, ...], recorded: bool
 ) -> Iterator[str]:
     """Check everything, then apply what changed."""
     values = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
@@ -149,5 +161,6 @@ def _bind(
     yield "            _program.enter()"
     for i, binding in enumerate(bindings):
         yield f"        if {binding.name} is not _bound_{i}:"
-        yield "            " + _APPLY[binding.kind].format(slot=binding.slot, name=binding.name)
+        apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]
+        yield "            " + apply.format(slot=binding.slot, name=binding.name)
         yield f"            _bound_{i} = {binding.name}"

@@ -5,15 +5,17 @@
 - `Immediate` collects ad-hoc vertices, one at a time or as whole arrays, and draws them all at once at the end
   of its `with` block: one upload, one draw (Listing 4.9 without the counts in advance).
 - Vertices are laid out as the program's vertex stage reads them.
+- A command buffer has transient memory of its own, which lives as long as it does: an `Arena` in place of the rings.
 """
 
 from __future__ import annotations
 
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, NoReturn, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
 
 from rhi.core import Core
 from rhi.descriptors import (
@@ -31,7 +33,7 @@ from rhi.layout import VectorType
 from rhi.mesh import Mesh, check_finite
 from rhi.program import Program
 from rhi.ring import Ring
-from rhi.rules import IMMEDIATE_VERTEX, RESOURCE_DESTROYED
+from rhi.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE, RESOURCE_DESTROYED
 from rhi.shading.bindings import UniformRange
 
 if TYPE_CHECKING:
@@ -47,43 +49,80 @@ _UINT_FORMATS = {f.components: f for f in VertexFormat if f.code == "u4" and not
 _BY_SCALAR = {"float": _FLOAT_FORMATS, "int": _INT_FORMATS, "uint": _UINT_FORMATS}
 
 
-class _RingOwner:
-    """Stands for a ring's buffer where bindings look at their owner; destroyed when the ring has grown."""
+class TransientOwner:
+    """Stands for transient memory where bindings and meshes are asked for their owner.
+
+    That of constants (a `buffer`) is made anew when their ring has grown.
+    """
 
     __slots__ = ("bind_uniform", "core", "destroyed", "label")
 
-    def __init__(self, core: Core, label: str, buffer: Id) -> None:
+    def __init__(self, core: Core, label: str, buffer: Id = 0) -> None:
         self.core = core
-        self.bind_uniform = core.prepare_uniform(buffer)
+        if buffer:
+            self.bind_uniform = core.prepare_uniform(buffer)
         self.destroyed = False
         self.label = label
 
 
+class Arena:
+    """Memory that only grows, and is handed to the backend as one buffer when it is first needed there.
+
+    It has the part of a `Ring` that `TransientMemory` uses.
+    """
+
+    __slots__ = ("buffer", "data", "generation")
+
+    def __init__(self, buffer: Id) -> None:
+        self.buffer = buffer
+        self.generation = 0
+        self.data = bytearray()
+
+    @property
+    def capacity(self) -> int:
+        """Bytes that were given out."""
+        return len(self.data)
+
+    def write(self, data: BytesLike, size: int, alignment: int) -> int:
+        """Put `size` bytes behind the others; returns their offset, a multiple of `alignment`."""
+        self.data.extend(bytes(-len(self.data) % alignment))
+        offset = len(self.data)
+        self.data.extend(memoryview(data)[:size])
+        return offset
+
+
 class TransientMemory:
-    """Ring memory of one device, for what is used in one frame only.
+    """Memory for what is used in one frame, or one command buffer, only.
 
     Attributes:
         arguments: the ring that `device.draw_many` puts its arrays of draws into.
     """
 
-    __slots__ = ("_constants", "_core", "_indices", "_owner", "_owner_generation", "_vertex_arrays", "_vertices",
-                 "arguments")  # fmt: skip
+    __slots__ = ("_constants", "_core", "_indices", "_mesh_owner", "_owner", "_owner_generation", "_vertex_arrays",
+                 "_vertices", "arguments")  # fmt: skip
 
-    def __init__(self, core: Core, capacity: int = 1 << 16) -> None:
+    def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
+        """In rings, which begin with `capacity` bytes each, or all in one arena."""
         self._core = core
-        self._constants = Ring(core.backend, core.timeline, core.new_id, capacity, "transient constants")
-        self._vertices = Ring(core.backend, core.timeline, core.new_id, capacity, "transient vertices")
-        self._indices = Ring(core.backend, core.timeline, core.new_id, capacity, "transient indices")
-        self.arguments = Ring(core.backend, core.timeline, core.new_id, capacity, "draw arguments")
-        core.frame_rings.extend((self._constants, self._vertices, self._indices, self.arguments))
-        self._owner: _RingOwner | None = None
+        memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
+        if arena is None:
+            for label in ("transient constants", "transient vertices", "transient indices", "draw arguments"):
+                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label)
+                core.frame_rings.append(ring)
+                memories.append(ring)
+        self._constants, self._vertices, self._indices, self.arguments = memories
+        self._owner: TransientOwner | None = None
         self._owner_generation = 0
+        self._mesh_owner = TransientOwner(core, "transient vertices")
         self._vertex_arrays: dict[tuple[object, ...], Id] = {}
 
     @property
     def capacity(self) -> int:
-        """Bytes that the rings have room for."""
-        return sum(ring.capacity for ring in self._core.frame_rings if ring.buffer)
+        """Bytes that there is room for."""
+        memories = {
+            id(each): each for each in (self._constants, self._vertices, self._indices, self.arguments)
+        }
+        return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
     def uniform(self, value: S) -> UniformRange[S]:
         """Constants for the draws of this frame."""
@@ -95,7 +134,7 @@ class TransientMemory:
         if self._owner is None or self._constants.generation != self._owner_generation:
             # The ring moved to a larger buffer. Ranges on the old one stay valid for this frame, but a new
             # owner makes draws look at the new one.
-            self._owner = _RingOwner(core, "transient constants", self._constants.buffer)
+            self._owner = TransientOwner(core, "transient constants", self._constants.buffer)
             self._owner_generation = self._constants.generation
         return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
 
@@ -146,7 +185,9 @@ class TransientMemory:
         array = match_vertices(program, vertices)
         vertex_array, first, base = self.draw_arguments(program, array, indices)
         count = len(array) if indices is None else len(indices)
-        return _TransientMesh({program: vertex_array}, primitive, first, count, base)
+        return _TransientMesh(
+            _TransientData({program: vertex_array}, self._mesh_owner), primitive, first, count, base
+        )
 
     def _drop_outdated(self) -> None:
         """Give back the vertex arrays on buffers that a ring has grown out of."""
@@ -155,14 +196,21 @@ class TransientMemory:
             self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
-class _NoData:
-    """A transient mesh has no buffers of its own to check; its vertex arrays, by program, are the rings'."""
+class _TransientData:
+    """What a transient mesh has in place of buffers of its own: an owner to check, and a vertex array by program."""
 
-    buffers: tuple[Any, ...] = ()
     label = "transient"
 
-    def __init__(self, vertex_arrays: dict[object, Id]) -> None:
+    def __init__(self, vertex_arrays: dict[object, Id], *owners: TransientOwner) -> None:
         self.vertex_arrays = vertex_arrays
+        self.buffers = owners
+
+    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
+        refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", "a transient mesh that was made for another program",
+               "one made for this one")  # fmt: skip
+
+    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
+        self.describe(program, name, attributes)
 
 
 class _TransientMesh(Mesh):
@@ -170,10 +218,8 @@ class _TransientMesh(Mesh):
 
     __slots__ = ()
 
-    def __init__(
-        self, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int, base: int
-    ) -> None:
-        self.data = _NoData(vertex_arrays)  # type: ignore[assignment]
+    def __init__(self, data: _TransientData, primitive: Primitive, first: int, count: int, base: int) -> None:
+        self.data = data  # type: ignore[assignment]
         self.calls = {}
         self.primitive = primitive
         self.first = first
@@ -262,7 +308,7 @@ class Immediate(Generic[S]):
         return array
 
 
-EMPTY_MESH = _TransientMesh({}, Primitive.TRIANGLES, 0, 0, 0)
+EMPTY_MESH = _TransientMesh(_TransientData({}), Primitive.TRIANGLES, 0, 0, 0)
 """For checks that want a mesh where there is none yet."""
 
 

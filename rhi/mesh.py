@@ -121,6 +121,14 @@ class MeshData:
         Raises:
             ValidationError: `mesh-attribute` when a field is missing or of a type the stage can't read.
         """
+        descriptor = self.describe(program, name, attributes)
+        vertex_array = self.core.new_id()
+        self.core.backend.create_vertex_array(vertex_array, descriptor)
+        self.vertex_arrays[key] = vertex_array
+        return vertex_array
+
+    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> VertexArrayDescriptor:
+        """How a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
         streams = []
         remaining = {attribute.name: attribute for attribute in attributes}
         for buffer, per_instance in ((self.vertices, False), (self.instances, True)):
@@ -144,15 +152,9 @@ class MeshData:
             )
             need = ", ".join(f"{a.name}: {a.type}" for a in attributes)
             refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}")
-        vertex_array = self.core.new_id()
-        self.core.backend.create_vertex_array(
-            vertex_array,
-            VertexArrayDescriptor(
-                program, tuple(streams), self.index_buffer.id if self.index_buffer else 0, self.index_format
-            ),
+        return VertexArrayDescriptor(
+            program, tuple(streams), self.index_buffer.id if self.index_buffer else 0, self.index_format
         )
-        self.vertex_arrays[key] = vertex_array
-        return vertex_array
 
     def _format(self, attribute: Attribute, dtype: np.dtype[Any], program: str) -> VertexFormat:
         base, shape = dtype.subdtype or (dtype, ())

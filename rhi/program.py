@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import keyword
 from collections.abc import Callable, Iterable
+from types import CodeType
 from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
 from typing_extensions import ParamSpec
 
 from rhi.core import Core, describe
 from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
-from rhi.draw_code import MISSING, generate
+from rhi.draw_code import MISSING, make, write
 from rhi.errors import refuse
 from rhi.formats import Format, Kind
 from rhi.mesh import Mesh
@@ -53,6 +54,7 @@ class Program(Generic[P]):
         id: its name in the command stream.
         descriptor: stages, bindings, vertex inputs and outputs.
         name: the shader class's name.
+        recorded_code: the code of its functions in command buffers, once there is one.
     """
 
     __slots__ = (
@@ -64,6 +66,7 @@ class Program(Generic[P]):
         "draw_with",
         "id",
         "name",
+        "recorded_code",
     )
 
     draw_with: Callable[[Mesh, int, dict[str, Any]], None]
@@ -83,13 +86,17 @@ class Program(Generic[P]):
         self.descriptor = descriptor
         self.name = descriptor.name
         self.destroyed = False
+        self.recorded_code: CodeType | None = None
         self.id = core.create_id()
         core.backend.create_program(self.id, descriptor)
-        code = generate(self, descriptor.bindings)
-        self.draw = code.draw  # type: ignore[method-assign]
-        self.draw_with = code.draw_with
-        self.bind = code.bind
-        core.draw_counters.append(code.take_draws)
+        self._take_code(write(self.name, descriptor.bindings))
+
+    def _take_code(self, code: CodeType) -> None:
+        made = make(code, self, self.descriptor.bindings)
+        self.draw = made.draw  # type: ignore[method-assign]
+        self.draw_with = made.draw_with
+        self.bind = made.bind
+        self.core.draw_counters.append(made.take_draws)
 
     @property
     def label(self) -> str:
@@ -148,18 +155,21 @@ class Program(Generic[P]):
 
     def attach(self, mesh: Mesh) -> Callable[[int], object]:
         """The draw of a mesh that this program hasn't drawn yet, kept with the mesh."""
+        call = mesh.calls[self] = self.prepare(mesh)
+        return call
+
+    def prepare(self, mesh: Mesh) -> Callable[[int], object]:
+        """The draw of a mesh as a function of the number of instances."""
         self.ready_to_draw(mesh)
-        vertex_array = self.find_vertex_array(mesh)
-        call = mesh.calls[self] = self.core.prepare_draw(
+        return self.core.prepare_draw(
             self.id,
-            vertex_array,
+            self.find_vertex_array(mesh),
             mesh.primitive,
             mesh.first,
             mesh.count,
             mesh.base_vertex,
             mesh.base_instance,
         )
-        return call
 
     def find_vertex_array(self, mesh: Mesh) -> Id:
         """What this program reads its vertices through, made when a mesh is first drawn."""
@@ -330,6 +340,9 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
             refuse(
                 DEVICE_CAPABILITY, call, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
             )
+        if descriptor.shared_bytes > limits.max_shared_bytes:
+            allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
+            refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
     for binding in descriptor.bindings:
         if binding.name in _RESERVED or keyword.iskeyword(binding.name):
             refuse(BINDING_NAME, call, binding.name, f"none of {', '.join(sorted(_RESERVED))}")

@@ -15,9 +15,9 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Final, Self
+from typing import Final, Protocol, Self
 
-from rhi.core import Core
+from rhi.core import Core, describe
 from rhi.descriptors import Id, QueryKind
 from rhi.errors import DeviceError, refuse
 from rhi.rules import (
@@ -28,6 +28,7 @@ from rhi.rules import (
     QUERY_STATE,
     QUERY_UNFINISHED,
     RESOURCE_DESTROYED,
+    RESOURCE_FOREIGN,
     SCOPE_ORDER,
 )
 
@@ -38,21 +39,27 @@ ANSWER_SECONDS: Final = 10.0
 _IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
 
 
+class Counting(Protocol):
+    """A query that is open."""
+
+    def abandon(self) -> None:
+        """End it; there is no answer."""
+
+
 class QueryDesk:
     """Knows which occlusion query is open: there can be one."""
 
     __slots__ = ("open",)
 
     def __init__(self) -> None:
-        self.open: OcclusionQuery | None = None
+        self.open: Counting | None = None
 
     def abandon(self) -> bool:
         """End a query that is still open as its pass ends; whether there was one."""
         query, self.open = self.open, None
         if query is None:
             return False
-        query._finish()
-        query._state = _IDLE
+        query.abandon()
         return True
 
 
@@ -93,6 +100,21 @@ class OcclusionQuery:
         """Its name in the command stream (of an emulated query, the second counter's)."""
         return self._ids[-1]
 
+    @property
+    def ids(self) -> tuple[Id, ...]:
+        """All its names in the command stream."""
+        return tuple(self._ids)
+
+    @property
+    def core(self) -> Core:
+        """Its device's."""
+        return self._core
+
+    @property
+    def label(self) -> str:
+        """It has none."""
+        return ""
+
     def begin(self) -> None:
         """Count from here; inside a render pass, one query at a time."""
         core = self._core
@@ -103,11 +125,9 @@ class OcclusionQuery:
             refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
             refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+        self.write_begin(core)
         if self.emulated:
-            core.backend.write_query(self._ids[0])
             core.signal()
-        else:
-            core.backend.begin_query(self._ids[0])
         self._answer = None
         self._state = _OPEN
         self._desk.open = self
@@ -125,11 +145,14 @@ class OcclusionQuery:
         core = self._core
         if core.closed:
             return
+        self.write_end(core)
         if self.emulated:
-            core.backend.write_query(self._ids[1])
             self._fence = core.signal()
-        else:
-            core.backend.end_query(self._ids[0])
+
+    def abandon(self) -> None:
+        """End it without an answer, as its pass ends."""
+        self._finish()
+        self._state = _IDLE
 
     @property
     def is_finished(self) -> bool:
@@ -187,6 +210,35 @@ class OcclusionQuery:
     ) -> None:
         if self._state is _OPEN:
             self.end()
+
+    # -- in command buffers --------------------------------------------------------------------------------
+
+    def check_usable(self, core: Core, call: str) -> None:
+        """Refuse another device's query, and a destroyed one."""
+        if self._core is not core:
+            refuse(RESOURCE_FOREIGN, call, describe(self))
+        if self.destroyed:
+            refuse(RESOURCE_DESTROYED, call, "a destroyed query")
+
+    def write_begin(self, core: Core) -> None:
+        """Command `core` to begin counting."""
+        if self.emulated:
+            core.backend.write_query(self._ids[0])
+        else:
+            core.backend.begin_query(self._ids[0])
+
+    def write_end(self, core: Core) -> None:
+        """Command `core` to end counting."""
+        if self.emulated:
+            core.backend.write_query(self._ids[1])
+        else:
+            core.backend.end_query(self._ids[0])
+
+    def take_submission(self, fence: int) -> None:
+        """It was begun and ended by a command buffer, all before `fence`."""
+        self._answer = None
+        self._state = _ENDED
+        self._fence = fence
 
     def _check_ended(self, call: str) -> None:
         if self._state is not _ENDED or self.destroyed:
@@ -358,9 +410,12 @@ class Conditional:
         self._query = query
         self._inverted = inverted
 
+    def _check(self) -> None:
+        self._query._check_ended("device.conditional")
+
     def __enter__(self) -> None:
         self._core.check_open()
-        self._query._check_ended("device.conditional")
+        self._check()
         self._core.backend.begin_conditional(self._query.id, self._inverted)
 
     def __exit__(

@@ -14,11 +14,12 @@ import linecache
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, ClassVar
+from types import CodeType
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from rhi.backend import Backend, Capabilities
 from rhi.commands import CommandStream
-from rhi.descriptors import Id
+from rhi.descriptors import Id, VertexArrayDescriptor
 from rhi.ops import Op
 
 __rhi_internal__ = True
@@ -116,6 +117,48 @@ _get_frame = sys._getframe
 _nowhere = _Nowhere()
 
 
+_FIND_CALLER: Final = """\
+    frame = _get_frame(1)
+    while "__rhi_internal__" in frame.f_globals:
+        frame = frame.f_back or _nowhere
+    self._write(({op}, {arguments}frame.f_code, frame.f_lasti))
+"""
+
+
+class CommandWriter(CommandMethods):
+    """Writes commands into `stream` and does nothing else: the backend that a command buffer is recorded on.
+
+    Attributes:
+        stream: the commands so far.
+        vertex_arrays: those that were asked for; they are made once, before the commands are carried out.
+    """
+
+    __slots__ = ("_write", "capabilities", "stream", "vertex_arrays")
+
+    METHOD = _FIND_CALLER
+
+    def __init__(self, capabilities: Capabilities) -> None:
+        self.capabilities = capabilities
+        self.stream = CommandStream()
+        self.vertex_arrays: dict[Id, VertexArrayDescriptor] = {}
+        self._write: Callable[[tuple[Any, ...]], None] = self.stream.data.extend
+
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        """Keep it for later."""
+        self.vertex_arrays[vertex_array] = descriptor
+
+    def completed(self) -> int:
+        """Nothing is."""
+        return 0
+
+    def read_query(self, query: Id) -> int | None:
+        """There is no answer."""
+        return None
+
+    def close(self) -> None:
+        """There is nothing to let go of."""
+
+
 class Recorder(CommandMethods):
     """Writes the commands that reach `backend` into `stream`.
 
@@ -126,13 +169,10 @@ class Recorder(CommandMethods):
 
     __slots__ = ("_write", "backend", "stream")
 
-    METHOD = """\
-    frame = _get_frame(1)
-    while "__rhi_internal__" in frame.f_globals:
-        frame = frame.f_back or _nowhere
-    self._write(({op}, {arguments}frame.f_code, frame.f_lasti))
+    METHOD = f"""\
+{_FIND_CALLER}\
     try:
-        return self.backend.{method}({arguments})
+        return self.backend.{{method}}({{arguments}})
     except BaseException as error:
         self._fail(error)
         raise
@@ -160,6 +200,15 @@ class Recorder(CommandMethods):
         """As the backend says; not a command."""
         return self.backend.read_query(query)
 
+    def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+        """Write down a command that was called elsewhere, at its own call site, and pass it on."""
+        self._write((int(op), *arguments, code, offset))
+        try:
+            getattr(self.backend, op.method)(*arguments)
+        except BaseException as error:
+            self._fail(error)
+            raise
+
     @contextmanager
     def paused(self) -> Iterator[None]:
         """Pass calls on without writing them down. States and labels set meanwhile are known to the
@@ -171,6 +220,11 @@ class Recorder(CommandMethods):
         finally:
             self._write = before
 
+    @property
+    def is_paused(self) -> bool:
+        """Whether calls are passed on without being written down."""
+        return self._write == self.stream.leave_out
+
     def _fail(self, error: BaseException) -> None:
-        if self._write != self.stream.leave_out:
+        if not self.is_paused:
             self.stream.fail(error)

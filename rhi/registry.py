@@ -4,6 +4,7 @@
   `create(*, validation: bool, …) -> Backend`. A port registers itself by its own package's entry point;
   nothing here knows it. Further keyword parameters of the function are options that only this backend has;
   `create_device` passes them on.
+- A backend that isn't installed is named by its function, `package.module:function`, as an entry point would.
 - This is the one place that may treat backends differently: the order in which they are tried, and that
   the null device records.
 """
@@ -56,7 +57,8 @@ def create_device(
     """A device on the backend `name`.
 
     Args:
-        name: a backend's name; None takes `RHI_BACKEND` from the environment, else the first that works.
+        name: a backend's name, or `module:function` for one that isn't installed; None takes `RHI_BACKEND`
+            from the environment, else the first that works.
         validation: also turn the driver's own error messages into exceptions (slower).
         record: keep every command with the line it came from (`device.stream`); None: the null device does.
         timing: take timestamps in `device.event` blocks.
@@ -76,13 +78,7 @@ def create_device(
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
-    point = _entry_points().get(name)
-    if point is None:
-        names = backend_names()
-        close = difflib.get_close_matches(name, names, 1)
-        tip = f"did you mean {close[0]!r}?" if close else ""
-        raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
-    create: Callable[..., Backend] = point.load()
+    create = _find_function(name)
     if options:
         taken = list(inspect.signature(create).parameters.keys() - {"validation"})
         unknown = sorted(options.keys() - taken)
@@ -90,6 +86,24 @@ def _create_named(name: str, validation: bool, options: Mapping[str, object]) ->
             given, allowed = ", ".join(unknown), ", ".join(sorted(taken)) or "no options"
             refuse(DEVICE_ARGUMENT, f"rhi.create_device({name!r}, {unknown[0]}=…)", given, allowed)
     return create(validation=validation, **options)
+
+
+def _find_function(name: str) -> Callable[..., Backend]:
+    """What makes the backend of this name."""
+    point = _entry_points().get(name)
+    if ":" in name:
+        point = EntryPoint(name, name, GROUP)
+    if point is None:
+        names = backend_names()
+        close = difflib.get_close_matches(name, names, 1)
+        tip = f"did you mean {close[0]!r}?" if close else ""
+        raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
+    try:
+        create: Callable[..., Backend] = point.load()
+    except (ImportError, AttributeError) as error:
+        call, tip = f"rhi.create_device({name!r})", "is its module on Python's path?"
+        raise DeviceError(DEVICE_UNKNOWN, call, f"{name!r}: {error}", "", tip) from error
+    return create
 
 
 def _create_first(validation: bool, options: Mapping[str, object]) -> Backend:

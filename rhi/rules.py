@@ -140,6 +140,21 @@ TRANSIENT_SIZE: Final = Rule(
     "transient-size", "transient memory can't hold this", "end frames with device.present(), or use an own buffer"
 )
 
+# -- command buffers -------------------------------------------------------------------------------------
+
+RECORD_STATE: Final = Rule(
+    "record-state", "the command buffer is not in the state that this call needs",
+    "record inside its `with` block, submit after it",
+)  # fmt: skip
+RECORD_OPEN: Final = Rule(
+    "record-open", "a command buffer ends with something still open", "leave every `with` block inside its own"
+)
+RECORD_TRANSIENT: Final = Rule(
+    "record-transient",
+    "transient memory belongs to the frame, or to the command buffer, that it was made in",
+    "inside a command buffer take `commands.transient`, or an own buffer",
+)
+
 # -- time ------------------------------------------------------------------------------------------------
 
 FENCE_VALUE: Final = Rule(

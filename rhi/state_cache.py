@@ -73,15 +73,16 @@ class StateCache:
     Attributes:
         wanted: the vector that scopes ask for.
         hardware: the vector the backend has been told.
+        unsupported: state types that the device lacks, with the names of the missing capabilities.
         software_changes, hardware_changes: the two counters, in states.
     """
 
-    __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "_unsupported", "hardware", "hardware_changes",
-                 "software_changes", "wanted")  # fmt: skip
+    __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
+                 "software_changes", "unsupported", "wanted")  # fmt: skip
 
     def __init__(self, unsupported: dict[type, str] | None = None, pool_entries: int = POOL_ENTRIES) -> None:
         """`unsupported` maps state types the device lacks to the name of the missing capability."""
-        self._unsupported = unsupported or {}
+        self.unsupported = unsupported or {}
         self._limit = pool_entries
         self._pool: dict[tuple[object, ...], StateVector] = {}
         self._scopes: dict[tuple[State, ...], StateScope] = {}
@@ -90,6 +91,10 @@ class StateCache:
         self.wanted = self.hardware = self._intern(default_values())
         self.software_changes = 0
         self.hardware_changes = 0
+
+    def fresh(self) -> StateCache:
+        """An empty cache with the same rules."""
+        return StateCache(self.unsupported, self._limit)
 
     @property
     def depth(self) -> int:
@@ -115,7 +120,19 @@ class StateCache:
 
     def flush(self) -> tuple[StateChange, ...]:
         """The changes that bring the hardware to what is wanted; it counts as told afterwards."""
-        wanted, hardware = self.wanted, self.hardware
+        return self._change(self.wanted)
+
+    def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
+        """The same for a vector that nobody here wants, of this cache or another."""
+        return self._change(self._intern(vector.values))
+
+    def adopt(self, values: tuple[object, ...]) -> None:
+        """The hardware was told these values by somebody else."""
+        self._reserve()
+        self.hardware = self._intern(values)
+
+    def _change(self, wanted: StateVector) -> tuple[StateChange, ...]:
+        hardware = self.hardware
         if wanted is hardware:
             return ()
         changes = hardware.changes.get(wanted)
@@ -130,6 +147,10 @@ class StateCache:
         self.hardware = wanted
         self.hardware_changes += len(changes)
         return changes
+
+    def check_always(self) -> None:
+        """Check each scope every time that it is entered, at any price."""
+        self._limit = 0
 
     def reset_counters(self) -> None:
         self.software_changes = self.hardware_changes = 0
@@ -152,7 +173,8 @@ class StateCache:
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
-        self.wanted.after[scope] = vector
+        if self._limit:
+            self.wanted.after[scope] = vector
         return vector
 
     def _validate(self, states: tuple[State, ...]) -> None:
@@ -169,9 +191,9 @@ class StateCache:
             if key in seen:
                 refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
             seen.add(key)
-            if state_type in self._unsupported and _needs_capability(state):
+            if state_type in self.unsupported and _needs_capability(state):
                 refuse(
-                    STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self._unsupported[state_type]}"
+                    STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self.unsupported[state_type]}"
                 )
 
     def _intern(self, values: tuple[object, ...]) -> StateVector:

@@ -216,12 +216,16 @@ class Texture(TextureBinding):
 
     def generate_mipmaps(self) -> None:
         """Fill levels 1… from level 0 (a 2×2 box, sRGB in linear light)."""
+        self._generate_mipmaps(self.core)
+
+    def _generate_mipmaps(self, core: Core) -> None:
+        """`generate_mipmaps`, commanded to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
-        self._check(call)
+        self._check(call, core=core)
         if self.format.is_depth or self.format.is_integer:
             refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
-            self.core.backend.generate_mipmaps(self.id)
+            core.backend.generate_mipmaps(self.id)
 
     def copy_to(
         self,
@@ -235,11 +239,17 @@ class Texture(TextureBinding):
         layer: int = 0,
     ) -> None:
         """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; equal formats."""
+        self._copy(self.core, target, level, region, target_level, x, y, layer)
+
+    def _copy(
+        self, core: Core, target: Texture, level: int, region: Region | None, target_level: int, x: int, y: int,
+        layer: int,
+    ) -> None:  # fmt: skip
+        """`copy_to`, commanded to `core`."""
         call = "Texture.copy_to"
-        source_region = region or self._whole(level)
-        self._check_region(call, level, source_region)
-        self.core.check_usable(target, call)
-        target._check(call, target_level, layer)
+        source_region = region or self._whole(level, core)
+        self._check_region(call, level, source_region, core)
+        target._check(call, target_level, layer, core)
         if target.format is not self.format:
             refuse(TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats")
         if target.samples != 1 or self.samples != 1:
@@ -247,17 +257,20 @@ class Texture(TextureBinding):
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "1", "use resolve_to"
             )
         end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
-        target._check_region(call, target_level, end)
+        target._check_region(call, target_level, end, core)
         if target is self and level == target_level and _overlap(source_region, end):
             refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
-        self.core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
+        core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def resolve_to(self, target: Texture) -> None:
         """Average this multi-sampled texture's samples into `target`, of equal size and format."""
+        self._resolve(self.core, target)
+
+    def _resolve(self, core: Core, target: Texture) -> None:
+        """`resolve_to`, commanded to `core`."""
         call = "Texture.resolve_to"
-        self._check(call)
-        self.core.check_usable(target, call)
-        target._check(call)
+        self._check(call, core=core)
+        target._check(call, core=core)
         if self.samples == 1 or target.samples != 1:
             refuse(
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "several samples to 1"
@@ -266,7 +279,7 @@ class Texture(TextureBinding):
         if self.format is not target.format or self.size != target.size or not has_average:
             allowed = "a color format that is no integer, equal in both, and equal sizes"
             refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
-        self.core.backend.resolve_texture(self.id, target.id)
+        core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """`with texture.lock(Access.WRITE) as texels:` gives (height, width, channels), top row first."""
@@ -285,9 +298,10 @@ class Texture(TextureBinding):
 
     # -- checks ------------------------------------------------------------------------------------------
 
-    def _check(self, call: str, level: int = 0, layer: int = 0) -> None:
-        self.core.check_open()
-        self.core.check_usable(self, call)
+    def _check(self, call: str, level: int = 0, layer: int = 0, core: Core | None = None) -> None:
+        core = core or self.core
+        core.check_open()
+        core.check_usable(self, call)
         if not 0 <= level < self.levels:
             refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
         layers = self.descriptor.level_layers(level)
@@ -304,8 +318,8 @@ class Texture(TextureBinding):
                 "resolve it first: texture.resolve_to(…)",
             )
 
-    def _check_region(self, call: str, level: int, region: Region) -> None:
-        self._check(call, level, region.layer)
+    def _check_region(self, call: str, level: int, region: Region, core: Core | None = None) -> None:
+        self._check(call, level, region.layer, core)
         width, height = self.descriptor.level_size(level)
         layers = self.descriptor.level_layers(level)
         inside = (
@@ -319,8 +333,8 @@ class Texture(TextureBinding):
         if not inside:
             refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
 
-    def _whole(self, level: int) -> Region:
-        self._check("Texture", level)
+    def _whole(self, level: int, core: Core) -> Region:
+        self._check("Texture", level, core=core)
         width, height = self.descriptor.level_size(level)
         return Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
 

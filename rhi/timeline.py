@@ -4,13 +4,15 @@
   Locks, rings, queries, deferred destruction and frames in flight all stand on this one mechanism.
 - `completed` asks the backend only while something is outstanding.
 - Resources are destroyed when the GPU is done with them: `retire` notes the fence value after which a
-  resource is free, `collect` destroys what has become so.
+  resource is free, `collect` destroys what has become so. Whoever keeps a resource's id for later watches.
 """
 
 from __future__ import annotations
 
+import threading
 from collections import deque
-from typing import Final
+from typing import Final, Protocol
+from weakref import WeakSet
 
 from rhi.backend import Backend
 from rhi.descriptors import Id
@@ -22,6 +24,13 @@ __rhi_internal__ = True
 FOREVER: Final = 3600.0
 
 
+class Watcher(Protocol):
+    """Somebody who wants to know which resources are gone."""
+
+    def note_retired(self, resource: Id) -> None:
+        """The resource was just given back."""
+
+
 class Timeline:
     """The fence of one device.
 
@@ -29,13 +38,15 @@ class Timeline:
         signalled: the value signalled last; 0 before the first.
     """
 
-    __slots__ = ("_backend", "_completed", "_retired", "signalled")
+    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "signalled")
 
     def __init__(self, backend: Backend) -> None:
         self._backend = backend
         self.signalled = 0
         self._completed = 0
         self._retired: deque[tuple[int, Id]] = deque()
+        self._watchers: WeakSet[Watcher] = WeakSet()
+        self._lock = threading.RLock()  # the garbage collector may retire something while it is held
 
     def signal(self) -> int:
         """Mark this point of the stream; returns its value."""
@@ -72,6 +83,16 @@ class Timeline:
     def retire(self, resource: Id) -> None:
         """Destroy `resource` once the GPU has passed what was submitted up to now."""
         self._retired.append((self.signalled + 1, resource))
+        if self._watchers:
+            with self._lock:
+                watchers = list(self._watchers)
+            for watcher in watchers:
+                watcher.note_retired(resource)
+
+    def watch(self, watcher: Watcher) -> None:
+        """From now on tell `watcher` of each resource that is retired, for as long as it lives. From any thread."""
+        with self._lock:
+            self._watchers.add(watcher)
 
     def collect(self) -> None:
         """Destroy the retired resources that the GPU is done with."""

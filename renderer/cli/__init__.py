@@ -1,4 +1,4 @@
-"""The command line: `python -m renderer render|demo|compare|scenes`.
+"""The command line: `python -m renderer render|demo|compare|tune|debug|scenes`.
 
 Results go to stdout, all else to stderr. Whatever is wrong with the input ends in one line, `error: …`, and
 exit code 2.
@@ -10,7 +10,7 @@ import sys
 from collections.abc import Sequence
 from typing import NoReturn
 
-from renderer.cli import compare, demo, render, scenes
+from renderer.cli import compare, debug, demo, render, scenes, tune
 from renderer.cli.arguments import Parser
 from renderer.cli.output import OutputError
 from rhi import RhiError
@@ -26,7 +26,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         epilog="python -m renderer COMMAND --help says more, with examples.",
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (render, demo, compare, scenes):
+    for command in (render, demo, compare, tune, debug, scenes):
         command.add_to(commands)
     given = parser.parse_args(_join_negative(list(sys.argv[1:] if arguments is None else arguments)))
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, NoReturn
 
 
@@ -29,6 +30,16 @@ def add_command(
     )
     parser.set_defaults(run=run)
     return parser
+
+
+def add_settings(parser: Parser) -> None:
+    """`--settings FILE`."""
+    parser.add_argument(
+        "--settings",
+        type=Path,
+        metavar="F.json",
+        help="numbers of the visibility algorithms, as `tune` finds them (default: b=50, n=20)",
+    )
 
 
 def parse_size(text: str) -> tuple[int, int]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from renderer.cli import compare_visibility
+from renderer.cli import compare_backends, compare_visibility
 
 
 def add_to(commands: Any) -> None:
@@ -13,5 +13,5 @@ def add_to(commands: Any) -> None:
         "compare", help="compare ways to do the same", description="Compare ways to do the same."
     )
     subjects = parser.add_subparsers(metavar="SUBJECT", required=True)
-    for subject in (compare_visibility,):
+    for subject in (compare_visibility, compare_backends):
         subject.add_to(subjects)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from statistics import mean, median
 from typing import Any
@@ -13,19 +13,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from renderer import rules
-from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.arguments import add_command, add_settings, parse_count, parse_frame, parse_size
 from renderer.cli.output import note, prepare_image, show_progress
 from renderer.measure import format_table, measure_frame
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, load_scene
-from renderer.visibility import ALGORITHMS, NoCulling, VisibilityAlgorithm, list_algorithms, make_visibility
+from renderer.scene import FRAMES_PER_SECOND, CameraPath, Simulator, find_path, load_scene
+from renderer.visibility import (
+    ALGORITHMS,
+    NoCulling,
+    Settings,
+    VisibilityAlgorithm,
+    list_algorithms,
+    make_visibility,
+)
 from renderer.visibility.box_queries import TRIANGLES
 
 _EXAMPLES = """\
   python -m renderer compare visibility city --camera-path ground --frames 60
   python -m renderer compare visibility city --camera-path sky --frames 60 --json
   python -m renderer compare visibility hall --algorithms none,frustum,chc_plus_plus --plot hall.png
+  python -m renderer compare visibility city --algorithms none,chc,chc_plus_plus --threshold 10
+  python -m renderer compare visibility city --teleport 5
 
 Every frame is first drawn without culling, untimed: to bring the device up to date, and to compare with. Then
 each algorithm draws it, starting with the next of them each frame. The first frame isn't counted. Times are
@@ -33,6 +41,8 @@ medians, from the scene's update until the GPU is done; `ratio` is the median of
 algorithm's. Counters are means per frame. `triangles` and `draws` include the boxes drawn in queries, as in the
 thesis. `wrong pixels` is the most in any frame that show something else, `tied pixels` the most that show
 another surface at exactly the same depth: there the one drawn first stays. `stalled` is how long the CPU waited.
+Where a scene simulates something, `simulation steps` are those of what was drawn, and `skipped simulations` counts
+what wasn't.
 The null device answers no queries, so there `auto` is frustum culling, and others that ask don't run."""
 
 
@@ -52,6 +62,8 @@ class Row:
     wrong_pixels: int | None
     tied_pixels: int | None
     stalled_milliseconds: float
+    simulation_steps: int
+    skipped_simulations: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,6 +77,8 @@ class _Sample:
     wrong_pixels: int | None
     tied_pixels: int | None
     stalled_milliseconds: float
+    simulation_steps: int
+    skipped_simulations: int
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -94,7 +108,10 @@ def add_to(subjects: Any) -> None:
     )
     parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
     parser.add_argument(
-        "--camera-path", default="ground", metavar="PATH", help="ground or sky (default: %(default)s)"
+        "--camera-path",
+        default="ground",
+        metavar="PATH",
+        help="ground, sky, or the .json file of a walk-through (default: %(default)s)",
     )
     parser.add_argument(
         "--frame",
@@ -120,8 +137,21 @@ def add_to(subjects: Any) -> None:
         metavar="A,B,…",
         help=f"of {', '.join(ALGORITHMS)} (default: all that the device can run)",
     )
+    add_settings(parser)
     parser.add_argument(
         "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
+    )
+    parser.add_argument(
+        "--threshold",
+        type=parse_frame,
+        metavar="N",
+        help="take for hidden what passes no more samples than this (default: that of the settings, 0)",
+    )
+    parser.add_argument(
+        "--teleport",
+        type=parse_count,
+        metavar="N",
+        help="after every N frames jump to the other half of the path, or back",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="draw times and triangles as a chart")
@@ -131,16 +161,18 @@ def run(given: argparse.Namespace) -> None:
     """Measure and report."""
     if given.plot is not None:
         prepare_image(given.plot)
+    settings = Settings() if given.settings is None else Settings.load(given.settings)
+    if given.threshold is not None:
+        settings = replace(settings, threshold=given.threshold)
     scene = load_scene(given.scene)
-    if given.camera_path not in scene.paths:
-        rules.refuse_name(rules.UNKNOWN_CAMERA, "--camera-path", given.camera_path, scene.paths)
-    path = scene.paths[given.camera_path]
+    path = find_path(given.camera_path, scene)
     first = max(0, (len(path) - given.frames) // 2) if given.frame is None else given.frame
     path.camera(first + given.frames)  # refused now, not after minutes
+    frames = list_frames(first, given.frames, len(path), given.teleport)
     with rhi.create_device(given.backend) as device, Renderer(device, scene, size=given.size) as renderer:
         names = given.algorithms or list_algorithms(device)
-        algorithms = {name: make_visibility(name, scene, device) for name in names}
-        rows = measure(renderer, algorithms, given.camera_path, first, given.frames)
+        algorithms = {name: make_visibility(name, scene, device, settings) for name in names}
+        rows = measure(renderer, algorithms, path, frames)
         report = {
             "backend": device.backend_name,
             "device": device.capabilities.device,
@@ -148,7 +180,9 @@ def run(given: argparse.Namespace) -> None:
             "camera_path": given.camera_path,
             "first_frame": first + 1,
             "frames": given.frames,
+            "teleport": given.teleport,
             "size": list(given.size),
+            "settings": asdict(settings),
             "rows": [asdict(row) for row in rows],
         }
     if given.plot is not None:
@@ -157,22 +191,35 @@ def run(given: argparse.Namespace) -> None:
     print(json.dumps(report) if given.json else show_rows(rows))
 
 
+def list_frames(first: int, count: int, length: int, teleport: int | None) -> list[int]:
+    """`first` and the `count` frames after it, of a path of `length`; with `teleport`, so many of them are here,
+    then so many half a path away, and so on."""
+    frames = range(first, first + count + 1)
+    if teleport is None:
+        return list(frames)
+    return [
+        (frame + length // 2) % length if turn // teleport % 2 else frame for turn, frame in enumerate(frames)
+    ]
+
+
 def measure(
-    renderer: Renderer, algorithms: dict[str, VisibilityAlgorithm], path: str, first: int, count: int
+    renderer: Renderer, algorithms: dict[str, VisibilityAlgorithm], path: CameraPath, frames: list[int]
 ) -> list[Row]:
-    """A row for each of `algorithms`, over the `count` frames of the path after `first`."""
+    """A row for each of `algorithms`, over the `frames` of the path, of which the first isn't counted."""
     scene, device = renderer.scene, renderer.device
     reference = NoCulling(scene)
     draws_pixels = device.capabilities.shading
     names = list(algorithms)
     samples: dict[str, list[_Sample]] = {name: [] for name in names}
-    for turn in show_progress(range(count + 1), count + 1, "compare"):
-        camera, seconds = scene.paths[path].camera(first + turn), (first + turn) / FRAMES_PER_SECOND
-        renderer.visibility = reference
+    # Each has its own, so that none draws what another has stepped.
+    simulators = {name: Simulator(scene.simulated, len(scene.objects)) for name in ("", *names)}
+    for turn, frame in enumerate(show_progress(frames, len(frames), "compare")):
+        camera, seconds = path.camera(frame), frame / FRAMES_PER_SECOND
+        renderer.visibility, renderer.simulator = reference, simulators[""]
         expected = Picture.of(renderer.render(camera, seconds)) if draws_pixels else None
         start = turn % len(names)
         for name in names[start:] + names[:start]:
-            renderer.visibility = algorithms[name]
+            renderer.visibility, renderer.simulator = algorithms[name], simulators[name]
             result, cost = measure_frame(renderer, camera, seconds)
             found, counters = result.visibility, cost.statistics
             assert found is not None
@@ -187,6 +234,8 @@ def measure(
                 wrong_pixels=wrong,
                 tied_pixels=tied,
                 stalled_milliseconds=found.stalled_milliseconds,
+                simulation_steps=counters.simulation_steps,
+                skipped_simulations=counters.skipped_simulations,
             )
             if turn:
                 samples[name].append(sample)
@@ -217,12 +266,16 @@ def _summarize(name: str, samples: list[_Sample], base: list[_Sample]) -> Row:
         wrong_pixels=most("wrong_pixels"),
         tied_pixels=most("tied_pixels"),
         stalled_milliseconds=round(average("stalled_milliseconds"), 3),
+        simulation_steps=round(average("simulation_steps")),
+        skipped_simulations=round(average("skipped_simulations")),
     )
 
 
 def show_rows(rows: list[Row]) -> str:
     """The table for people."""
     names = [field.name for field in fields(Row)]
+    if not any(row.simulation_steps or row.skipped_simulations for row in rows):
+        names = names[:-2]  # nothing is simulated
     header = [name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s") for name in names]
     values = [[getattr(row, name) for name in names] for row in rows]
     return format_table(header, [["-" if value is None else value for value in row] for row in values])

@@ -141,6 +141,12 @@ def measure(ways: list[Way], count: int) -> str:
     for way in ways:
         way.statistics.clear()
     times = alternate(work, show_progress(range(count), count, "measure"))
+    is_simulated = bool(ways[0].renderer.scene.simulated)
+    counters = [
+        counter.name
+        for counter in fields(FrameStatistics)
+        if is_simulated or counter.name not in ("simulation_steps", "skipped_simulations")
+    ]
     rows = []
     for way in ways:
         time, base = times[way.name], times[_name(way.path, "none", way.backend)]
@@ -151,8 +157,8 @@ def measure(ways: list[Way], count: int) -> str:
                 way.backend,
                 1e3 * time.median,
                 time.ratio_to(base),
-                *(way.mean(counter.name) for counter in fields(FrameStatistics)),
+                *(way.mean(counter) for counter in counters),
             )
         )
-    names = [counter.name.replace("_", " ").replace(" changes", "s") for counter in fields(FrameStatistics)]
+    names = [counter.replace("_", " ").replace(" changes", "s") for counter in counters]
     return format_table(["path", "visibility", "backend", "ms", "vs none", *names], rows)

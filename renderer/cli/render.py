@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import rhi
-from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.arguments import add_command, add_settings, parse_count, parse_frame, parse_size
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.measure import FrameCost, measure_frame
 from renderer.renderer import Renderer
@@ -23,7 +23,7 @@ from renderer.scene import (
     parse_camera,
 )
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import ALGORITHMS
+from renderer.visibility import ALGORITHMS, AutoCulling, Settings, make_visibility
 from rhi.trace import save
 
 _EXAMPLES = """\
@@ -34,8 +34,9 @@ _EXAMPLES = """\
   python -m renderer render city --backend null --json
   python -m renderer render city --backend null --frames 10 --trace city.zip
 
-Times are from the scene's update until the GPU is done, after one frame that isn't counted. Counters are
-those of one frame, and with several frames their mean. The image is that of the last frame."""
+Times are from the scene's update until the GPU is done, after one frame that isn't counted, or with `auto`
+after the frames in which it looks for the fastest algorithm. Counters are those of one frame, and with several
+frames their mean. The image is that of the last frame."""
 
 
 def add_to(commands: Any) -> None:
@@ -53,8 +54,9 @@ def add_to(commands: Any) -> None:
         "--technique", choices=TECHNIQUES, default="forward", help="how to draw (default: %(default)s)"
     )
     parser.add_argument(
-        "--visibility", choices=ALGORITHMS, default="frustum", help="what to draw (default: %(default)s)"
+        "--visibility", choices=ALGORITHMS, default="auto", help="what to draw (default: %(default)s)"
     )
+    add_settings(parser)
     parser.add_argument(
         "--camera",
         metavar="CAMERA",
@@ -87,6 +89,7 @@ def run(given: argparse.Namespace) -> None:
     """Render and report."""
     if given.output is not None:
         prepare_image(given.output)
+    settings = Settings() if given.settings is None else Settings.load(given.settings)
     scene = load_scene(given.scene)
     cameras = [
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
@@ -98,12 +101,14 @@ def run(given: argparse.Namespace) -> None:
             device,
             scene,
             technique=TECHNIQUES[given.technique](),
-            visibility=ALGORITHMS[given.visibility](scene, device),
+            visibility=make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,
     ):
         shots = list(enumerate(cameras, given.frame))
         measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
+        while isinstance(renderer.visibility, AutoCulling) and renderer.visibility.is_trying:
+            measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
         costs = []
         for frame, camera in show_progress(shots, len(shots), "render"):
             result, cost = measure_frame(renderer, camera, frame / FRAMES_PER_SECOND)

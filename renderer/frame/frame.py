@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from renderer.frame.passes import Drawn, ScenePass
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera
-from renderer.visibility import DrawObjects, Statistics, VisibilityAlgorithm
+from renderer.visibility import DeviceCulling, Statistics, VisibilityAlgorithm
 from rhi import Device, Format, Texture
 
 
@@ -40,34 +38,30 @@ class Frame:
         resources: the scene on the device, up to date for this camera.
         targets: what to draw to.
         visibility: what decides which objects are drawn.
-        batches: rows of the objects drawn so far, as `visibility` found them.
-        statistics: what finding them cost, once `draw_visible` has been called.
+        drawn: what was drawn, once `draw_visible` has been called.
+        statistics: what finding it cost.
     """
 
     camera: Camera
     resources: SceneResources
     targets: Targets
     visibility: VisibilityAlgorithm
-    batches: list[NDArray[np.int64]] = field(default_factory=list)
+    drawn: Drawn = field(init=False)
     statistics: Statistics | None = None
 
-    def draw_visible(self, draw: DrawObjects) -> None:
-        """Let `draw` have the visible objects, in as many batches as it takes to find them.
+    def __post_init__(self) -> None:
+        self.drawn = Drawn(self.resources.scene)
 
-        Within a batch objects are ordered front to back by the depth of their boxes' centres: what is near
-        hides what is drawn after it. Call it once, where the frame's depth is first drawn; queries of the
-        visibility algorithm take place there.
+    def draw_visible(self, scene: ScenePass) -> None:
+        """Let the visible objects be drawn in a pass, in as many batches as it takes to find them.
+
+        Call it once, where the frame's depth is first drawn; what the visibility algorithm asks of the device
+        takes place there.
         """
-        objects = self.resources.scene.objects
-
-        def draw_batch(rows: NDArray[np.int64]) -> None:
-            self.batches.append(rows)
-            centre = objects.lower[rows] + objects.upper[rows]
-            draw(rows[np.argsort(centre @ self.camera.forward, kind="stable")])
-
-        self.statistics = self.visibility.render(self.camera, draw_batch)
-
-    @property
-    def visible(self) -> NDArray[np.int64]:
-        """Rows of all objects drawn so far."""
-        return np.concatenate([np.zeros(0, np.int64), *self.batches])
+        self.drawn = scene.drawn
+        with scene:
+            if not isinstance(self.visibility, DeviceCulling):
+                scene.open()
+            self.statistics = self.visibility.render(self.camera, scene)
+            if not scene.was_opened:  # nothing was drawn: cleared all the same
+                scene.open()

@@ -2,12 +2,14 @@
 
 - All meshes are one mesh, all images the layers of one array texture, per-object data one row each: a whole
   scene can be one `draw_many`, in which an object's row is its draw's base instance.
-- Objects are kept in two arrays. `objects` holds what changes when an object moves (112 bytes), `positions`
-  what changes when the eye does (16 bytes): positions are relative to it, subtracted in float64.
+- An object is a row of two arrays: `places` (32 bytes) says where it is and which mesh, `objects` (112 bytes)
+  all else. Positions are pairs of floats, from which shaders subtract the eye's: a moved eye is one constant.
+- What can't move isn't looked at again, so that a frame costs the CPU the same however many objects stand still.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -16,9 +18,10 @@ from PIL import Image
 
 from renderer import shaders
 from renderer.frame.lists import list_lights
-from renderer.scene import Camera, Scene, normal_matrices
+from renderer.scene import Camera, Scene, Simulator, normal_matrices
+from renderer.visibility import SceneArrays
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer
-from rhi.shading import Struct, vec4
+from rhi.shading import Struct
 
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
@@ -40,10 +43,11 @@ class MirroredArray(Generic[T]):
     def __len__(self) -> int:
         return 0 if self.buffer is None else self.buffer.count
 
-    def write(self, array: NDArray[Any]) -> None:
+    def write(self, array: NDArray[Any], begin: int = 0, end: int | None = None) -> None:
         """Let the buffer hold `array`: of the element's std430 layout, names aside.
 
-        From the first to the last row that differ, rows are uploaded.
+        From the first to the last row that differ, rows are uploaded. Only rows from `begin` to `end` are looked
+        at: the others are known to be what they were.
         """
         if not len(array):
             self.destroy()
@@ -53,13 +57,13 @@ class MirroredArray(Generic[T]):
             self.destroy()
             self.buffer = self._device.storage(self._element, len(array), label=self._label)
             self._upload(self.buffer, rows, 0)
-        else:
-            changed = np.flatnonzero((rows != self._rows).any(1))
-            if not changed.size:
-                return
-            first, last = int(changed[0]), int(changed[-1])
-            self._upload(self.buffer, rows[first : last + 1], first)
-        self._rows = rows.copy()
+            self._rows = rows.copy()
+            return
+        changed = np.flatnonzero((rows[begin:end] != self._rows[begin:end]).any(1))
+        if changed.size:
+            first, last = begin + int(changed[0]), begin + int(changed[-1]) + 1
+            self._upload(self.buffer, rows[first:last], first)
+            self._rows[first:last] = rows[first:last]
 
     @staticmethod
     def _upload(buffer: StorageBuffer[T], rows: NDArray[np.uint8], first: int) -> None:
@@ -98,13 +102,17 @@ class SceneResources:
         mesh: all meshes in one; draws: (n,) of `rhi.DRAW`, one for each object.
         mirrored: (n,) bool, whether an object's transform turns its triangles round.
         images: the scene's images as layers, None without any.
-        objects, positions, materials, directional, point, spot, light_rows: what shaders read, row by row;
+        objects, places, materials, directional, point, spot, light_rows: what shaders read, row by row;
             point and spot lights are left out if none of them reaches an object.
         view, ambient, haze: constants of the frame.
+        simulator: steps what is simulated, of what is drawn.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
         self.scene = scene
+        self.simulator = Simulator(scene.simulated, len(scene.objects))
+        self._simulated: dict[int, int] = {}  # by object, the step whose vertices the device has
+        self._device = device
         meshes, objects = scene.meshes, scene.objects
         self.mesh: Mesh = device.mesh(meshes.vertices, meshes.indices, label=scene.name)
         ranges = meshes.ranges[objects.mesh]
@@ -116,7 +124,7 @@ class SceneResources:
         )
         self.images: Texture | None = _make_images(device, scene)
         self.objects = MirroredArray(device, shaders.Object, "objects")
-        self.positions = MirroredArray(device, vec4, "positions")
+        self.places = MirroredArray(device, shaders.Place, "places")
         self.materials = MirroredArray(device, shaders.Material, "materials")
         self.directional = MirroredArray(device, shaders.DirectionalLight, "directional lights")
         self.point = MirroredArray(device, shaders.PointLight, "point lights")
@@ -124,34 +132,71 @@ class SceneResources:
         self.light_rows = MirroredArray(device, int, "light rows")
         self._lit: tuple[NDArray[Any], ...] = ()  # what the lists were made from
         self._reaching = (False, False)  # whether point lights are on them, and spot lights
-        self.view = MirroredValue(device, shaders.View(relative_view_projection=np.eye(4)))
+        self.view = MirroredValue(device, _view(np.eye(4), np.zeros(3)))
         self.ambient = MirroredValue(device, _ambient(scene))
         self.haze = MirroredValue(device, _haze(scene))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._rows["material"] = objects.material
+        self._places: NDArray[Any] = np.zeros(len(objects), shaders.Place.dtype)
+        self._places["mesh"] = objects.mesh
+        moving = objects.dynamic_rows
+        self._moving = (int(moving[0]), int(moving[-1]) + 1) if len(moving) else (0, 0)
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
+        self._windings = (False, False)  # whether some object isn't mirrored, and whether some is
         self._transform(np.arange(len(objects)))
+
+    @cached_property
+    def parts(self) -> StorageBuffer[shaders.MeshPart]:
+        """The meshes, for who makes draws on the device; made when first asked for."""
+        meshes = self.scene.meshes
+        parts = np.zeros(len(meshes), shaders.MeshPart.dtype)
+        parts["lower"], parts["upper"] = meshes.lower, meshes.upper
+        parts["first"], parts["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
+        parts["base_vertex"] = meshes.ranges["base_vertex"]
+        return self._device.storage(shaders.MeshPart, parts, label="mesh parts")
+
+    @property
+    def arrays(self) -> SceneArrays:
+        """The objects and meshes, as visibility algorithms of the device read them."""
+        objects, places = self.objects.buffer, self.places.buffer
+        assert objects is not None, "a scene has an object"
+        assert places is not None
+        return SceneArrays(self.view.buffer, objects, places, self.parts)
+
+    def simulate(self, rows: NDArray[np.int64]) -> None:
+        """Before the objects `rows` are drawn: let those that are simulated be as they are at this time."""
+        meshes, mesh_of = self.scene.meshes, self.scene.objects.mesh
+        for one in self.simulator.advance(rows):
+            if self._simulated.get(one.row) != one.number:
+                first = int(meshes.ranges["base_vertex"][mesh_of[one.row]])
+                vertices = self.mesh.vertices
+                assert vertices is not None
+                vertices.write(one.simulation.vertices(one.member), first)
+                self._simulated[one.row] = one.number
+
+    def has_winding(self, *, mirrored: bool) -> bool:
+        """Whether some object's transform turns its triangles round, or doesn't."""
+        return self._windings[mirrored]
 
     def update(self, camera: Camera) -> None:
         """Bring the device up to date with the scene as `camera` sees it."""
         scene, eye = self.scene, camera.position
         self._transform(scene.objects.dynamic_rows)
-        self._list_lights()
-        self.objects.write(self._rows)
-        positions = np.zeros((len(scene.objects), 4), np.float32)
-        positions[:, :3] = scene.nodes.world[:, :3, 3][scene.objects.node] - eye
-        self.positions.write(positions)
+        self.objects.write(self._rows, *((0, None) if self._list_lights() else self._moving))
+        self.places.write(self._places, *self._moving)
         self.materials.write(scene.materials)
         lights = scene.lights.relative_to(eye)
         self.directional.write(lights.directional)
         self.point.write(lights.point if self._reaching[0] else lights.point[:0])
         self.spot.write(lights.spot if self._reaching[1] else lights.spot[:0])
-        self.view.write(shaders.View(relative_view_projection=camera.relative_view_projection))
+        self.view.write(_view(camera.relative_view_projection, eye))
         self.ambient.write(_ambient(scene))
         self.haze.write(_haze(scene))
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
-        """The parts of transforms that don't depend on the eye, of the objects `rows`."""
+        """What says where the objects `rows` are."""
+        if not len(rows):
+            return
         world = self.scene.nodes.world[self.scene.objects.node[rows]]
         normal = normal_matrices(world)
         largest = np.abs(normal).max(axis=(1, 2), keepdims=True)  # no float32 under- or overflow
@@ -160,9 +205,14 @@ class SceneResources:
         part["normal"][:, :, :3] = normal / np.where(largest > 0.0, largest, 1.0)
         self._rows[rows] = part
         self.mirrored[rows] = np.linalg.det(world[:, :3, :3]) < 0.0
+        self._windings = (bool((~self.mirrored).any()), bool(self.mirrored.any()))
+        place = self._places[rows]
+        place["high"], place["low"] = _split(world[:, :3, 3])
+        place["mirrored"] = self.mirrored[rows]
+        self._places[rows] = place
 
-    def _list_lights(self) -> None:
-        """Give each object the lights that reach it.
+    def _list_lights(self) -> bool:
+        """Give each object the lights that reach it; whether that may have changed.
 
         Lists of what can't move come first, so that what moves doesn't move them.
         """
@@ -172,7 +222,7 @@ class SceneResources:
         rows, points = objects.dynamic_rows, len(lights.point)
         state = (np.array([points]), positions, ranges, objects.lower[rows], objects.upper[rows])
         if self._lit and all(map(np.array_equal, self._lit, state)):
-            return
+            return False
         self._lit = state
         order = np.concatenate([objects.static_rows, rows])
         ends, listed = list_lights(objects.lower[order], objects.upper[order], positions, ranges)
@@ -186,15 +236,29 @@ class SceneResources:
         light_rows[: len(listed)] = np.where(is_spot, listed - points, listed)
         self.light_rows.write(light_rows)
         self._reaching = (not is_spot.all(), bool(is_spot.any()))
+        return True
 
     def destroy(self) -> None:
         """Give everything back."""
-        arrays = (self.objects, self.positions, self.materials, self.directional, self.point, self.spot)
+        arrays = (self.objects, self.places, self.materials, self.directional, self.point, self.spot)
         self.light_rows.destroy()
         for resource in (self.mesh, self.view, self.ambient, self.haze, *arrays):
             resource.destroy()
         if self.images is not None:
             self.images.destroy()
+        if "parts" in self.__dict__:
+            self.parts.destroy()
+
+
+def _split(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Doubles as pairs of floats whose sums they are, to 48 bits."""
+    high = positions.astype(np.float32)
+    return high, (positions - high).astype(np.float32)
+
+
+def _view(matrix: NDArray[Any], eye: NDArray[np.float64]) -> shaders.View:
+    high, low = _split(eye)
+    return shaders.View(relative_view_projection=matrix, eye_high=high, eye_low=low)
 
 
 def _ambient(scene: Scene) -> shaders.Ambient:

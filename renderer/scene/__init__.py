@@ -6,7 +6,7 @@ moved = scene.update(seconds=10.0)
 """
 
 from renderer.scene.camera import Camera, Depth, Frustum, Orthographic, Perspective, Plane, Projection
-from renderer.scene.library import GENERATORS, load_scene, parse_camera
+from renderer.scene.library import GENERATORS, find_path, load_scene, parse_camera
 from renderer.scene.lights import (
     DIRECTIONAL,
     POINT,
@@ -23,6 +23,7 @@ from renderer.scene.nodes import Nodes
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
 from renderer.scene.scene import Objects, Scene, SceneBuilder
 from renderer.scene.shapes import BUILT_IN
+from renderer.scene.simulation import Simulated, Simulation, Simulator
 from renderer.scene.specs import Generator, Option
 from renderer.scene.textures import IMAGE_SIZE
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
@@ -62,6 +63,10 @@ __all__ = [
     "RelativeLights",
     "Scene",
     "SceneBuilder",
+    "Simulated",
+    "Simulation",
+    "Simulator",
+    "find_path",
     "load_model",
     "load_scene",
     "make_geometry",

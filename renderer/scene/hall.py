@@ -1,4 +1,4 @@
-"""The hall: rows of columns, flags that sway on poles, point and spot lights, deep views.
+"""The hall: rows of columns, flags that sway on poles, fountains, point and spot lights, deep views.
 
 Flags are chains of nodes (pole, then segment after segment of cloth, each turning about the end of the one
 before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the time
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from renderer.scene import shapes
 from renderer.scene.camera import Camera, Perspective
+from renderer.scene.fountains import BOUNDS, Fountains, make_drops
 from renderer.scene.meshes import Geometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
@@ -33,16 +34,18 @@ _HEIGHT: Final = 9.0
 _CLOTH: Final = (0.34, 1.3)  # width of a segment and height of a flag, metres
 
 
-def make_hall(columns: int, rows: int, flags: int, detail: int, seed: int) -> Scene:
-    """A hall of `columns` x `rows` columns with `flags` flags along its middle aisle."""
+def make_hall(columns: int, rows: int, flags: int, fountains: int, detail: int, seed: int) -> Scene:
+    """A hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle."""
     rng = np.random.default_rng([seed, 8])
-    builder = SceneBuilder(f"hall:columns={columns},rows={rows},flags={flags},detail={detail},seed={seed}")
+    options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
+    builder = SceneBuilder(f"hall:{options}")
     builder.background = (0.01, 0.012, 0.02)
     length, width = columns * BAY, (rows + 1) * BAY
     _add_shell(builder, length, width, columns)
     _add_columns(builder, columns, rows, length, detail)
     places = _flag_places(flags, length)
     _add_flags(builder, rng, places, detail)
+    _add_fountains(builder, fountains, length, detail, seed)
     _add_lights(builder, rng, columns, length, width)
     _add_cameras(builder, length, width)
     return builder.build()
@@ -50,11 +53,12 @@ def make_hall(columns: int, rows: int, flags: int, detail: int, seed: int) -> Sc
 
 HALL: Final = Generator(
     "hall",
-    "rows of columns, swaying flags, point and spot lights, deep views; ground and sky paths",
+    "rows of columns, swaying flags, fountains, point and spot lights, deep views; ground and sky paths",
     (
         Option("columns", 24, "columns in each row", 2, 512),
         Option("rows", 4, "rows of columns", 2, 64),
         Option("flags", 32, "flags on poles", 0, 4096),
+        Option("fountains", 0, "fountains, simulated where they are seen", 0, 4096),
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
     ),
@@ -179,6 +183,36 @@ def _cloth(part: int, detail: int) -> Geometry:
         vertices["normal"],
         vertices["uv"],
     )
+
+
+def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int, seed: int) -> None:
+    """Basins on alternate sides of the middle aisle, a spray in each."""
+    if not count:
+        return
+    stone = builder.add_material(
+        base_color=(0.46, 0.45, 0.43), specular_color=(0.2, 0.2, 0.2), shininess=48.0
+    )
+    water = builder.add_material(
+        base_color=(0.45, 0.62, 0.75), specular_color=(0.6, 0.6, 0.6), shininess=90.0, emission=0.25
+    )
+    profile = [
+        (0.0, 0.0),
+        (1.0, 0.0),
+        (1.05, 0.5),
+        (0.92, 0.5),
+        (0.88, 0.2),
+        (0.1, 0.2),
+        (0.06, 0.9),
+        (0.0, 0.9),
+    ]
+    basin = builder.add_mesh(shapes.lathe(profile, 2 * detail), "basin")
+    x = ((np.arange(count) + 0.5) / count - 0.5) * (length - BAY)
+    side = np.where(np.arange(count) % 2, 1.0, -1.0) * 0.5 * BAY
+    places = np.stack([x, np.zeros(count), side], axis=1)
+    builder.add_objects(builder.add_nodes(translation(places)), basin, stone)
+    sprays = [builder.add_mesh(make_drops(), f"spray {number}", BOUNDS) for number in range(count)]
+    nozzles = builder.add_nodes(translation(places + np.array([0.0, 0.9, 0.0])))
+    builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed))
 
 
 def _add_lights(

@@ -17,6 +17,7 @@ from renderer.scene.city import CITY
 from renderer.scene.grid import GRID
 from renderer.scene.hall import HALL
 from renderer.scene.models import FORMATS, load_model
+from renderer.scene.paths import CameraPath
 from renderer.scene.scene import Scene
 from renderer.scene.specs import Generator
 from rhi.errors import refuse
@@ -42,15 +43,24 @@ def load_scene(text: str) -> Scene:
     return load_model(text)
 
 
+def find_path(text: str, scene: Scene) -> CameraPath:
+    """The camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
+    if text in scene.paths:
+        return scene.paths[text]
+    if Path(text).suffix.lower() != ".json":
+        rules.refuse_name(rules.UNKNOWN_CAMERA, f"find_path({text!r})", text, scene.paths)
+    return CameraPath.load(Path(text))
+
+
 def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
     """The camera that `text` names in `scene`.
 
-    `text` is the name of a path, of which `frame` is taken, the name of a view, a position `x,y,z` that
-    looks at the scene's centre, or a position and a target `x,y,z,x,y,z`.
+    `text` is the name of a path or the file of a walk-through, of which `frame` is taken, the name of a view, a
+    position `x,y,z` that looks at the scene's centre, or a position and a target `x,y,z,x,y,z`.
     """
     call = f"parse_camera({text!r})"
-    if text in scene.paths:
-        return scene.paths[text].camera(frame)
+    if text in scene.paths or Path(text).suffix.lower() == ".json":
+        return find_path(text, scene).camera(frame)
     if text in scene.views:
         return scene.views[text]
     try:

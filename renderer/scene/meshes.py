@@ -26,6 +26,9 @@ VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
 """One mesh's part of the shared arrays; the names and meanings of an indexed draw."""
 
+Bounds = tuple[Floats, Floats]
+"""Lower and upper corner, (3,)."""
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Geometry:
@@ -60,6 +63,13 @@ class Geometry:
         """Lower and upper corner, (3,) float64."""
         position = self.vertices["position"]
         return position.min(0).astype(np.float64), position.max(0).astype(np.float64)
+
+    @property
+    def radius(self) -> float:
+        """Of the sphere around the middle of the bounds that holds all vertices."""
+        lower, upper = self.bounds
+        away = self.vertices["position"] - 0.5 * (lower + upper)
+        return float(np.sqrt(np.einsum("ij,ij->i", away, away).max()))
 
     def transformed(self, matrix: ArrayLike) -> Geometry:
         """The same mesh moved by one affine matrix (4, 4); mirroring turns the triangles round."""
@@ -123,12 +133,16 @@ class Meshes:
     Attributes:
         vertices: (v,) of `VERTEX`; indices: (i,) uint32, relative to each mesh's base vertex.
         ranges: (m,) of `RANGE`.
-        lower, upper: (m, 3) float64, local bounds.
+        lower, upper: (m, 3) float64, local bounds; radius: (m,) around the middle of these.
         names: (m,) names.
     """
 
-    def __init__(self, geometries: Sequence[Geometry], names: Sequence[str]) -> None:
+    def __init__(
+        self, geometries: Sequence[Geometry], names: Sequence[str], bounds: Sequence[Bounds | None] = ()
+    ) -> None:
+        """`bounds` replace those of the geometries where they aren't None: of meshes that change."""
         count = len(geometries)
+        fixed = bounds or [None] * count
         self.vertices: NDArray[Any] = np.concatenate(
             [g.vertices for g in geometries] or [np.empty(0, VERTEX)]
         )
@@ -139,11 +153,16 @@ class Meshes:
         self.ranges["index_count"] = [len(g.indices) for g in geometries]
         self.ranges["first_index"][1:] = np.cumsum(self.ranges["index_count"], dtype=np.uint32)[:-1]
         self.ranges["base_vertex"][1:] = np.cumsum([len(g.vertices) for g in geometries])[:-1]
-        bounds = np.array([g.bounds for g in geometries]).reshape(count, 2, 3)
-        self.lower: Floats = bounds[:, 0]
-        self.upper: Floats = bounds[:, 1]
+        corners = np.array([own or g.bounds for own, g in zip(fixed, geometries, strict=True)])
+        corners = corners.reshape(count, 2, 3)
+        self.lower: Floats = corners[:, 0]
+        self.upper: Floats = corners[:, 1]
+        half = 0.5 * np.linalg.norm(self.upper - self.lower, axis=1)
+        self.radius: Floats = np.array(
+            [h if own else g.radius for h, own, g in zip(half, fixed, geometries, strict=True)]
+        )
         self.names: tuple[str, ...] = tuple(names)
-        for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper):
+        for array in (self.vertices, self.indices, self.ranges, self.lower, self.upper, self.radius):
             array.flags.writeable = False
 
     def __len__(self) -> int:

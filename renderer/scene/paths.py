@@ -1,22 +1,26 @@
-"""Camera paths: a route through the scene as arrays, one row a frame, 30 seconds at 60 Hz.
+"""Camera paths: a way through the scene as arrays, one row a frame at 60 Hz.
 
-A route is given by corners. It is walked at constant speed, its corners are rounded by averaging over a
-window of the way, and the camera looks at a point of the route ahead of it: turns are smooth, and the
-same input gives the same frames.
+`make_path` makes one of 30 seconds from corners. It is walked at constant speed, its corners are rounded by
+averaging over a window of the way, and the camera looks at a point of the route ahead of it: turns are
+smooth, and the same input gives the same frames. `CameraPath.record` makes one of cameras that were: a
+walk-through, which `save` keeps in a file.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from renderer import rules
-from renderer.scene.camera import Camera, Projection
+from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
 from renderer.scene.transforms import Floats
-from rhi.errors import refuse
+from rhi.errors import RhiError, refuse
 
 __rhi_internal__ = True
 
@@ -25,13 +29,18 @@ FRAME_COUNT: Final = 30 * FRAMES_PER_SECOND
 _SAMPLES: Final = 8192  # per route, before it is cut into frames: 22 cm of a 1.8 km route
 
 
+_LENSES: Final = {"perspective": Perspective, "orthographic": Orthographic}
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class CameraPath:
-    """`positions` and `targets`, (frames, 3) float64; `projection` is the lens."""
+    """`positions` and `targets`, (frames, 3) float64; `projection` is the lens; `ups`, (frames, 3) or (3,), is
+    where up is."""
 
     positions: Floats
     targets: Floats
     projection: Projection
+    ups: Floats = field(default_factory=lambda: np.array([0.0, 1.0, 0.0]))
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -40,7 +49,56 @@ class CameraPath:
         """The camera of one frame, 0 to len - 1."""
         if not 0 <= frame < len(self):
             refuse(rules.FRAME_RANGE, "camera(frame=...)", frame, f"0 to {len(self) - 1}")
-        return Camera.look_at(self.positions[frame], self.targets[frame], projection=self.projection)
+        up = np.broadcast_to(self.ups, self.positions.shape)[frame]
+        return Camera.look_at(self.positions[frame], self.targets[frame], up, self.projection)
+
+    @classmethod
+    def record(cls, cameras: Sequence[Camera]) -> Self:
+        """The way that these cameras went, one or more, a frame each, with the first one's lens.
+
+        Directions come back to within float64's rounding of a point a metre ahead.
+        """
+        if not cameras:
+            refuse(rules.BAD_WALK, "CameraPath.record", "no camera", "one or more")
+        return cls(
+            np.array([camera.position for camera in cameras]),
+            np.array([camera.position + camera.forward for camera in cameras]),
+            cameras[0].projection,
+            np.array([camera.rotation[1] for camera in cameras]),
+        )
+
+    def save(self, path: Path) -> None:
+        """Write the path as JSON: the lens, and for each frame position, target and up, nine numbers."""
+        lens = self.projection
+        kind = next(name for name, made in _LENSES.items() if isinstance(lens, made))
+        numbers = {entry.name: getattr(lens, entry.name) for entry in fields(_LENSES[kind])}
+        numbers["depth"] = lens.depth.value
+        rows = np.concatenate(
+            [self.positions, self.targets, np.broadcast_to(self.ups, self.positions.shape)], axis=1
+        )
+        path.write_text(json.dumps({"lens": {"kind": kind, **numbers}, "frames": rows.tolist()}) + "\n")
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """What `save` wrote.
+
+        Raises:
+            ValidationError: `camera-bad-walk` for what is no such file, `camera-bad-value` for a bad lens.
+            OSError: it can't be read.
+        """
+        call = f"CameraPath.load({str(path)!r})"
+        try:
+            held = json.loads(path.read_text())
+            lens = dict(held["lens"])
+            projection = _LENSES[lens.pop("kind")](**lens | {"depth": Depth(lens["depth"])})
+            rows = np.array(held["frames"], np.float64)
+        except RhiError:  # a lens's own refusal
+            raise
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            refuse(rules.BAD_WALK, call, f"{type(error).__name__}: {error}")
+        if rows.ndim != 2 or rows.shape[1] != 9 or not len(rows) or not np.isfinite(rows).all():
+            refuse(rules.BAD_WALK, call, f"frames of shape {rows.shape}", "(frames, 9) finite numbers")
+        return cls(rows[:, :3], rows[:, 3:6], projection, rows[:, 6:])
 
 
 def make_path(

@@ -18,9 +18,10 @@ from renderer import rules
 from renderer.scene.camera import Camera
 from renderer.scene.lights import Lights
 from renderer.scene.materials import MATERIAL, Image, check_image, make_material
-from renderer.scene.meshes import Geometry, Meshes
+from renderer.scene.meshes import Bounds, Geometry, Meshes
 from renderer.scene.nodes import Nodes
 from renderer.scene.paths import CameraPath
+from renderer.scene.simulation import Simulated, Simulation
 from renderer.scene.transforms import Floats, is_affine, relative_to, transform_bounds
 from rhi.errors import refuse
 
@@ -63,6 +64,7 @@ class Scene:
         materials: (k,) of `MATERIAL`; images: the textures that they index.
         background: linear colour where there is nothing.
         haze: how much light air takes away, per metre (e^-haze is left after one), and replaces by background.
+        simulated: simulations and the objects they are of, as they begin; a renderer's `Simulator` steps copies.
         views: named cameras, the first of which is the default; paths: named camera paths.
     """
 
@@ -80,8 +82,10 @@ class Scene:
         animations: tuple[Animation, ...] = (),
         background: tuple[float, float, float] = (0.02, 0.02, 0.03),
         haze: float = 0.0,
+        simulated: tuple[Simulated, ...] = (),
     ) -> None:
         self.name = name
+        self.simulated = simulated
         self.background = background
         self.haze = haze
         self.nodes = nodes
@@ -105,9 +109,11 @@ class Scene:
         """
         for animate in self._animations:
             animate(self.nodes, seconds)
-        changed = np.flatnonzero(self.nodes.update()[self.objects.node])
-        if changed.size:
-            self._refresh_bounds(changed)
+        moved = self.nodes.update()
+        if not moved.any():
+            return np.zeros(0, np.int64)
+        changed = np.flatnonzero(moved[self.objects.node])
+        self._refresh_bounds(changed)
         return changed
 
     @property
@@ -158,6 +164,7 @@ class SceneBuilder:
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
         self._geometries: list[Geometry] = []
+        self._bounds: list[Bounds | None] = []
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
         self._images: list[Image] = []
@@ -167,10 +174,17 @@ class SceneBuilder:
         self._node_names: list[str] = []
         self._objects: list[NDArray[np.int64]] = []
         self._object_count = 0
+        self._simulated: list[Simulated] = []
         self._animations: list[tuple[NDArray[np.int64], Callable[[float], Floats]]] = []
 
-    def add_mesh(self, geometry: Geometry, name: str = "") -> int:
-        """Add a mesh; returns its id."""
+    def add_mesh(self, geometry: Geometry, name: str = "", bounds: Bounds | None = None) -> int:
+        """Add a mesh; returns its id. `bounds` are what one that is simulated never leaves."""
+        if bounds is not None:
+            lower, upper = geometry.bounds
+            if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
+                given = f"{bounds[0]} to {bounds[1]}"
+                refuse(rules.BAD_MESH, "add_mesh(bounds=...)", given, f"at least {lower} to {upper}")
+        self._bounds.append(bounds)
         self._geometries.append(geometry)
         self._mesh_names.append(name)
         return len(self._geometries) - 1
@@ -232,6 +246,29 @@ class SceneBuilder:
         """Let dynamic `nodes` (k,) follow `motion`: seconds to local transforms (k, 4, 4)."""
         self._animations.append((np.atleast_1d(np.asarray(nodes, np.int64)), motion))
 
+    def simulate(self, objects: ArrayLike, simulation: Simulation) -> None:
+        """Let `simulation` make the vertices of `objects` (k,), its members in this order.
+
+        Each has a mesh of its own, added with bounds that hold at all times. The scene's time 0 is the
+        simulation's beginning, whose vertices are the meshes'.
+        """
+        rows = np.atleast_1d(np.asarray(objects, np.int64))
+        if rows.size and (rows.min() < 0 or rows.max() >= self._object_count):
+            refuse(rules.BAD_INDEX, "simulate(objects=...)", rows, f"0 to {self._object_count - 1}")
+        self._simulated.append(Simulated(simulation, rows))
+
+    def _check_simulated(self, mesh: NDArray[np.int64]) -> None:
+        """Refuse objects that two simulations or two objects would change; `mesh` (n,) is that of each object."""
+        rows = np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)])
+        meshes, uses = np.unique(mesh, return_counts=True)
+        shared = uses[np.searchsorted(meshes, mesh[rows])] > 1
+        if len(np.unique(rows)) < len(rows) or shared.any():
+            given = "an object twice" if len(np.unique(rows)) < len(rows) else f"object {rows[shared][0]}"
+            refuse(rules.SHARED_MESH, "simulate(objects=...)", given)
+        for row in rows.tolist():
+            if self._bounds[mesh[row]] is None:
+                refuse(rules.UNBOUND_MESH, "simulate(objects=...)", f"object {row}")
+
     def build(self) -> Scene:
         """The scene. It must have at least one object."""
         if not self._object_count:
@@ -243,6 +280,7 @@ class SceneBuilder:
             self._node_names,
         )
         table = np.concatenate(self._objects)
+        self._check_simulated(table[:, 1])
         node = nodes.rows[table[:, 0]].astype(np.int32)
         dynamic = nodes.dynamic[node]
         objects = Objects(
@@ -259,7 +297,7 @@ class SceneBuilder:
             self.name,
             nodes,
             objects,
-            Meshes(self._geometries, self._mesh_names),
+            Meshes(self._geometries, self._mesh_names, self._bounds),
             np.array(self._materials, MATERIAL),
             tuple(self._images),
             self.lights,
@@ -268,6 +306,7 @@ class SceneBuilder:
             tuple(_follow(nodes.rows[ids], motion) for ids, motion in self._animations),
             self.background,
             self.haze,
+            tuple(self._simulated),
         )
 
 

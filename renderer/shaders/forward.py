@@ -24,12 +24,14 @@ from renderer.shaders.structs import (
     Haze,
     Material,
     Object,
+    Place,
     PointLight,
     SpotLight,
     Surface,
     Varying,
     Vertex,
     View,
+    relative_position,
 )
 from rhi.shading import (
     Shader,
@@ -53,13 +55,13 @@ class ForwardShader(Shader):
     view: Uniform[View]
     ambient: Uniform[Ambient]
     objects: Storage[Object]
-    positions: Storage[vec4]
+    places: Storage[Place]
     materials: Storage[Material]
 
     def vertex(self, v: Vertex) -> Varying:
         row = instance_index()
         thing = self.objects[row]
-        position = thing.linear @ v.position + self.positions[row].xyz
+        position = thing.linear @ v.position + relative_position(self.places[row], self.view)
         return Varying(
             clip=self.view.relative_view_projection @ vec4(position, 1.0),
             position=position,

@@ -7,13 +7,16 @@ std430 layout, so that the array is uploaded as it stands.
 
 from __future__ import annotations
 
-from rhi.shading import Struct, ivec3, mat3, mat4, vec2, vec3, vec4
+from rhi.shading import Struct, function, ivec3, mat3, mat4, uint, vec2, vec3, vec4
 
 
 class View(Struct):
-    """A camera: from positions relative to the eye to clip space."""
+    """A camera: from positions relative to the eye to clip space, and where in the world the eye is: at
+    `eye_high` + `eye_low`, two floats for each double."""
 
     relative_view_projection: mat4
+    eye_high: vec3
+    eye_low: vec3
 
 
 class Ambient(Struct):
@@ -31,7 +34,7 @@ class Haze(Struct):
 
 
 class Object(Struct):
-    """What changes when an object moves: all of its transform but the position, its material and its lights.
+    """All of an object's transform but the position, its material and its lights.
 
     `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale. The
     object's lights are `light_rows[lights_begin:points_end]`, rows of the point lights, and
@@ -44,6 +47,35 @@ class Object(Struct):
     lights_begin: int
     points_end: int
     lights_end: int
+
+
+class Place(Struct):
+    """Where in the world an object is, and which mesh: at `high` + `low`, two floats for each double.
+
+    `mirrored` is 1 where the object's transform turns its triangles round.
+    """
+
+    high: vec3
+    mesh: int
+    low: vec3
+    mirrored: int
+
+
+class MeshPart(Struct):
+    """A mesh: its box in mesh space, and what a draw of it takes from the arrays that all meshes share."""
+
+    lower: vec3
+    first: uint
+    upper: vec3
+    count: uint
+    base_vertex: int
+
+
+@function
+def relative_position(place: Place, view: View) -> vec3:
+    """Where an object's origin is from the eye: as exact near the eye as doubles are, far from the world's
+    origin too."""
+    return (place.high - view.eye_high) + (place.low - view.eye_low)
 
 
 class Material(Struct):

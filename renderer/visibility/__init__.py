@@ -5,6 +5,8 @@ statistics = visibility.render(camera, lambda rows: technique.draw(rows))
 """
 
 from collections.abc import Callable
+from dataclasses import asdict
+from functools import partial
 from typing import Final
 
 from renderer import rules
@@ -15,28 +17,41 @@ from renderer.visibility.chc import Chc
 from renderer.visibility.chc_plus_plus import ChcPlusPlus
 from renderer.visibility.conditional import ConditionalCulling
 from renderer.visibility.culling import Counts, Culler, find_visible
-from renderer.visibility.frustum import FrustumCulling, NoCulling
+from renderer.visibility.depth_pyramid import DepthPyramidCulling
+from renderer.visibility.device_culling import DeviceCulling
+from renderer.visibility.frustum import FrustumCulling, NoCulling, VolumeCulling
 from renderer.visibility.hierarchy import Hierarchy, build_by_area, build_by_median
+from renderer.visibility.scene_pass import DeviceList, SceneArrays
+from renderer.visibility.settings import Settings
 from renderer.visibility.stop_and_wait import StopAndWait
+from renderer.visibility.two_pass import TwoPassCulling
 from rhi import Device
 
 __rhi_internal__ = True
 
 __all__ = [
     "ALGORITHMS",
+    "CANDIDATES",
     "AutoCulling",
     "Chc",
     "ChcPlusPlus",
     "ConditionalCulling",
     "Counts",
     "Culler",
+    "DepthPyramidCulling",
+    "DeviceCulling",
+    "DeviceList",
     "DrawObjects",
     "FrustumCulling",
     "Hierarchy",
     "NoCulling",
+    "SceneArrays",
+    "Settings",
     "Statistics",
     "StopAndWait",
+    "TwoPassCulling",
     "VisibilityAlgorithm",
+    "VolumeCulling",
     "build_by_area",
     "build_by_median",
     "find_visible",
@@ -45,14 +60,29 @@ __all__ = [
     "make_visibility",
 ]
 
-ALGORITHMS: Final[dict[str, Callable[[Scene, Device], VisibilityAlgorithm]]] = {
-    "none": lambda scene, _: NoCulling(scene),
-    "frustum": lambda scene, _: FrustumCulling(scene),
-    "stop_and_wait": StopAndWait,
-    "chc": Chc,
-    "chc_plus_plus": ChcPlusPlus,
-    "conditional": ConditionalCulling,
-    "auto": AutoCulling,
+CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "frustum", "depth_pyramid", "two_pass")
+"""What `auto` tries, in this order: each is the fastest for some view and device, and no other is by much."""
+
+ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
+    "none": lambda scene, _device, _settings: NoCulling(scene),
+    "frustum": lambda scene, _device, _settings: FrustumCulling(scene),
+    "stop_and_wait": lambda scene, device, settings: StopAndWait(scene, device, threshold=settings.threshold),
+    "chc": lambda scene, device, settings: Chc(scene, device, threshold=settings.threshold),
+    "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(scene, device, **asdict(settings)),
+    "conditional": lambda scene, device, settings: ConditionalCulling(
+        scene, device, persistence=settings.persistence, threshold=settings.threshold
+    ),
+    "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),
+    "two_pass": lambda scene, device, _settings: TwoPassCulling(scene, device),
+    "auto": lambda scene, device, settings: AutoCulling(
+        scene,
+        device,
+        {
+            name: partial(make_visibility, name, scene, device, settings)
+            for name in CANDIDATES
+            if name in list_algorithms(device)
+        },
+    ),
 }
 """Visibility algorithms by the names of the command line."""
 
@@ -60,17 +90,22 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device], VisibilityAlgorithm]]] = {
 def list_algorithms(device: Device) -> list[str]:
     """The names of the algorithms that `device` can run without help; the null device answers no queries."""
     can = device.capabilities
-    asked = can.shading and (can.occlusion_queries or can.sample_counter)
-    conditional = asked and can.conditional_rendering
-    return [
-        name
-        for name in ALGORITHMS
-        if name in ("none", "frustum", "auto") or (conditional if name == "conditional" else asked)
-    ]
+    asks = can.shading and (can.occlusion_queries or can.sample_counter)
+    needs = {
+        "none": True,
+        "frustum": True,
+        "auto": True,
+        "conditional": asks and can.conditional_rendering,
+        "depth_pyramid": can.renders and can.compute,
+        "two_pass": can.renders and can.compute,
+    }
+    return [name for name in ALGORITHMS if needs.get(name, asks)]
 
 
-def make_visibility(name: str, scene: Scene, device: Device) -> VisibilityAlgorithm:
-    """The algorithm of this name, made for `scene` and for passes on `device`."""
+def make_visibility(
+    name: str, scene: Scene, device: Device, settings: Settings | None = None
+) -> VisibilityAlgorithm:
+    """The algorithm of this name, made for `scene` and for passes on `device` with `settings`."""
     if name not in ALGORITHMS:
         rules.refuse_name(rules.UNKNOWN_ALGORITHM, f"make_visibility({name!r})", name, ALGORITHMS)
-    return ALGORITHMS[name](scene, device)
+    return ALGORITHMS[name](scene, device, settings or Settings())

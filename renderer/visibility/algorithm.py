@@ -60,6 +60,10 @@ class VisibilityAlgorithm(Protocol):
         """
         ...
 
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        ...
+
 
 def find_visible_objects(algorithm: VisibilityAlgorithm, camera: Camera) -> NDArray[np.int64]:
     """The rows, ascending, of all objects that `algorithm` would draw; for tools and tests."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from time import perf_counter
 from typing import Final
@@ -11,9 +11,6 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import DrawObjects, Statistics, VisibilityAlgorithm
-from renderer.visibility.chc import Chc
-from renderer.visibility.chc_plus_plus import ChcPlusPlus
-from renderer.visibility.frustum import FrustumCulling
 from rhi import Device
 
 __rhi_internal__ = True
@@ -21,6 +18,9 @@ __rhi_internal__ = True
 _TURNED: Final = float(np.cos(np.pi / 4))
 _MOVED: Final = 0.15  # of the scene's diagonal
 _CHANGED: Final = 1.5  # times as many objects drawn, or as few
+_SETTLES: Final = 2  # frames
+_HOPELESS: Final = 1.5  # times the best time so far
+_LONGEST_REST: Final = 8  # times the shortest
 
 
 class AutoCulling:
@@ -28,10 +28,11 @@ class AutoCulling:
 
     In a frame on trial the CPU waits for the GPU, so that the frame's cost is known; it counts as stalled. The
     view is another when the eye has moved by 0.15 of the scene's diagonal or turned by 45°, or when the number of
-    objects drawn has become 1.5 times as large or as small.
+    objects drawn has become 1.5 times as large or as small. After a trial there is none for some frames, and for
+    twice as many each time that it comes to the same end.
 
     Attributes:
-        candidates: what is tried, by name.
+        names: of what is tried; candidates: those of them that were made, each when it is first tried.
         chosen: the name of the fastest; the one on trial while there is a trial.
         is_trying: whether the next frame is on trial.
     """
@@ -40,68 +41,95 @@ class AutoCulling:
         self,
         scene: Scene,
         device: Device,
+        makers: Mapping[str, Callable[[], VisibilityAlgorithm]],
         *,
-        frames: int = 6,
-        candidates: Mapping[str, VisibilityAlgorithm] | None = None,
+        frames: int = 5,
+        rest: int = 120,
     ) -> None:
-        """`frames`, 2 or more, is how long each of `candidates` is tried: in the first half it settles, of the
-        others the least time counts. Without candidates: frustum and, where a device answers queries, chc and
-        chc_plus_plus.
-        """
-        if candidates is None:
-            candidates = {"frustum": FrustumCulling(scene)}
-            can = device.capabilities
-            if can.shading and (can.occlusion_queries or can.sample_counter):
-                candidates |= {"chc": Chc(scene, device), "chc_plus_plus": ChcPlusPlus(scene, device)}
-        self.candidates = dict(candidates)
-        self.chosen = next(iter(self.candidates))
+        """`makers` make the candidates. `frames`, 3 or more, is how long each is tried: in two it settles, of the
+        others the least time counts; it is given up when they leave it no hope. `rest`: frames without a trial after
+        one, at least."""
+        self.names = tuple(makers)
+        self.candidates: dict[str, VisibilityAlgorithm] = {}
+        self.chosen = self.names[0]
+        self._makers = dict(makers)
         self._device = device
-        self._frames = max(frames, 2)
+        self._frames = max(frames, _SETTLES + 1)
         lower, upper = scene.bounds
         self._reach = _MOVED * float(np.linalg.norm(upper - lower))
-        self._order: list[str] = []  # the frames of a trial that are left, last first
-        self._times: dict[str, list[float]] = {}
-        self._camera: Camera | None = None  # where the trial took place
+        self._untried: list[str] = []  # last first
+        self._times: list[float] = []  # of the one on trial
+        self._best: tuple[float, str] = (np.inf, self.chosen)
+        self._last = ""  # what the last trial came to
+        self._shortest = self._rest = self._left = rest
+        self._camera: Camera | None = None  # where the trial ended
         self._drawn = 0  # in the frame after it
         self._begin_trial()
 
     @property
     def is_trying(self) -> bool:
         """Whether the next frame is one of a trial."""
-        return bool(self._order)
+        return bool(self._untried)
 
     def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
         """Draw what the chosen algorithm draws."""
-        if not self._order and self._is_elsewhere(camera):
+        if not self._untried and self._left <= 0 and self._is_elsewhere(camera):
             self._begin_trial()
-        if self._order:
+        if self._untried:
             return self._try_next(camera, draw)
-        statistics = self.candidates[self.chosen].render(camera, draw)
+        statistics = self._find(self.chosen).render(camera, draw)
+        self._left -= 1
         self._drawn = self._drawn or statistics.visible
-        if max(statistics.visible, self._drawn) > _CHANGED * min(statistics.visible, self._drawn):
+        if self._left < 0 and max(statistics.visible, self._drawn) > _CHANGED * min(
+            statistics.visible, self._drawn
+        ):
             self._begin_trial()
         return statistics
 
+    def destroy(self) -> None:
+        """Give back what the candidates made on the device."""
+        for candidate in self.candidates.values():
+            candidate.destroy()
+
     def _begin_trial(self) -> None:
         self._drawn = 0
-        if len(self.candidates) > 1:
-            self._times = {name: [] for name in self.candidates}
-            self._order = [name for name in self.candidates for _ in range(self._frames)][::-1]
+        self._times.clear()
+        self._best = (np.inf, self.chosen)
+        if len(self.names) > 1:
+            self._untried = list(self.names)[::-1]
 
     def _try_next(self, camera: Camera, draw: DrawObjects) -> Statistics:
-        device, self.chosen = self._device, self._order.pop()
+        device, self.chosen = self._device, self._untried[-1]
+        candidate = self._find(self.chosen)
         device.finish()
         began = perf_counter()
-        statistics = self.candidates[self.chosen].render(camera, draw)
+        statistics = candidate.render(camera, draw)
         submitted = perf_counter()
         device.finish()
         done = perf_counter()
-        self._times[self.chosen].append(done - began)
-        if not self._order:
-            self.chosen = min(self._times, key=lambda name: min(self._times[name][self._frames // 2 :]))
-            self._camera = camera
+        self._times.append(done - began)
+        least = min(self._times[_SETTLES:], default=np.inf)
+        if len(self._times) == self._frames or (
+            len(self._times) > _SETTLES and least > _HOPELESS * self._best[0]
+        ):
+            self._best = min(self._best, (least, self.chosen))
+            self._untried.pop()
+            self._times.clear()
+            if not self._untried:
+                self._decide(camera)
         waited = 1e3 * (done - submitted)
         return replace(statistics, stalled_milliseconds=statistics.stalled_milliseconds + waited)
+
+    def _decide(self, camera: Camera) -> None:
+        self.chosen = self._best[1]
+        again = self.chosen == self._last
+        self._rest = min(2 * self._rest, _LONGEST_REST * self._shortest) if again else self._shortest
+        self._last, self._left, self._camera = self.chosen, self._rest, camera
+
+    def _find(self, name: str) -> VisibilityAlgorithm:
+        if name not in self.candidates:
+            self.candidates[name] = self._makers[name]()
+        return self.candidates[name]
 
     def _is_elsewhere(self, camera: Camera) -> bool:
         then = self._camera

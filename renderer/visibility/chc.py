@@ -34,7 +34,7 @@ class Chc:
         self._objects = scene.objects
         self._forest = Forest(scene)
         count = len(self._forest)
-        self._queries = BoxQueries(device, np.ones(count, np.int64), threshold)
+        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
         self._visible = bytearray(count)
         self._visited = [NEVER] * count
         self._frame = 0
@@ -47,8 +47,7 @@ class Chc:
     def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
         """Draw what `camera` sees, and what it saw in the last frame."""
         forest, queries, stack, asked = self._forest, self._queries, self._stack, self._asked
-        forest.update(camera)
-        queries.begin_frame(camera, forest.lower, forest.upper)
+        queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
         self._drawn = 0
         self._shown.clear()

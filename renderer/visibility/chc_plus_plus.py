@@ -84,7 +84,7 @@ class ChcPlusPlus:
         self._persistence = persistence
         self._random = Random(seed)
         count = len(self._forest)
-        self._queries = BoxQueries(device, self._forest.tight_sizes, threshold)
+        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold)
         self._visible = bytearray(count)
         self._visited = [NEVER] * count
         self._hidden_since = [0] * count
@@ -144,8 +144,7 @@ class ChcPlusPlus:
     def _begin(self, camera: Camera) -> None:
         """Take the answers that were left to this frame, and start at the roots."""
         forest, queries = self._forest, self._queries
-        forest.update(camera)
-        queries.begin_frame(camera, forest.lower[forest.tight], forest.upper[forest.tight])
+        queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
         self._drawn = self._batches = self._walked = 0
         for left in (self._stack, self._hidden, self._again, self._to_draw, self._shown, self._seen):

@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.bounds import find_near, pad_boxes, squared_distances
+from renderer.visibility.bounds import Boxes, see_boxes, squared_distances
 from renderer.visibility.culling import find_visible
 from renderer.visibility.hierarchy import Floats, Hierarchy, Rows, build_by_area, build_by_median
+from renderer.visibility.volumes import TightestBoxes
 
 __rhi_internal__ = True
 
@@ -37,7 +38,7 @@ class Forest:
         roots: a node for each tree that has one.
         parent: for each node, -1 for roots; child: the first child, whose sibling is the next node, -1 for
             leaves; object: a leaf's row, -1 for other nodes.
-        lower, upper: (m, 3) bounds, padded for queries by `update`.
+        lower, upper: (m, 3) bounds, as of `update`.
         place: OUTSIDE, INSIDE or NEAR for each node; second_first: 1 where the second child is the nearer.
         runs: for each node where its objects begin and end in `order`, the rows of all objects.
         tight: node after node those whose boxes fit it closer: nodes below it, or itself.
@@ -69,11 +70,13 @@ class Forest:
         self._leaves: Rows = np.flatnonzero(child < 0)
         self._leaf_objects: Rows = row[self._leaves]
         self._in_view = np.ones(len(objects), bool)
-        self._lower, self._upper = np.zeros((3, len(child))).T, np.zeros((3, len(child))).T  # by column
+        self._leaf_of: Rows = np.zeros(len(objects), np.int64)
+        self._leaf_of[self._leaf_objects] = self._leaves
+        self._tightest = TightestBoxes(scene)
+        self.lower: Floats = np.zeros((3, len(child))).T  # by column
+        self.upper: Floats = np.zeros((3, len(child))).T
         for tree in range(len(self._trees)):
             self._fit(tree)
-        self.lower: Floats = self._lower
-        self.upper: Floats = self._upper
         self.place = bytes(len(child))
         self.second_first = bytes(len(child))
         tight = self._find_tight()
@@ -83,15 +86,16 @@ class Forest:
     def __len__(self) -> int:
         return len(self.parent)
 
-    def update(self, camera: Camera) -> None:
-        """Follow the scene's objects and see all nodes as `camera` does."""
+    def update(self, camera: Camera) -> Boxes:
+        """Follow the scene's objects and see all nodes as `camera` does; the boxes to ask for each by, of objects
+        the tightest."""
         if len(self._objects.dynamic_rows):
             self._fit(len(self._trees) - 1)
-        lower, upper, eye = self._lower, self._upper, camera.position
+        lower, upper, eye = self.lower, self.upper, camera.position
+        turned = self._tightest.find()
+        boxes = see_boxes(camera, lower, upper, turned, self._leaf_of[turned.rows])
         place = find_visible(camera.frustum.planes, lower, upper).astype(np.uint8)
-        self.lower, self.upper, far = pad_boxes(camera, lower, upper)
-        near = find_near(camera, self.lower, self.upper, far)
-        place[near & (place == INSIDE)] = NEAR
+        place[boxes.near & (place == INSIDE)] = NEAR
         self.place = place.tobytes()
         self._in_view[self._leaf_objects] = place[self._leaves] != OUTSIDE
 
@@ -105,14 +109,13 @@ class Forest:
         flags = np.zeros(len(self), np.uint8)
         flags[self._inner] = swap
         self.second_first = flags.tobytes()
+        return boxes
 
     def _fit(self, tree: int) -> None:
         """Let a tree's bounds follow its objects."""
         rows, hierarchy = self._trees[tree]
         run = slice(self._starts[tree], self._starts[tree + 1])
-        self._lower[run], self._upper[run] = hierarchy.fit(
-            self._objects.lower[rows], self._objects.upper[rows]
-        )
+        self.lower[run], self.upper[run] = hierarchy.fit(self._objects.lower[rows], self._objects.upper[rows])
 
     def objects(self, node: int) -> Rows:
         """The rows, ascending, of the objects below a node that are not outside the frustum."""
@@ -132,7 +135,7 @@ class Forest:
     def _find_tight(self) -> list[tuple[int, ...]]:
         """Tight bounds (CHC++, section 6): up to 3 levels down while the surface of the boxes there, summed,
         is at most 1.4 times the node's own. Chosen once; any nodes that cover a node are right for it."""
-        size = np.minimum(self._upper - self._lower, 1e100)
+        size = np.minimum(self.upper - self.lower, 1e100)
         areas = (size * np.roll(size, 1, axis=1)).sum(axis=1).tolist()
         tight = []
         for node in range(len(self)):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import DrawObjects, Statistics
 from renderer.visibility.culling import Counts, Culler
 from renderer.visibility.hierarchy import Floats, Rows, build_by_area, build_by_median
+from renderer.visibility.volumes import Fit, Side, classify, fit_aligned, fit_oriented, fit_spheres
 
 __rhi_internal__ = True
 
@@ -22,6 +25,9 @@ class NoCulling:
         """Draw every object."""
         draw(self._rows)
         return Statistics(len(self._rows), len(self._rows))
+
+    def destroy(self) -> None:
+        """Nothing was made on the device."""
 
 
 class FrustumCulling:
@@ -59,7 +65,45 @@ class FrustumCulling:
             plane_tests=counts.planes,
         )
 
+    def destroy(self) -> None:
+        """Nothing was made on the device."""
+
     def _find_moving(self, planes: Floats) -> tuple[Rows, Counts]:
         rows = self._scene.objects.dynamic_rows
         lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
         return Culler(build_by_median(lower, upper, leaf_size=16), lower, upper).find_visible(planes)
+
+
+class VolumeCulling:
+    """Draws the objects of which no bounding volume is outside the frustum: each kind of volume for all objects at
+    once. The more kinds, the fewer objects."""
+
+    def __init__(self, scene: Scene, fits: Sequence[Fit] = (fit_aligned, fit_oriented, fit_spheres)) -> None:
+        """`fits` make the volumes, one kind or several."""
+        self._scene = scene
+        self._fits = tuple(fits)
+        self._static = [fit(scene, scene.objects.static_rows) for fit in fits]
+
+    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        """Draw the objects that may meet the frustum."""
+        objects, planes = self._scene.objects, camera.frustum.planes
+        seen = np.ones(len(objects), bool)
+        for fit, static in zip(self._fits, self._static, strict=True):
+            seen[objects.static_rows] &= classify(planes, static) != Side.OUTSIDE
+            if len(objects.dynamic_rows):
+                moving = fit(self._scene, objects.dynamic_rows)
+                seen[objects.dynamic_rows] &= classify(planes, moving) != Side.OUTSIDE
+        visible = np.flatnonzero(seen)
+        if len(visible):
+            draw(visible)
+        tested = len(objects) * len(self._fits)
+        return Statistics(
+            objects=len(objects),
+            visible=len(visible),
+            batches=int(len(visible) > 0),
+            objects_tested=tested,
+            plane_tests=tested * len(planes),
+        )
+
+    def destroy(self) -> None:
+        """Nothing was made on the device."""

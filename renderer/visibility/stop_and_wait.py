@@ -6,9 +6,10 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import DrawObjects, Statistics, find_visible_objects
-from renderer.visibility.bounds import find_near, pad_boxes
+from renderer.visibility.bounds import see_boxes
 from renderer.visibility.box_queries import BoxQueries
 from renderer.visibility.frustum import FrustumCulling
+from renderer.visibility.volumes import TightestBoxes
 from rhi import Device
 
 __rhi_internal__ = True
@@ -25,17 +26,20 @@ class StopAndWait:
         """`threshold`: an object whose box passes no more samples than this is taken for hidden."""
         self._objects = scene.objects
         self._frustum = FrustumCulling(scene)
-        self._queries = BoxQueries(device, np.ones(len(scene.objects), np.int64), threshold)
+        self._tightest = TightestBoxes(scene)
+        count = len(scene.objects)
+        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
 
     def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
         """Draw the objects that are not hidden behind nearer ones."""
         lower, upper = self._objects.lower, self._objects.upper
         rows = find_visible_objects(self._frustum, camera)
         rows = rows[np.argsort((lower[rows] + upper[rows]) @ camera.forward, kind="stable")]
-        lower, upper, far = pad_boxes(camera, lower, upper)
-        near = find_near(camera, lower, upper, far)
+        turned = self._tightest.find()
+        boxes = see_boxes(camera, lower, upper, turned, turned.rows)
+        near = boxes.near
         queries = self._queries
-        queries.begin_frame(camera, lower, upper)
+        queries.begin_frame(camera, boxes)
         visible = 0
         for place, row in enumerate(rows.tolist()):
             if not near[row]:

@@ -1,4 +1,4 @@
-"""The kit's pytest plugin: its markers and the scoreboard.
+"""The kit's pytest plugin: its markers, the scoreboard, and what to implement next.
 
 It is the entry point that pytest finds, and brings `rhi.testing.plugin` with it: the option `--rhi-backend`,
 which would be unknown when pytest reads its command line were it defined in a conftest below `--pyargs`, and
@@ -7,16 +7,21 @@ the fixtures for tests of one's own.
 
 from __future__ import annotations
 
-from collections import Counter
-from typing import TYPE_CHECKING
+from collections import Counter, defaultdict
+from collections.abc import Generator
+from typing import Final
 
-if TYPE_CHECKING:
-    import pytest
+import pytest
+
+from rhi.conformance.steps import STEPS, find_missing, step_of
 
 pytest_plugins = ("rhi.testing.plugin",)
 
-PROPERTY = "rhi-conformance"
+PROPERTY: Final = "rhi-conformance"
 """Under which the kit notes in its tests' reports which backend and group they belong to."""
+MISSING: Final = "rhi-missing-method"
+"""Under which a failed test's report has the backend's method that isn't there yet."""
+SHOWN: Final = 5
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -27,27 +32,63 @@ def pytest_configure(config: pytest.Config) -> None:
     )
 
 
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item, call: pytest.CallInfo[None]
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Note which method a test of the kit failed for want of."""
+    report = yield
+    if report.failed and call.excinfo is not None and PROPERTY in dict(item.user_properties):
+        report.user_properties.append((MISSING, find_missing(call.excinfo.value)))
+    return report
+
+
+class Board:
+    """What came of the tests for one backend."""
+
+    def __init__(self) -> None:
+        self.groups: dict[str, Counter[str]] = defaultdict(Counter)
+        self.reasons: Counter[str] = Counter()
+        self.missing: dict[str, set[str]] = defaultdict(set)
+        self.failed: dict[str, list[str]] = defaultdict(list)
+
+    def add(self, outcome: str, group: str, report: pytest.TestReport) -> None:
+        """Count one report."""
+        self.groups[group][outcome] += 1
+        if outcome == "skipped" and isinstance(report.longrepr, tuple):
+            self.reasons[report.longrepr[-1].removeprefix("Skipped: ")] += 1
+        if report.failed:
+            method = dict(report.user_properties).get(MISSING)
+            if isinstance(method, str) and method:
+                self.missing[method].add(report.nodeid)
+            self.failed[group].append(report.nodeid.partition("::")[2])
+
+
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were skipped."""
-    boards: dict[str, dict[str, Counter[str]]] = {}
-    reasons: dict[str, Counter[str]] = {}
+    boards: dict[str, Board] = defaultdict(Board)
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.stats.get(outcome, ()):
             place = dict(getattr(report, "user_properties", ())).get(PROPERTY)
-            if place is None:  # not a test of the kit
-                continue
-            backend, group = place
-            boards.setdefault(backend, {}).setdefault(group, Counter())[outcome] += 1
-            if outcome == "skipped":
-                reasons.setdefault(backend, Counter())[report.longrepr[-1].removeprefix("Skipped: ")] += 1
+            if place is not None:  # a test of the kit
+                backend, group = place
+                boards[backend].add(outcome, group, report)
     for backend, board in boards.items():
         terminalreporter.section(f"rhi conformance: {backend}")
-        width = max(map(len, board))
-        for group in sorted(board):
-            _write_row(terminalreporter, f"{group:<{width}}", board[group])
-        _write_row(terminalreporter, f"{'total':<{width}}", sum(board.values(), Counter()), bold=True)
-        for reason, count in sorted(reasons.get(backend, {}).items()):
-            terminalreporter.write_line(f"  {count:4} × {reason}")
+        _write_board(terminalreporter, board)
+
+
+def _write_board(reporter: pytest.TerminalReporter, board: Board) -> None:
+    width = max(map(len, board.groups))
+    for group in sorted(board.groups, key=lambda group: (step_of(group), group)):
+        number = step_of(group)
+        shown = str(number) if number <= len(STEPS) else ""
+        _write_row(reporter, f"{shown:>2} {group:<{width}}", board.groups[group])
+    _write_row(reporter, f"   {'total':<{width}}", sum(board.groups.values(), Counter()), bold=True)
+    for reason, count in sorted(board.reasons.items()):
+        reporter.write_line(f"  {count:4} × {reason}")
+    for line in describe_next(board):
+        reporter.write_line(line, bold=True)
 
 
 def _write_row(
@@ -58,3 +99,25 @@ def _write_row(
     row += f"  {failed:4} failed" if failed or bold else ""
     row += f"  {counts['skipped']:4} skipped" if counts["skipped"] or bold else ""
     reporter.write_line(row, red=bool(failed), bold=bold)
+
+
+def describe_next(board: Board) -> list[str]:
+    """What to do about the first step with a failure: the methods that it lacks, else the tests that fail."""
+    if not board.failed:
+        return []
+    number = min(map(step_of, board.failed))
+    if number > len(STEPS):
+        return []
+    step = STEPS[number - 1]
+    lines = [f"next: step {number}, {step.title} (docs/porting.md)"]
+    early = {method for each in STEPS[:number] for method in each.methods}
+    lacking = [method for method in board.missing if method in early]
+    lacking.sort(key=lambda method: -len(board.missing[method]))
+    if lacking:
+        return [
+            *lines,
+            *(f"  write {method}: {len(board.missing[method])} tests stop there" for method in lacking),
+        ]
+    failed = [f"{group}: {test}" for group in step.groups for test in board.failed.get(group, ())]
+    more = [f"  … and {len(failed) - SHOWN} more"] if len(failed) > SHOWN else []
+    return [*lines, *(f"  {test}" for test in failed[:SHOWN]), *more]

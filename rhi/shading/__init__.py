@@ -30,6 +30,8 @@ from rhi.shading.vectors import *  # noqa: F403
 
 if TYPE_CHECKING:
     from rhi.shading.evaluate import run_compute
+    from rhi.shading.evaluate_stages import run_fragment, run_vertex
+    from rhi.shading.numpy_textures import HostTexture
 
 __rhi_internal__ = True
 
@@ -39,12 +41,21 @@ def __getattr__(name: str) -> Any:
         from rhi.shading.evaluate import run_compute
 
         return run_compute
+    if name in ("run_fragment", "run_vertex"):
+        from rhi.shading import evaluate_stages
+
+        return getattr(evaluate_stages, name)
+    if name == "HostTexture":
+        from rhi.shading.numpy_textures import HostTexture
+
+        return HostTexture
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 __all__ = [
     "Flat",
     "FragmentDepth",
+    "HostTexture",
     "ImageBinding",
     "NoPerspective",
     "Precision",
@@ -61,6 +72,8 @@ __all__ = [
     "native",
     "opencl_kernel",
     "run_compute",
+    "run_fragment",
+    "run_vertex",
     "shared",
     "stage_trees",
     "value_type_of",

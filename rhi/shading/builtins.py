@@ -7,6 +7,9 @@
   place in memory that the function changes.
 - A GLSL spelling is a function's name, or a template with `{0}` for the first argument; OpenCL's and NumPy's are
   templates for one component. `fast` is OpenCL's spelling with Precision.FAST.
+- Instead of OpenCL's and NumPy's, `lanes` makes a built-in from others: an expression of the arguments a, b, c and d
+  (`rhi.shading.expansions`). What can't be said so is a function of that module, by its name there.
+- `error` is what `python -m rhi shading accuracy` measures and tests hold.
 """
 
 from __future__ import annotations
@@ -47,6 +50,30 @@ class Effect(enum.Enum):
 
 
 @dataclass(frozen=True, slots=True)
+class Error:
+    """How far results may lie from the exact ones, in units as `rhi.shading.probes` counts them; by default not at all.
+
+    Attributes:
+        glsl, exact, fast, numpy: most units on OpenGL (of Mesa's llvmpipe; OpenGL itself promises less), on OpenCL with
+            either precision (EXACT's are OpenCL's own promise, FAST's are measured), and on NumPy in float32.
+        glsl_absolute: an error that is allowed on OpenGL whatever the units.
+        domain: the range of each float argument, the last one standing for those after it, in which OpenGL and FAST
+            keep that; for EXACT and NumPy it is every number, unless the units are `of_arguments`.
+        of_arguments: the built-in is made from others, and what a unit of an argument makes of the result is a unit.
+        defined: where there is a result at all, in NumPy's terms of the arguments a, b, c and d; everywhere if empty.
+    """
+
+    glsl: float = 0
+    exact: float = 0
+    fast: float = 0
+    numpy: float = 0
+    glsl_absolute: float = 0
+    domain: tuple[tuple[float, float], ...] = ((-1e6, 1e6),)
+    of_arguments: bool = False
+    defined: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class Parameter:
     """One parameter of an overload; `memory`: a place in storage or shared memory, changed in place."""
 
@@ -66,8 +93,7 @@ class Overload:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Builtin:
-    """A row of the table. `opencl`, `fast` and `numpy` spell what acts on each component by itself; what is made
-    from other built-ins has an entry in `rhi.shading.expansions` instead."""
+    """A row of the table; see above."""
 
     name: str
     overloads: tuple[Overload, ...]
@@ -78,6 +104,9 @@ class Builtin:
     opencl: str = ""
     numpy: str = ""
     fast: str = ""
+    lanes: str = ""
+    error: Error = Error()
+    form: str = ""
     _chosen: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
 
     def choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
@@ -154,7 +183,8 @@ def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> 
 
 
 def _row(name: str, signatures: str, glsl: str = "", doc: str = "", **more: Any) -> Builtin:
-    return Builtin(name, tuple(dict.fromkeys(expand(signatures, glsl or name))), doc, **more)
+    overloads = tuple(dict.fromkeys(expand(signatures, glsl or name)))
+    return Builtin(name, overloads, doc, form=signatures, **more)
 
 
 _VERTEX: Final = frozenset({Stage.VERTEX})
@@ -162,19 +192,74 @@ _FRAGMENT: Final = frozenset({Stage.FRAGMENT})
 _COMPUTE: Final = frozenset({Stage.COMPUTE})
 _DRAW_PARAMETERS: Final = "GL_ARB_shader_draw_parameters"
 _F: Final = "F(F)"
+_ROUNDED: Final = Error(0.5, 0.5, 0.5, 0.5)
+# Not nearly singular; of matrices of three.
+_REGULAR: Final = "abs(np.linalg.det(a.reshape(-1, 3, 3))) > 1e-3 * abs(a).max(axis=-1) ** 3"
+_NUMBERS: Final = Error(defined="(a == a) & (b == b)")
+
+
+def _composed(units: float, most: float = 1e6, defined: str = "") -> Error:
+    """Made from other built-ins in the same way everywhere."""
+    return Error(units, units, units, units, 0, ((-most, most),), True, defined)
+
+
 _ATOMIC: Final = "int(int&,int);uint(uint&,uint)"
 _WRITE: Final = Effect.WRITE
 
 _ROWS: Final = (
     # angles
-    _row("radians", _F, doc="degrees to radians"),
-    _row("degrees", _F, doc="radians to degrees"),
-    _row("sin", _F, doc="sine", opencl="sin({0})", numpy="np.sin({0})", fast="rhi_fast_sin({0})"),
-    _row("cos", _F, doc="cosine", opencl="cos({0})", numpy="np.cos({0})", fast="rhi_fast_cos({0})"),
-    _row("tan", _F, doc="tangent", opencl="tan({0})", numpy="np.tan({0})"),
-    _row("asin", _F, doc="arc sine, -π/2…π/2", opencl="asin({0})", numpy="np.arcsin({0})"),
-    _row("acos", _F, doc="arc cosine, 0…π", opencl="acos({0})", numpy="np.arccos({0})"),
-    _row("atan", _F, doc="arc tangent, -π/2…π/2", opencl="atan({0})", numpy="np.arctan({0})"),
+    _row("radians", _F, doc="degrees to radians", error=Error(1, 1, 1, 1), lanes="a * 0.017453292519943295"),
+    _row("degrees", _F, doc="radians to degrees", error=Error(1, 1, 1, 1), lanes="a * 57.29577951308232"),
+    _row(
+        "sin",
+        _F,
+        doc="sine",
+        opencl="rhi_sin({0})",
+        numpy="np.sin({0})",
+        fast="rhi_fast_sin({0})",
+        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+    ),
+    _row(
+        "cos",
+        _F,
+        doc="cosine",
+        opencl="rhi_cos({0})",
+        numpy="np.cos({0})",
+        fast="rhi_fast_cos({0})",
+        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+    ),
+    _row(
+        "tan",
+        _F,
+        doc="tangent",
+        opencl="rhi_tan({0})",
+        numpy="np.tan({0})",
+        error=Error(1000, 5, 5, 4, 1e-6, ((-1e3, 1e3),)),
+    ),
+    _row(
+        "asin",
+        _F,
+        doc="arc sine, -π/2…π/2",
+        opencl="asin({0})",
+        numpy="np.arcsin({0})",
+        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+    ),
+    _row(
+        "acos",
+        _F,
+        doc="arc cosine, 0…π",
+        opencl="acos({0})",
+        numpy="np.arccos({0})",
+        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+    ),
+    _row(
+        "atan",
+        _F,
+        doc="arc tangent, -π/2…π/2",
+        opencl="atan({0})",
+        numpy="np.arctan({0})",
+        error=Error(400, 5, 5, 4),
+    ),
     _row(
         "atan2",
         "F(F,F)",
@@ -182,13 +267,56 @@ _ROWS: Final = (
         "angle of (y, x), -π…π; y first",
         opencl="atan2({0}, {1})",
         numpy="np.arctan2({0}, {1})",
+        error=Error(400, 6, 6, 4, 0, ((-1e6, 1e6),), defined="(a != 0) | (b != 0)"),
     ),
-    _row("sinh", _F, doc="hyperbolic sine", opencl="sinh({0})", numpy="np.sinh({0})"),
-    _row("cosh", _F, doc="hyperbolic cosine", opencl="cosh({0})", numpy="np.cosh({0})"),
-    _row("tanh", _F, doc="hyperbolic tangent", opencl="tanh({0})", numpy="np.tanh({0})"),
-    _row("asinh", _F, doc="inverse hyperbolic sine", opencl="asinh({0})", numpy="np.arcsinh({0})"),
-    _row("acosh", _F, doc="inverse hyperbolic cosine", opencl="acosh({0})", numpy="np.arccosh({0})"),
-    _row("atanh", _F, doc="inverse hyperbolic tangent", opencl="atanh({0})", numpy="np.arctanh({0})"),
+    _row(
+        "sinh",
+        _F,
+        doc="hyperbolic sine",
+        opencl="sinh({0})",
+        numpy="np.sinh({0})",
+        error=Error(100, 4, 4, 4, 2e-7, ((-88, 88),)),
+    ),
+    _row(
+        "cosh",
+        _F,
+        doc="hyperbolic cosine",
+        opencl="cosh({0})",
+        numpy="np.cosh({0})",
+        error=Error(100, 4, 4, 4, 0, ((-88, 88),)),
+    ),
+    _row(
+        "tanh",
+        _F,
+        doc="hyperbolic tangent",
+        opencl="tanh({0})",
+        numpy="np.tanh({0})",
+        error=Error(100, 5, 5, 4, 2e-7),
+    ),
+    _row(
+        "asinh",
+        _F,
+        doc="inverse hyperbolic sine",
+        opencl="asinh({0})",
+        numpy="np.arcsinh({0})",
+        error=Error(4, 4, 4, 4, 5e-7),
+    ),
+    _row(
+        "acosh",
+        _F,
+        doc="inverse hyperbolic cosine",
+        opencl="acosh({0})",
+        numpy="np.arccosh({0})",
+        error=Error(4, 4, 4, 4, 5e-4, ((1, 1e6),), defined="a >= 1"),
+    ),
+    _row(
+        "atanh",
+        _F,
+        doc="inverse hyperbolic tangent",
+        opencl="atanh({0})",
+        numpy="np.arctanh({0})",
+        error=Error(4, 5, 5, 4, 5e-7, ((-1, 1),), defined="abs(a) < 1"),
+    ),
     # exponentials
     _row(
         "pow",
@@ -197,6 +325,7 @@ _ROWS: Final = (
         opencl="pow({0}, {1})",
         numpy="np.power({0}, {1})",
         fast="rhi_fast_pow({0}, {1})",
+        error=Error(128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"),
     ),
     _row(
         "exp",
@@ -204,7 +333,8 @@ _ROWS: Final = (
         doc="e to the power x",
         opencl="exp({0})",
         numpy="np.exp({0})",
-        fast="rhi_fast_exp2({0} * 1.44269504f)",
+        fast="rhi_fast_exp({0})",
+        error=Error(100, 3, 3, 4, 0, ((-87, 88),)),
     ),
     _row(
         "log",
@@ -213,6 +343,7 @@ _ROWS: Final = (
         opencl="log({0})",
         numpy="np.log({0})",
         fast="(rhi_fast_log2({0}) * 0.69314718f)",
+        error=Error(4, 3, 6, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     _row(
         "exp2",
@@ -221,6 +352,7 @@ _ROWS: Final = (
         opencl="exp2({0})",
         numpy="np.exp2({0})",
         fast="rhi_fast_exp2({0})",
+        error=Error(4, 3, 4, 4, 0, ((-126, 127.5),)),
     ),
     _row(
         "log2",
@@ -229,12 +361,29 @@ _ROWS: Final = (
         opencl="log2({0})",
         numpy="np.log2({0})",
         fast="rhi_fast_log2({0})",
+        error=Error(4, 3, 5, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
-    _row("sqrt", _F, doc="square root", opencl="sqrt({0})", numpy="np.sqrt({0})"),
-    _row("inversesqrt", _F, doc="1 / sqrt(x)", opencl="(1.0f / sqrt({0}))", numpy="(F(1) / np.sqrt({0}))"),
+    _row(
+        "sqrt",
+        _F,
+        doc="square root",
+        opencl="sqrt({0})",
+        numpy="np.sqrt({0})",
+        fast="native_sqrt({0})",
+        error=Error(0.5, 3, 3, 0.5, 0, ((0, 1e38),), defined="a >= 0"),
+    ),
+    _row(
+        "inversesqrt",
+        _F,
+        doc="1 / sqrt(x)",
+        opencl="(1.0f / sqrt({0}))",
+        numpy="(F(1) / np.sqrt({0}))",
+        fast="rhi_fast_inversesqrt({0})",
+        error=Error(1.5, 4, 2, 1.5, 0, ((2.0**-126, 1e38),), defined="a >= 0"),
+    ),
     # common
     _row("abs", "I(I);F(F)", doc="absolute value", opencl="rhi_abs({0})", numpy="np.abs({0})"),
-    _row("sign", "I(I);F(F)", doc="-1, 0 or 1"),
+    _row("sign", "I(I);F(F)", doc="-1, 0 or 1", lanes="-1 if a < 0 else 1 if a > 0 else 0"),
     _row("floor", _F, doc="largest whole number not above x", opencl="floor({0})", numpy="np.floor({0})"),
     _row("ceil", _F, doc="smallest whole number not below x", opencl="ceil({0})", numpy="np.ceil({0})"),
     _row("trunc", _F, doc="whole number towards zero", opencl="trunc({0})", numpy="np.trunc({0})"),
@@ -246,13 +395,14 @@ _ROWS: Final = (
         opencl="rint({0})",
         numpy="np.rint({0})",
     ),
-    _row("fract", _F, doc="x - floor(x)"),
+    _row("fract", _F, doc="x - floor(x)", error=_ROUNDED, lanes="a - floor(a)"),
     _row(
         "min",
         "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
         doc="the smaller, by component",
         opencl="rhi_min({0}, {1})",
         numpy="np.minimum({0}, {1})",
+        error=_NUMBERS,
     ),
     _row(
         "max",
@@ -260,78 +410,215 @@ _ROWS: Final = (
         doc="the larger, by component",
         opencl="rhi_max({0}, {1})",
         numpy="np.maximum({0}, {1})",
+        error=_NUMBERS,
     ),
     _row(
         "clamp",
         "I(I,I,I);I(I,int,int);U(U,U,U);U(U,uint,uint);F(F,F,F);F(F,float,float)",
         doc="min(max(x, low), high)",
+        error=Error(defined="(b <= c) & (a == a)"),
+        lanes="min(max(a, b), c)",
     ),
-    _row("saturate", _F, "clamp({0}, 0.0, 1.0)", "clamp(x, 0, 1)"),
-    _row("mix", "F(F,F,F);V(V,V,float);V(V,V,BV)", doc="x (1 - a) + y a; with a bvec, y where it is true"),
-    _row("step", "F(F,F);V(float,V)", doc="0 where x < edge (the first argument), else 1"),
-    _row("smoothstep", "F(F,F,F);V(float,float,V)", doc="Hermite step from edge0 to edge1, x last"),
-    _row("fma", "F(F,F,F)", doc="a b + c", opencl="fma({0}, {1}, {2})", numpy="R.fma({0}, {1}, {2}, F)"),
-    _row("isnan", "B(F)", doc="whether not a number"),
-    _row("isinf", "B(F)", doc="whether infinite"),
+    _row(
+        "saturate",
+        _F,
+        "clamp({0}, 0.0, 1.0)",
+        "clamp(x, 0, 1)",
+        error=Error(defined="a == a"),
+        lanes="min(max(a, 0.0), 1.0)",
+    ),
+    _row(
+        "mix",
+        "F(F,F,F);V(V,V,float);V(V,V,BV)",
+        doc="x (1 - a) + y a; with a bvec, y where it is true",
+        error=_composed(4),
+    ),
+    _row(
+        "step",
+        "F(F,F);V(float,V)",
+        doc="0 where x < edge (the first argument), else 1",
+        error=_NUMBERS,
+        lanes="0.0 if b < a else 1.0",
+    ),
+    _row(
+        "smoothstep",
+        "F(F,F,F);V(float,float,V)",
+        doc="Hermite step from edge0 to edge1, x last",
+        error=_composed(8, 1e6, "a < b"),
+        lanes="(t := saturate((c - a) / (b - a))) * t * (3.0 - 2.0 * t)",
+    ),
+    _row(
+        "fma",
+        "F(F,F,F)",
+        doc="a b + c",
+        opencl="fma({0}, {1}, {2})",
+        numpy="R.fma({0}, {1}, {2}, F)",
+        error=Error(2, 0.5, 0.5, 0.5, of_arguments=True),
+    ),
+    _row("isnan", "B(F)", doc="whether not a number", lanes="a != a"),
+    _row("isinf", "B(F)", doc="whether infinite", lanes="abs(a) == inf"),
     # geometry
-    _row("length", "float(F)", doc="Euclidean length"),
-    _row("distance", "float(F,F)", doc="length(a - b)"),
-    _row("dot", "float(V,V)", doc="scalar product"),
-    _row("cross", "vec3(vec3,vec3)", doc="vector product"),
-    _row("normalize", "V(V)", doc="v / length(v); undefined for a zero vector"),
+    _row("length", "float(F)", doc="Euclidean length", error=_composed(2)),
+    _row("distance", "float(F,F)", doc="length(a - b)", error=_composed(2), lanes="length(a - b)"),
+    _row("dot", "float(V,V)", doc="scalar product", error=_composed(2)),
+    _row(
+        "cross",
+        "vec3(vec3,vec3)",
+        doc="vector product",
+        error=_composed(2),
+        lanes="a.yzx * b.zxy - a.zxy * b.yzx",
+    ),
+    _row(
+        "normalize",
+        "V(V)",
+        doc="v / length(v); undefined for a zero vector",
+        error=_composed(4),
+        lanes="a * inversesqrt(dot(a, a))",
+    ),
     _row(
         "faceforward",
         "V(V,V,V)",
         doc="n where dot(reference, incident) < 0, else -n: (n, incident, reference)",
+        error=_composed(0),
+        lanes="a if dot(c, b) < 0.0 else -a",
     ),
-    _row("reflect", "V(V,V)", doc="incident reflected at a plane with unit normal n"),
-    _row("refract", "V(V,V,float)", doc="incident refracted at a plane; eta is the ratio of indices"),
+    _row(
+        "reflect",
+        "V(V,V)",
+        doc="incident reflected at a plane with unit normal n",
+        error=_composed(4),
+        lanes="a - (2.0 * dot(b, a)) * b",
+    ),
+    _row(
+        "refract",
+        "V(V,V,float)",
+        doc="incident refracted at a plane; eta is the ratio of indices",
+        error=_composed(4, 1),
+    ),
     # matrices
     _row("transpose", "M(M)", doc="rows become columns"),
-    _row("determinant", "float(M)", doc="determinant"),
-    _row("inverse", "M(M)", doc="inverse; undefined for a singular matrix"),
+    _row("determinant", "float(M)", doc="determinant", error=_composed(4, 1e3)),
+    _row(
+        "inverse", "M(M)", doc="inverse; undefined for a singular matrix", error=_composed(100, 1e3, _REGULAR)
+    ),
     # comparisons by component
-    _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b by component"),
-    _row("less_than_equal", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThanEqual", "a <= b by component"),
-    _row("greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b by component"),
-    _row("greater_than_equal", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThanEqual", "a >= b by component"),
-    _row("equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "equal", "a == b by component"),
-    _row("not_equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "notEqual", "a != b by component"),
+    _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b by component", lanes="a < b"),
+    _row(
+        "less_than_equal",
+        "BV(V,V);BV(IV,IV);BV(UV,UV)",
+        "lessThanEqual",
+        "a <= b by component",
+        lanes="a <= b",
+    ),
+    _row("greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b by component", lanes="a > b"),
+    _row(
+        "greater_than_equal",
+        "BV(V,V);BV(IV,IV);BV(UV,UV)",
+        "greaterThanEqual",
+        "a >= b by component",
+        lanes="a >= b",
+    ),
+    _row("equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "equal", "a == b by component", lanes="a == b"),
+    _row(
+        "not_equal",
+        "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)",
+        "notEqual",
+        "a != b by component",
+        lanes="a != b",
+    ),
     _row("any", "bool(BV)", doc="whether one component is true"),
     _row("all", "bool(BV)", doc="whether all components are true"),
-    _row("invert", "BV(BV)", "not", "not, by component"),
+    _row("invert", "BV(BV)", "not", "not, by component", lanes="not a"),
     # bits
-    _row("float_bits_to_int", "I(F)", "floatBitsToInt", "the same 32 bits as an int"),
-    _row("float_bits_to_uint", "U(F)", "floatBitsToUint", "the same 32 bits as a uint"),
-    _row("int_bits_to_float", "F(I)", "intBitsToFloat", "the same 32 bits as a float"),
-    _row("uint_bits_to_float", "F(U)", "uintBitsToFloat", "the same 32 bits as a float"),
-    _row("bit_count", "I(I);I(U)", "bitCount", "number of bits that are 1"),
+    _row("float_bits_to_int", "I(F)", "floatBitsToInt", "the same 32 bits as an int", lanes="as_int(a)"),
+    _row("float_bits_to_uint", "U(F)", "floatBitsToUint", "the same 32 bits as a uint", lanes="as_uint(a)"),
+    _row("int_bits_to_float", "F(I)", "intBitsToFloat", "the same 32 bits as a float", lanes="as_float(a)"),
+    _row("uint_bits_to_float", "F(U)", "uintBitsToFloat", "the same 32 bits as a float", lanes="as_float(a)"),
+    _row("bit_count", "I(I);I(U)", "bitCount", "number of bits that are 1", lanes="as_int(bits_set(a))"),
     _row("find_lsb", "I(I);I(U)", "findLSB", "place of the lowest 1, -1 if none"),
     _row("find_msb", "I(I);I(U)", "findMSB", "place of the highest significant bit, -1 if none"),
     _row("bitfield_reverse", "I(I);U(U)", "bitfieldReverse", "bits in reverse order"),
     _row(
-        "bitfield_extract", "I(I,int,int);U(U,int,int)", "bitfieldExtract", "bits from offset, count of them"
+        "bitfield_extract",
+        "I(I,int,int);U(U,int,int)",
+        "bitfieldExtract",
+        "bits from offset, count of them",
+        error=Error(defined="(b >= 0) & (c >= 0) & (b + c <= 32)"),
     ),
     _row(
         "bitfield_insert",
         "I(I,I,int,int);U(U,U,int,int)",
         "bitfieldInsert",
         "base with count bits at offset replaced",
+        error=Error(defined="(c >= 0) & (d >= 0) & (c + d <= 32)"),
     ),
     # packing
-    _row("pack_half_2x16", "uint(vec2)", "packHalf2x16", "two half floats in a uint, x in the low bits"),
+    _row(
+        "pack_half_2x16",
+        "uint(vec2)",
+        "packHalf2x16",
+        "two half floats in a uint, x in the low bits",
+        error=Error(defined="(a == a).all(axis=-1)"),
+    ),
     _row("unpack_half_2x16", "vec2(uint)", "unpackHalf2x16", "inverse of pack_half_2x16"),
-    _row("pack_unorm_2x16", "uint(vec2)", "packUnorm2x16", "0…1 in 16 bits each"),
-    _row("unpack_unorm_2x16", "vec2(uint)", "unpackUnorm2x16", "inverse of pack_unorm_2x16"),
-    _row("pack_snorm_2x16", "uint(vec2)", "packSnorm2x16", "-1…1 in 16 bits each"),
-    _row("unpack_snorm_2x16", "vec2(uint)", "unpackSnorm2x16", "inverse of pack_snorm_2x16"),
-    _row("pack_unorm_4x8", "uint(vec4)", "packUnorm4x8", "0…1 in 8 bits each"),
-    _row("unpack_unorm_4x8", "vec4(uint)", "unpackUnorm4x8", "inverse of pack_unorm_4x8"),
-    _row("pack_snorm_4x8", "uint(vec4)", "packSnorm4x8", "-1…1 in 8 bits each"),
-    _row("unpack_snorm_4x8", "vec4(uint)", "unpackSnorm4x8", "inverse of pack_snorm_4x8"),
+    _row(
+        "pack_unorm_2x16",
+        "uint(vec2)",
+        "packUnorm2x16",
+        "0…1 in 16 bits each",
+        error=Error(defined="(a == a).all(axis=-1)"),
+    ),
+    _row("unpack_unorm_2x16", "vec2(uint)", "unpackUnorm2x16", "inverse of pack_unorm_2x16", error=_ROUNDED),
+    _row(
+        "pack_snorm_2x16",
+        "uint(vec2)",
+        "packSnorm2x16",
+        "-1…1 in 16 bits each",
+        error=Error(defined="(a == a).all(axis=-1)"),
+    ),
+    _row("unpack_snorm_2x16", "vec2(uint)", "unpackSnorm2x16", "inverse of pack_snorm_2x16", error=_ROUNDED),
+    _row(
+        "pack_unorm_4x8",
+        "uint(vec4)",
+        "packUnorm4x8",
+        "0…1 in 8 bits each",
+        error=Error(defined="(a == a).all(axis=-1)"),
+    ),
+    _row("unpack_unorm_4x8", "vec4(uint)", "unpackUnorm4x8", "inverse of pack_unorm_4x8", error=_ROUNDED),
+    _row(
+        "pack_snorm_4x8",
+        "uint(vec4)",
+        "packSnorm4x8",
+        "-1…1 in 8 bits each",
+        error=Error(defined="(a == a).all(axis=-1)"),
+    ),
+    _row("unpack_snorm_4x8", "vec4(uint)", "unpackSnorm4x8", "inverse of pack_snorm_4x8", error=_ROUNDED),
+    # lanes
+    _row(
+        "uniform",
+        "B(B);I(I);U(U);F(F)",
+        "({0})",
+        "x, known to be the same for all invocations that take part, so that what it leads to is computed once for all",
+    ),
     # fragments
-    _row("ddx", _F, "dFdx", "change to the next pixel to the right", stages=_FRAGMENT),
-    _row("ddy", _F, "dFdy", "change to the next pixel below", stages=_FRAGMENT),
+    _row(
+        "ddx",
+        _F,
+        "dFdx",
+        "change to the next pixel to the right",
+        stages=_FRAGMENT,
+        opencl="rhi_ddx({0})",
+        numpy="R.ddx({0})",
+    ),
+    _row(
+        "ddy",
+        _F,
+        "dFdy",
+        "change to the next pixel below",
+        stages=_FRAGMENT,
+        opencl="rhi_ddy({0})",
+        numpy="R.ddy({0})",
+    ),
     _row("fwidth", _F, "fwidth", "abs(ddx(x)) + abs(ddy(x))", stages=_FRAGMENT),
     _row(
         "discard",
@@ -413,3 +700,26 @@ _ROWS: Final = (
 
 BUILTINS: Final[dict[str, Builtin]] = {row.name: row for row in _ROWS}
 """Every built-in function by name."""
+
+# Of ints, not by 0 and not the smallest by -1; of floats, not where the quotient underflows or overflows.
+_DIVISIBLE: Final = (
+    "(b != 0) & ((a != -2147483648) | (b != -1))"
+    " & ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
+)
+# x - y floor(x / y) has no digits left where the quotient has as many as a float.
+_NEAR: Final = "((abs(a) < abs(b) * 1e6) | ((a == np.floor(a)) & (b == np.floor(b))))"
+_EXACT: Final = Error()
+_SHIFT: Final = Error(defined="(b >= 0) & (b < 32)")
+OPERATORS: Final[dict[str, Error]] = {
+    **dict.fromkeys(("+", "-", "*"), _ROUNDED),
+    "/": Error(2.5, 2.5, 2.5, 2.5, 0, ((-1e18, 1e18),)),
+    "//": _composed(0.5, 1e6, _DIVISIBLE),
+    "%": _composed(2, 1e6, f"{_DIVISIBLE} & {_NEAR}"),
+    "**": BUILTINS["pow"].error,
+    "@": BUILTINS["dot"].error,
+    **dict.fromkeys(("<<", ">>"), _SHIFT),
+    **dict.fromkeys(
+        ("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT
+    ),
+}
+"""The errors of the operators, by their signs; `neg` is the minus before a number."""

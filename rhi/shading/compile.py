@@ -6,7 +6,7 @@ import weakref
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
-from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage
+from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageVarying
 from rhi.errors import ShaderError, find_call_site
 from rhi.layout import Layout, place, stride_of
 from rhi.shading import rules, tree
@@ -18,15 +18,18 @@ from rhi.shading.interface import (
     check_fragment_input,
     fragment_outputs,
     varyings_of,
+    varyings_read,
     vertex_inputs,
 )
 from rhi.shading.program import StageParser, find_method, signature
 from rhi.shading.shader import Declaration, Memory, Shader
 from rhi.shading.types import VOID, ImageType, StorageType
+from rhi.shading.unused import check_bindings_are_used
 
 __rhi_internal__ = True
 
 if TYPE_CHECKING:
+    from rhi.shading.lanes import Code
     from rhi.shading.opencl import KernelText
 
 # Lane code and OpenCL C are imported when a compute shader first needs them: they would be a tenth of the time
@@ -54,11 +57,18 @@ def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
     return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
 
 
+def stage_interface(shader: type[Shader]) -> Interface:
+    """What flows in and out of a shader's stages."""
+    return _interface(_entries(shader))
+
+
 def _compile(shader: type[Shader]) -> ProgramDescriptor:
     entries = _entries(shader)
     interface = _interface(entries)
     stages = {stage: StageParser(shader, stage).parse(entry) for stage, entry in entries.items()}
     stored = frozenset().union(*(stage.stored for stage in stages.values()))
+    used = frozenset(declaration.name for stage in stages.values() for declaration in stage.bindings)
+    check_bindings_are_used(shader, used)
     bindings = tuple(_bindings(shader, stored))
     fragment = stages.get(Stage.FRAGMENT)
     if shader.early_depth and interface.depth:
@@ -73,14 +83,18 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         _work_group(shader),
         shader.early_depth,
     )
-    compute = stages.get(Stage.COMPUTE)
+    compute, checked, code = stages.get(Stage.COMPUTE), False, None
     if compute is not None:
         from rhi.shading.lowering import has_lane_code, lower_compute
 
         # Barriers and races are judged by what differs within a work-group, which lane code knows.
         if has_lane_code(compute):
-            lower_compute(compute, options.name, options.work_group, max(WIDTHS))
-    texts = _Texts(stages, options, bindings, shader.precision)
+            checked = shader.checked and not compute.entry.native
+            code = lower_compute(compute, options.name, options.work_group, max(WIDTHS), checked)
+    elif shader.checked:
+        checked = not any(stage.entry.native for stage in stages.values())
+    varyings = varyings_read(fragment, interface.varyings) if fragment is not None else ()
+    texts = _Texts(stages, options, bindings, varyings, shader.precision, checked, code)
     return ProgramDescriptor(
         name=options.name,
         stages=frozenset(stages),
@@ -93,6 +107,13 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         discards=fragment is not None and fragment.discards,
         early_depth=shader.early_depth,
         writes_depth=bool(interface.depth),
+        varyings=varyings,
+        shared_bytes=sum(
+            place(declaration.type, Layout.STD430).size
+            for declaration in (compute.bindings if compute is not None else ())
+            if declaration.memory is Memory.SHARED
+        ),
+        checked=checked,
         lines=texts,
     )
 
@@ -109,17 +130,22 @@ def opencl_kernel(shader: type[Shader], width: int = 16) -> KernelText:
         call = f"opencl_kernel({shader.__name__}, …)"
         raise ShaderError(rules.STAGES, call, given, f"a compute stage, width {WIDTHS}")
     return _write_kernel(trees[Stage.COMPUTE], descriptor.name, descriptor.work_group, width, descriptor.bindings,
-                         shader.precision)  # fmt: skip
+                         shader.precision, descriptor.checked)  # fmt: skip
 
 
 def _write_kernel(
     stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, bindings: tuple[Binding, ...],
-    precision: Precision,
+    precision: Precision, checked: bool, code: Code | None = None,
 ) -> KernelText:  # fmt: skip
+    from rhi.shading.lanes import Code
     from rhi.shading.lowering import lower_compute
     from rhi.shading.opencl import write_kernel
 
-    return write_kernel(lower_compute(stage, name, work_group, width), bindings, precision)
+    if f"opencl{width}" in stage.entry.native:
+        return write_kernel(Code(name, width, [], (), work_group=work_group), bindings, precision, stage.entry)
+    if code is None:
+        code = lower_compute(stage, name, work_group, width, checked)
+    return write_kernel(code, bindings, precision)
 
 
 class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
@@ -127,18 +153,21 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
 
     def __init__(
         self, stages: dict[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
-        precision: Precision,
+        varyings: tuple[StageVarying, ...], precision: Precision, checked: bool, code: Code | None,
     ) -> None:  # fmt: skip
         self._stages = stages
         self._options = options
         self._bindings = bindings
+        self._varyings = varyings
         self._precision = precision
+        self._checked = checked
+        self._code = code  # of the most lanes; kept until it is written once
         self._texts: dict[Stage, StageText] = {}
         self._origins: dict[Stage, tuple[tuple[str, int], ...]] = {}
 
     def emit(self, language: str, stage: Stage) -> str:
-        """The stage's text: "glsl", or of a compute stage "opencl1", "opencl4", "opencl8" or "opencl16", a kernel
-        for so many lanes."""
+        """The stage's text: "glsl"; of a compute stage "opencl1", "opencl4", "opencl8" or "opencl16", a kernel for so
+        many lanes, or "numpy" (`rhi.shading.numpy_kernel`); of others "opencl16" (`rhi.shading.opencl_stages`)."""
         text: StageText | KernelText
         if language == "glsl":
             if stage not in self._texts:
@@ -146,17 +175,52 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
             text = self._texts[stage]
         elif stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
             text = self.kernel(_KERNEL_WIDTHS[language])
+        elif stage is not Stage.COMPUTE and language == "opencl16":
+            text = self.function(stage)
+        elif stage is Stage.COMPUTE and language == "numpy":
+            return self.numpy()
         else:
             call = f"{self._options.name}: emit({language!r}, {stage})"
-            raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *_KERNEL_WIDTHS]))
+            others = [*_KERNEL_WIDTHS, "numpy"] if stage is Stage.COMPUTE else ["opencl16"]
+            raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *others]))
         self._origins[stage] = text.origins
         return text.text
 
     def kernel(self, width: int) -> KernelText:
         """The compute stage for `width` lanes."""
+        options, code = self._options, None
+        if width == max(WIDTHS):
+            code, self._code = self._code, None
+        return _write_kernel(
+            self._stages[Stage.COMPUTE],
+            options.name,
+            options.work_group,
+            width,
+            self._bindings,
+            self._precision,
+            self._checked,
+            code,
+        )
+
+    def function(self, stage: Stage) -> KernelText:
+        """A vertex or fragment stage for 16 lanes."""
+        from rhi.shading.lowering_stages import lower_stage
+        from rhi.shading.opencl_stages import write_stage
+
+        options = self._options
+        code = lower_stage(
+            self._stages[stage], options.name, options.interface, self._varyings, checked=self._checked
+        )
+        return write_stage(self._stages[stage], code, self._bindings, self._precision)
+
+    def numpy(self) -> str:
+        """The compute stage as a Python module."""
+        from rhi.shading.lowering import lower_compute
+        from rhi.shading.numpy_kernel import write_kernel
+
         options = self._options
         stage = self._stages[Stage.COMPUTE]
-        return _write_kernel(stage, options.name, options.work_group, width, self._bindings, self._precision)
+        return write_kernel(lower_compute(stage, options.name, options.work_group, 0, self._checked))
 
     def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
         if stage not in self._origins:

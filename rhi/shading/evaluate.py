@@ -5,10 +5,7 @@
 
 from __future__ import annotations
 
-import linecache
-import math
 import weakref
-from collections.abc import Callable
 from types import FunctionType
 from typing import Any, Final
 
@@ -18,42 +15,30 @@ from numpy.typing import NDArray
 from rhi.descriptors import Stage
 from rhi.errors import refuse
 from rhi.layout import ArrayType, HostType, Layout, StructType, dtype_of, element_dtype, shape_of
-from rhi.shading import numpy_runtime, rules, tree
+from rhi.shading import rules, tree
 from rhi.shading.compile import compile_shader, stage_trees
 from rhi.shading.expressions import Callee
-from rhi.shading.lanes import Code, Kind, Space
+from rhi.shading.lanes import Code, Kind
 from rhi.shading.lowering import lower_compute, lower_function
 from rhi.shading.lowering_places import all_kinds, words_of
 from rhi.shading.numpy_code import write_numpy
+from rhi.shading.numpy_kernel import NumpyKernel, Run, load_module, write_kernel
+from rhi.shading.numpy_textures import HostTexture
 from rhi.shading.program import StageParser, signature
 from rhi.shading.shader import Memory, Shader
 from rhi.shading.source import source_of
 from rhi.shading.structs import Struct
-from rhi.shading.types import StorageType
+from rhi.shading.types import ImageType, StorageType, TextureType
 
 __rhi_internal__ = True
 
 Array = NDArray[Any]
-Run = Callable[..., tuple[Any, ...]]
-
-INVOCATIONS: Final = 1 << 18
-"""How many invocations run together: enough to hide Python's cost, few enough to stay in cache."""
 
 _DTYPES: Final = {Kind.INT: np.int32, Kind.UINT: np.uint32, Kind.BOOL: np.bool_}
 _functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, Run]] = (
     weakref.WeakKeyDictionary()
 )
-_shaders: weakref.WeakKeyDictionary[type[Shader], tuple[Code, Run]] = weakref.WeakKeyDictionary()
-
-
-def _load(code: Code) -> Run:
-    text = write_numpy(code)
-    name = f"<lanes of {code.name} {id(code)}>"
-    linecache.cache[name] = (len(text), None, text.splitlines(True), name)
-    space: dict[str, Any] = {"np": np, "R": numpy_runtime, "__rhi_internal__": True}
-    exec(compile(text, name, "exec"), space)
-    run: Run = space["run"]
-    return run
+_shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
 
 
 # -- functions ---------------------------------------------------------------------------------------------
@@ -66,11 +51,11 @@ def evaluate(function: FunctionType, arguments: tuple[Any, ...], named: dict[str
     given = _by_name(tree_function, arguments, named, call, dtype)
     scalars = []
     for parameter, value in zip(tree_function.parameters, given, strict=True):
-        scalars.extend(_scalars(parameter.type, value, dtype, f"{call}: {parameter.name}"))  # type: ignore[arg-type]
+        scalars.extend(scalars_of(parameter.type, value, dtype, f"{call}: {parameter.name}"))  # type: ignore[arg-type]
     shape = np.broadcast_shapes(*(np.shape(scalar) for scalar in scalars))
     with np.errstate(all="ignore"):
         results = run(dtype, {}, None, scalars)
-    return _assemble(tree_function.result, list(results), shape, dtype)  # type: ignore[arg-type]
+    return assemble(tree_function.result, list(results), shape, dtype)  # type: ignore[arg-type]
 
 
 def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run]:
@@ -87,7 +72,7 @@ def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run
         parser._compile(callee, types)  # type: ignore[arg-type]
         parsed = parser.finished[-1]
         code = lower_function(parsed)
-        known = _functions[function] = (parsed, code, _load(code))
+        known = _functions[function] = (parsed, code, load_module(write_numpy(code), code.name)["run"])
     return known
 
 
@@ -107,7 +92,7 @@ def _by_name(
     return [given[name] for name in names]
 
 
-def _scalars(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
+def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
     """The components of an argument, each an array over the evaluations."""
     if isinstance(type, StructType):
         if isinstance(value, Struct):
@@ -123,7 +108,7 @@ def _scalars(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
                     f"no {field.name!r}",
                     f"a {type.name} or an array with its fields",
                 )
-            parts.extend(_scalars(field.type, inner, dtype, f"{call}.{field.name}"))
+            parts.extend(scalars_of(field.type, inner, dtype, f"{call}.{field.name}"))
         return parts
     kinds, shape = all_kinds(type), shape_of(type)
     if isinstance(type, ArrayType) and isinstance(type.element, StructType):
@@ -142,7 +127,7 @@ def _scalars(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
     return [flat[..., i] for i in range(len(kinds))]
 
 
-def _assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype: Any) -> Any:
+def assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype: Any) -> Any:
     """A result's components as one array; a struct's as a structured array."""
     if isinstance(type, StructType):
         formats = [(field.name, _field_dtype(field.type, dtype)) for field in type.fields]
@@ -150,7 +135,7 @@ def _assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype:
         start = 0
         for field in type.fields:
             size = words_of(field.type)
-            result[field.name] = _assemble(field.type, scalars[start : start + size], shape, dtype)
+            result[field.name] = assemble(field.type, scalars[start : start + size], shape, dtype)
             start += size
         return result
     arrays = [np.broadcast_to(scalar, shape) for scalar in scalars]
@@ -182,19 +167,19 @@ def run_compute(
         groups: work-groups in 1 to 3 dimensions.
         dtype: of floats in variables and shared memory; buffers hold float32.
         bindings: a `Struct`, number or array for each `Uniform`; for each `Storage` and `StorageRW` an array of
-            the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of zeros.
+            the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of zeros; a
+            `HostTexture` for each texture and image.
 
     Returns:
-        What each `StorageRW` holds afterwards; the arrays given stay as they are.
+        What each `StorageRW` and image holds afterwards; the arrays given stay as they are.
 
     Raises:
         ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
         ShaderError: the shader breaks a rule.
     """
-    descriptor = compile_shader(shader)
     call = f"run_compute({shader.__name__}, …)"
-    code, run = _compiled_shader(shader)
-    counts = (*((groups,) if isinstance(groups, int) else groups), 1, 1)[:3]
+    kernel = _compiled_shader(shader)
+    x, y, z = counts = (*((groups,) if isinstance(groups, int) else groups), 1, 1)[:3]
     if any(count < 0 for count in counts) or dtype not in (np.float32, np.float64):
         refuse(
             rules.WRONG_ARGUMENTS,
@@ -202,7 +187,20 @@ def run_compute(
             f"groups={groups}, dtype={dtype!r}",
             "counts, np.float32 or np.float64",
         )
-    names = {binding.name for binding in descriptor.bindings}
+    memory, results = bound_words(shader, bindings, call)
+    kernel.launch((x, y, z), memory, dtype)
+    return results
+
+
+def bound_words(
+    shader: type[Shader], bindings: dict[str, Any], call: str
+) -> tuple[dict[str, Any], dict[str, Array]]:
+    """What is bound, as words by name; and the arrays among it that the shader writes.
+
+    Raises:
+        ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
+    """
+    names = {binding.name for binding in compile_shader(shader).bindings}
     if set(bindings) != names:
         refuse(
             rules.WRONG_ARGUMENTS,
@@ -222,20 +220,14 @@ def run_compute(
                 results[name] = whole
         elif declaration.memory is Memory.UNIFORM:
             memory[name] = uniform_words(declaration.type, bindings[name], f"{call}: {name}")  # type: ignore[arg-type]
-    total, size = math.prod(counts), math.prod(code.work_group)
-    chunk = max(1, INVOCATIONS // size)
-    for first in range(0, total, chunk):
-        count = min(chunk, total - first)
-        places = numpy_runtime.Places(first, count, counts, size)  # type: ignore[arg-type]
-        for shared in code.memories:
-            if shared.space is Space.SHARED:
-                memory[shared.name] = np.zeros((count, shared.length), np.uint64)
-        with np.errstate(all="ignore"):
-            run(dtype, memory, places, ())
-    return results
+        elif declaration.memory in (Memory.TEXTURE, Memory.IMAGE):
+            texture = memory[name] = host_texture(declaration.type, bindings[name], f"{call}: {name}")  # type: ignore[arg-type]
+            if declaration.memory is Memory.IMAGE:
+                results[name] = texture.levels[0]
+    return memory, results
 
 
-def _compiled_shader(shader: type[Shader]) -> tuple[Code, Run]:
+def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
     known = _shaders.get(shader)
     if known is None:
         descriptor, trees = compile_shader(shader), stage_trees(shader)
@@ -246,8 +238,10 @@ def _compiled_shader(shader: type[Shader]) -> tuple[Code, Run]:
                 "no compute stage",
                 "compute(self) -> None",
             )
-        code = lower_compute(trees[Stage.COMPUTE], descriptor.name, descriptor.work_group, 0)
-        known = _shaders[shader] = (code, _load(code))
+        code = lower_compute(
+            trees[Stage.COMPUTE], descriptor.name, descriptor.work_group, 0, descriptor.checked
+        )
+        known = _shaders[shader] = NumpyKernel(write_kernel(code), code.name)
     return known
 
 
@@ -271,6 +265,21 @@ def storage_words(element: HostType, value: Any, call: str) -> tuple[Array, Arra
                 f"{base} (n{', ' + str(shape) if shape else ''})",
             )
     return whole, whole.reshape(-1).view(np.uint32)
+
+
+def host_texture(type: TextureType | ImageType, value: Any, call: str) -> HostTexture:
+    """A texture; of an image a copy, since shaders write into it.
+
+    Raises:
+        ValidationError `shading-arguments`: not a `HostTexture` of the binding's shape and format.
+    """
+    if not isinstance(value, HostTexture) or value.kind is not type.kind:
+        refuse(rules.WRONG_ARGUMENTS, call, repr(value), f"a HostTexture for a {type}")
+    if isinstance(type, ImageType):
+        if value.format is not type.format:
+            refuse(rules.WRONG_ARGUMENTS, call, value.format.name, type.format.name)
+        return HostTexture(value.levels[0], value.format, value.kind)
+    return value
 
 
 def uniform_words(type: HostType, value: Any, call: str) -> Array:

@@ -1,4 +1,5 @@
-"""Built-ins made from others, component by component: vectors' and matrices' functions, bits, packing.
+"""Built-ins made from others: the expressions that rows of `rhi.shading.builtins` hold, and what those can't say:
+functions of vectors and matrices, bits, packing.
 
 An expansion takes `let`, which names a value that is used more than once, and the components of each argument; it
 gives those of the result. Arguments are names or constants already.
@@ -6,9 +7,12 @@ gives those of the result. Arguments are names or constants already.
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Final, TypeAlias
 
+from rhi.shading.builtins import BUILTINS, Builtin
 from rhi.shading.lanes import Kind, Value, apply, literal
 
 __rhi_internal__ = True
@@ -37,44 +41,101 @@ def _if(condition: Value, then: Value, otherwise: Value) -> Value:
     return apply("select", condition, then, otherwise)
 
 
+# -- expressions -------------------------------------------------------------------------------------------
+
+_OPERATORS: Final[dict[type[ast.AST], str]] = {
+    ast.Add: "add", ast.Sub: "subtract", ast.Mult: "multiply", ast.Div: "divide", ast.USub: "negate", ast.Not: "not",
+    ast.Eq: "equal", ast.NotEq: "not_equal", ast.Lt: "less", ast.LtE: "less_equal", ast.Gt: "greater",
+    ast.GtE: "greater_equal",
+}  # fmt: skip
+
+
+@cache
+def _parse(text: str) -> ast.expr:
+    return ast.parse(text, mode="eval").body
+
+
+class _Expression:
+    """An expression of a built-in's arguments, read as the shading language is: operators act by component, a scalar
+    beside a vector stands for all, `v.yzx` picks components, calls are of built-ins and primitives. `(t := …)` gives a
+    value a name for what stands to the right of it; `inf` is a number; a number is of the first argument's kind."""
+
+    def __init__(self, text: str) -> None:
+        self.body = _parse(text)
+
+    def __call__(self, let: LetFunction, *arguments: Components) -> list[Value]:
+        self.let, self.kind = let, arguments[0][0].kind
+        self.names: dict[str, list[Value]] = dict(zip("abcd", map(list, arguments), strict=False))
+        return self.value(self.body)
+
+    def value(self, node: ast.expr) -> list[Value]:
+        match node:
+            case ast.Name(id="inf"):
+                return [literal(float("inf"))]
+            case ast.Name(id=name):
+                return self.names[name]
+            case ast.Constant(value=bool() | int() | float() as value):
+                return [literal(value, self.kind)]
+            case ast.BinOp(left=left, op=op, right=right):
+                return self.apply(_OPERATORS[type(op)], left, right)
+            case ast.UnaryOp(op=op, operand=operand):
+                return self.apply(_OPERATORS[type(op)], operand)
+            case ast.Compare(left=left, ops=[op], comparators=[right]):
+                return self.apply(_OPERATORS[type(op)], left, right)
+            case ast.IfExp(test=test, body=body, orelse=otherwise):
+                return self.apply("select", test, body, otherwise)
+            case ast.Attribute(value=base, attr=letters):
+                whole = self.value(base)
+                return [whole["xyzw".index(letter)] for letter in letters]
+            case ast.NamedExpr(target=target, value=inner):
+                self.names[target.id] = [self.let(part) for part in self.value(inner)]
+                return self.names[target.id]
+            case ast.Call(func=ast.Name(id=name), args=arguments):
+                row = BUILTINS.get(name)
+                if row is None:
+                    return self.apply(name, *arguments)
+                values = [[self.let(part) for part in self.value(one)] for one in arguments]
+                return expansion_of(row)(self.let, *values)
+        raise TypeError(f"{ast.unparse(node)} in a built-in's expression")
+
+    def apply(self, operation: str, *nodes: ast.expr) -> list[Value]:
+        """A primitive by component."""
+        values = [self.value(node) for node in nodes]
+        size = max(map(len, values))
+        for i, parts in enumerate(values):
+            if len(parts) < size:
+                values[i] = [self.let(parts[0])] * size
+        return [apply(operation, *parts) for parts in zip(*values, strict=True)]
+
+
+def expansion_of(row: Builtin) -> Expansion:
+    """What a built-in does in lane code.
+
+    Raises:
+        LookupError: it has none.
+    """
+    if row.lanes:
+        return _Expression(row.lanes)
+    if row.opencl:
+        return by_component(lambda *parts: apply(row.name, *parts))
+    return _FUNCTIONS[row.name]
+
+
 # -- common ------------------------------------------------------------------------------------------------
+
+
+def saturate(x: Value) -> Value:
+    return clamp(x, literal(0.0), literal(1.0))
 
 
 def clamp(x: Value, low: Value, high: Value) -> Value:
     return apply("min", apply("max", x, low), high)
 
 
-def saturate(x: Value) -> Value:
-    return clamp(x, _like(x, 0.0), _like(x, 1.0))
-
-
-def sign(x: Value) -> Value:
-    zero = _like(x, 0)
-    positive = _if(apply("greater", x, zero), _like(x, 1), zero)
-    return _if(apply("less", x, zero), -_like(x, 1), positive)
-
-
 def mix(x: Value, y: Value, a: Value) -> Value:
     if a.kind is Kind.BOOL:
         return _if(a, y, x)
     return x * (_like(x, 1.0) - a) + y * a
-
-
-def step(edge: Value, x: Value) -> Value:
-    return _if(apply("less", x, edge), _like(x, 0.0), _like(x, 1.0))
-
-
-def smoothstep(let: LetFunction, edge0: Components, edge1: Components, x: Components) -> list[Value]:
-    result = []
-    for i, part in enumerate(x):
-        low, high = edge0[min(i, len(edge0) - 1)], edge1[min(i, len(edge1) - 1)]
-        t = let(saturate((part - low) / (high - low)))
-        result.append(t * t * (_like(t, 3.0) - _like(t, 2.0) * t))
-    return result
-
-
-def fract(x: Value) -> Value:
-    return x - apply("floor", x)
 
 
 def float_modulo(x: Value, y: Value) -> Value:
@@ -97,29 +158,6 @@ def dot(let: LetFunction, a: Components, b: Components) -> list[Value]:
 
 def length(let: LetFunction, v: Components) -> list[Value]:
     return [apply("sqrt", _dot(v, v))] if len(v) > 1 else [apply("abs", v[0])]
-
-
-def distance(let: LetFunction, a: Components, b: Components) -> list[Value]:
-    return length(let, [let(x - y) for x, y in zip(a, b, strict=True)])
-
-
-def cross(let: LetFunction, a: Components, b: Components) -> list[Value]:
-    return [a[i] * b[j] - a[j] * b[i] for i, j in ((1, 2), (2, 0), (0, 1))]
-
-
-def normalize(let: LetFunction, v: Components) -> list[Value]:
-    scale = let(apply("inversesqrt", _dot(v, v)))
-    return [x * scale for x in v]
-
-
-def faceforward(let: LetFunction, n: Components, incident: Components, reference: Components) -> list[Value]:
-    away = let(apply("less", _dot(reference, incident), literal(0.0)))
-    return [_if(away, x, -x) for x in n]
-
-
-def reflect(let: LetFunction, incident: Components, n: Components) -> list[Value]:
-    scale = let(literal(2.0) * _dot(n, incident))
-    return [x - scale * y for x, y in zip(incident, n, strict=True)]
 
 
 def refract(let: LetFunction, incident: Components, n: Components, eta: Components) -> list[Value]:
@@ -182,11 +220,6 @@ def inverse(let: LetFunction, m: Components) -> list[Value]:
 # -- bools -------------------------------------------------------------------------------------------------
 
 
-def compare(operation: str) -> Expansion:
-    """A comparison by component."""
-    return by_component(lambda a, b: apply(operation, a, b))
-
-
 def any_of(let: LetFunction, v: Components) -> list[Value]:
     total = v[0]
     for part in v[1:]:
@@ -199,14 +232,6 @@ def all_of(let: LetFunction, v: Components) -> list[Value]:
     for part in v[1:]:
         total = total & part
     return [total]
-
-
-def is_nan(x: Value) -> Value:
-    return apply("not_equal", x, x)
-
-
-def is_infinite(x: Value) -> Value:
-    return apply("equal", apply("abs", x), literal(float("inf")))
 
 
 # -- bits --------------------------------------------------------------------------------------------------
@@ -346,48 +371,16 @@ def unpack_snorm(bits: int) -> Expansion:
     return expand
 
 
-def reinterpret(operation: str) -> Expansion:
-    """The same bits as another kind."""
-    return by_component(lambda x: apply(operation, x))
-
-
-EXPANSIONS: Final[dict[str, Expansion]] = {
-    "clamp": by_component(clamp),
-    "saturate": by_component(saturate),
-    "sign": by_component(sign),
+_FUNCTIONS: Final[dict[str, Expansion]] = {
     "mix": by_component(mix),
-    "step": by_component(step),
-    "smoothstep": smoothstep,
-    "fract": by_component(fract),
-    "radians": by_component(lambda x: x * literal(0.017453292519943295)),
-    "degrees": by_component(lambda x: x * literal(57.29577951308232)),
-    "isnan": by_component(is_nan),
-    "isinf": by_component(is_infinite),
     "length": length,
-    "distance": distance,
     "dot": dot,
-    "cross": cross,
-    "normalize": normalize,
-    "faceforward": faceforward,
-    "reflect": reflect,
     "refract": refract,
     "transpose": transpose,
     "determinant": determinant,
     "inverse": inverse,
-    "less_than": compare("less"),
-    "less_than_equal": compare("less_equal"),
-    "greater_than": compare("greater"),
-    "greater_than_equal": compare("greater_equal"),
-    "equal": compare("equal"),
-    "not_equal": compare("not_equal"),
     "any": any_of,
     "all": all_of,
-    "invert": by_component(lambda x: apply("not", x)),
-    "float_bits_to_int": reinterpret("as_int"),
-    "float_bits_to_uint": reinterpret("as_uint"),
-    "int_bits_to_float": reinterpret("as_float"),
-    "uint_bits_to_float": reinterpret("as_float"),
-    "bit_count": by_component(lambda x: apply("as_int", apply("bits_set", x))),
     "find_lsb": by_component(find_lsb),
     "find_msb": by_component(find_msb),
     "bitfield_reverse": bitfield_reverse,
@@ -404,4 +397,3 @@ EXPANSIONS: Final[dict[str, Expansion]] = {
     "pack_snorm_4x8": pack_snorm(8),
     "unpack_snorm_4x8": unpack_snorm(8),
 }
-"""The expansions by the names of their built-ins."""

@@ -1,9 +1,9 @@
 """Functions outside shader classes, and functions whose body is native code.
 
 - `@function` marks a module-level function as part of the shading language: shaders may call it.
-- `@native("glsl", body)` gives a stage, helper or function a body in one device language. Its signature
-  stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared as ever; the
-  Python body, if there is one, serves the other languages.
+- `@native("glsl", body)` gives a stage, helper or function a body in one device language, OpenCL C for stages
+  only. Its signature stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared
+  as ever; the Python body, if there is one, serves the other languages.
 """
 
 from __future__ import annotations
@@ -90,10 +90,12 @@ def function(python: Callable[P, R]) -> Function[P, R]:
 
 
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:
-    """Give a function its body in `language` ("glsl").
+    """Give a function its body in `language`: "glsl"; of a stage also "opencl" and a number of lanes ("opencl16").
 
     `body` is the text between the braces and may use the parameters, bindings and struct types by their
-    Python names; `declarations` is put at file level before it (`#extension` lines go to the top).
+    Python names; `declarations` is put at file level before it (`#extension` lines go to the top). In OpenCL C,
+    bindings and parameters are those of the function that `rhi.shading.opencl_stages` describes, or of the kernel
+    (`rhi.shading.opencl`).
     """
 
     def attach(python: F) -> F:

@@ -8,11 +8,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
-from rhi.descriptors import Attribute, FragmentOutput
-from rhi.layout import BOOL, FLOAT, ArrayType, HostType, MatrixType, ScalarType, StructType, VectorType
-from rhi.shading import rules
+from rhi.descriptors import Attribute, FragmentOutput, Interpolation, StageVarying
+from rhi.layout import (
+    BOOL,
+    FLOAT,
+    ArrayType,
+    HostType,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+    shape_of,
+)
+from rhi.shading import rules, tree
 from rhi.shading.annotations import Role
 from rhi.shading.expressions import Callee
 from rhi.shading.program import signature
@@ -118,6 +129,47 @@ def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> Non
                 given = f"{parameter.type}.{field.name}: {field.type}"
                 allowed = ", ".join(f"{name}: {type}" for name, type in known.items()) or "no varyings"
                 source.refuse(rules.STAGES, source.node, given, allowed, suggest(field.name, known))
+
+
+_INTERPOLATIONS = {
+    None: Interpolation.SMOOTH,
+    Role.FLAT: Interpolation.FLAT,
+    Role.NO_PERSPECTIVE: Interpolation.NO_PERSPECTIVE,
+}
+
+
+def varyings_read(fragment: tree.StageTree, varyings: tuple[Varying, ...]) -> tuple[StageVarying, ...]:
+    """Those of the vertex stage's varyings that the fragment stage reads, and their words."""
+    return words_of_varyings(varyings, _fields_read(fragment.entry))
+
+
+def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[StageVarying, ...]:
+    """Those of the varyings that have these names, and their words."""
+    found, word = [], 0
+    for varying in varyings:
+        if varying.name in names:
+            scalar, words = scalar_of(varying.type) or FLOAT, math.prod(shape_of(varying.type))
+            interpolation = _INTERPOLATIONS[varying.role]
+            found.append(StageVarying(varying.name, word, words, scalar.name, interpolation))
+            word += words
+    return tuple(found)
+
+
+def _fields_read(entry: tree.Function) -> set[str]:
+    """The fields of its parameter that an entry reads: all, if it reads the parameter as a whole."""
+    names: set[str] = set()
+    whole = 1 if entry.native else 0
+    for node in tree.walk(entry.body):
+        match node:
+            case tree.Member(base=tree.Read(local=local), name=name) if local in entry.parameters:
+                names.add(name)
+                whole -= 1
+            case tree.Read(local=local) if local in entry.parameters:
+                whole += 1
+    if whole:
+        types = [parameter.type for parameter in entry.parameters]
+        return {field.name for type in types if isinstance(type, StructType) for field in type.fields}
+    return names
 
 
 def fragment_outputs(fragment: Callee) -> tuple[str, tuple[FragmentOutput, ...]]:

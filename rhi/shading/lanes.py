@@ -17,6 +17,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final, TypeAlias
 
+from rhi.descriptors import TextureKind
+
 __rhi_internal__ = True
 
 
@@ -57,6 +59,8 @@ class Space(enum.Enum):
     SHARED = "shared"
     PRIVATE = "private"
     CONSTANT = "constant"
+    TEXTURE = "texture"
+    IMAGE = "image"
 
     __hash__ = object.__hash__
 
@@ -66,7 +70,7 @@ class Memory:
     """An array of words. `stride`: the words of one element; `length`: words in all, 0 where a buffer decides.
 
     PRIVATE memory is one such array of `kind` for each lane, and VARYING unless `level` says less; CONSTANT
-    memory holds `values`.
+    memory holds `values`; a TEXTURE or IMAGE has a `shape`.
     """
 
     name: str
@@ -77,6 +81,7 @@ class Memory:
     kind: Kind = Kind.UINT
     level: Level = Level.VARYING
     values: tuple[float, ...] = ()
+    shape: TextureKind = TextureKind.D2
 
 
 # -- values ------------------------------------------------------------------------------------------------
@@ -245,10 +250,37 @@ class Atomic(Statement):
 
 
 @dataclass(slots=True, eq=False)
+class TextureAccess(Statement):
+    """A texture or image is read, measured or written; `results` get the components.
+
+    Coordinates have three components. The operations and their arguments: sample (at, level), sample_compare
+    (at, reference, level), level_of_detail (at, step right, step down, bias), gather (component, at), gather_compare
+    (at, reference), load (texel, level), store (texel, four values), size (level), levels. Nothing is read outside
+    the texture; `mask` says who stores.
+    """
+
+    operation: str
+    memory: Memory
+    arguments: tuple[Value, ...]
+    results: tuple[Variable, ...]
+    mask: Variable | None
+
+
+@dataclass(slots=True, eq=False)
 class Barrier(Statement):
     """The whole work-group meets (`waits`), or only memory is ordered."""
 
     waits: bool
+
+
+@dataclass(slots=True, eq=False)
+class Check(Statement):
+    """Report the statement's line where a lane in `mask` has `wrong`: `given` isn't below `limit`."""
+
+    wrong: Value
+    given: Value
+    limit: Value
+    mask: Variable | None
 
 
 @dataclass(slots=True, eq=False)
@@ -310,6 +342,7 @@ class Code:
     arguments: tuple[Argument, ...] = ()
     results: tuple[Value, ...] = ()
     work_group: tuple[int, int, int] = (1, 1, 1)
+    checked: bool = False
     operations: frozenset[tuple[str, tuple[Kind, ...]]] = field(default_factory=frozenset)
 
 
@@ -473,7 +506,11 @@ def values_of(statement: Statement) -> tuple[Value, ...]:
             return (value,)
         case Store(index=index, values=values) | Atomic(index=index, values=values):
             return (index, *values)
+        case TextureAccess(arguments=arguments):
+            return arguments
         case If(condition=condition):
             return (condition,)
+        case Check(wrong=wrong, given=given, limit=limit):
+            return (wrong, given, limit)
         case _:
             return ()

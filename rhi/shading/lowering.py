@@ -25,7 +25,6 @@ from rhi.shading.lanes import (
     literal,
     number,
 )
-from rhi.shading.lowering_expressions import ExpressionLowering
 from rhi.shading.lowering_places import (
     AnyPlace,
     Choice,
@@ -41,33 +40,35 @@ from rhi.shading.lowering_places import (
     word_offsets,
 )
 from rhi.shading.lowering_scopes import Frame, Scope
-from rhi.shading.shader import Memory as Field
-from rhi.shading.types import VOID
+from rhi.shading.lowering_textures import TextureLowering
+from rhi.shading.types import VOID, TextureType
 
 __rhi_internal__ = True
 
 
 def has_lane_code(stage: tree.StageTree) -> bool:
-    """Whether lane code has all that a stage uses: everything but textures, images and native functions."""
-    memories = {declaration.memory for declaration in stage.bindings}
-    native = any(function.native and not function.body for function in stage.functions)
-    return not native and not memories & {Field.TEXTURE, Field.IMAGE}
+    """Whether lane code has all that a stage uses: everything but native functions."""
+    return not any(function.native and not function.body for function in stage.functions)
 
 
-def lower_compute(stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int) -> Code:
-    """A compute stage in lane code for `width` lanes; 0 for whole arrays of any shape.
+def lower_compute(
+    stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, checked: bool = False
+) -> Code:
+    """A compute stage in lane code for `width` lanes; 0 for whole arrays of any shape. `checked`: with a test of every
+    index.
 
     Raises:
         ShaderError: a rule that only shows here, such as a barrier that part of a work-group may not reach.
     """
     lowering = Lowering(width, work_group)
+    lowering.checked = checked
     while True:
         lowering.start()
         lowering.entry(stage.entry, ())
         if not lowering.changed:
             break
     memories = tuple(lowering.memories.values())
-    return Code(name, width, lowering.block, memories, work_group=work_group)
+    return Code(name, width, lowering.block, memories, work_group=work_group, checked=checked)
 
 
 def lower_function(function: tree.Function) -> Code:
@@ -86,7 +87,7 @@ def lower_function(function: tree.Function) -> Code:
     return Code(function.name, 0, lowering.block, memories, arguments, tuple(results))
 
 
-class Lowering(ExpressionLowering):
+class Lowering(TextureLowering):
     """Lowers functions."""
 
     def entry(self, function: tree.Function, arguments: tuple[Value, ...]) -> list[Value]:
@@ -102,18 +103,30 @@ class Lowering(ExpressionLowering):
     # -- calls
 
     def call(self, node: tree.Call) -> list[Value]:
-        values = [value for argument in node.arguments for value in self.lower(argument)]
-        return self.inline(node.function, values, (*self.frame.path, id(node)))
+        values: list[Value] = []
+        textures: dict[tree.Local, tree.BindingRead] = {}
+        for parameter, argument in zip(node.function.parameters, node.arguments, strict=True):
+            if isinstance(parameter.type, TextureType):
+                textures[parameter] = self.binding_of(argument)
+            else:
+                values += self.lower(argument)
+        return self.inline(node.function, values, (*self.frame.path, id(node)), textures)
 
-    def inline(self, function: tree.Function, values: list[Value], path: tuple[int, ...]) -> list[Value]:
-        """A function's body in place of a call."""
+    def inline(
+        self,
+        function: tree.Function,
+        values: list[Value],
+        path: tuple[int, ...],
+        textures: dict[tree.Local, tree.BindingRead] | None = None,
+    ) -> list[Value]:
+        """A function's body in place of a call; `textures` are those among its parameters."""
         if function.native and not function.body:
             self.refuse(
                 rules.NATIVE, f"{function.name} has no Python body", tip="give it one for other languages"
             )
         caller, outer, pending, at = self.frame, self.scope, self.pending, self.at
-        early = has_early_return(function.body)
-        frame = Frame(function, path, left=caller.left)
+        early = self.is_left_early(function, path)
+        frame = Frame(function, path, caller, left=caller.left, textures=textures or {})
         level = self.level_of((path, "function"))
         if early and function.result != VOID:
             for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
@@ -132,11 +145,14 @@ class Lowering(ExpressionLowering):
             self.count += 1
             start = 0
             for parameter in function.parameters:
+                if parameter in frame.textures:
+                    continue
                 kinds = all_kinds(parameter.type)  # type: ignore[arg-type]
                 self.declare(parameter, values[start : start + len(kinds)])
                 start += len(kinds)
             for statement in function.body:
                 if not early and isinstance(statement, tree.Return):
+                    self.at = statement.place
                     results = self.lower(statement.value) if statement.value is not None else []
                     results = [self.let(value) for value in results]
                     break
@@ -149,6 +165,16 @@ class Lowering(ExpressionLowering):
         else:
             self.block.extend(block)
         return results
+
+    # -- what stages decide
+
+    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+        """Whether a function is left anywhere but in its last statement."""
+        return has_early_return(function.body)
+
+    def discard(self) -> None:
+        """The lanes that are here end."""
+        self.refuse(rules.STAGE, "discard()")
 
     # -- locals
 
@@ -260,7 +286,8 @@ class Lowering(ExpressionLowering):
             level, blend = max(level, inner.level), blend or inner.owns
         self.fact(key, level)
         memory.level = private_level(self.level_of(key)) if self.width else self.level_of(key)
-        mask = self.scope.mask if blend else None
+        # The index of a lane that doesn't take part may be anything.
+        mask = self.scope.mask if blend or index.level is Level.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
 
     def store(self, at: MemoryPlace, values: list[Value]) -> None:
@@ -274,7 +301,7 @@ class Lowering(ExpressionLowering):
             for value in values
         ]
         words = [self.let(word) for word in words]
-        start = 0
+        mask, start = self.effect_mask(), 0
         while start < len(words):
             end = start + 1
             while end < len(words) and offsets[end] == offsets[end - 1] + 1:
@@ -282,7 +309,6 @@ class Lowering(ExpressionLowering):
             run, offset = tuple(words[start:end]), at.offset + offsets[start]
             padding = int(len(words) == 3 and memory.stride == 4 and memory.space is Space.STORAGE)
             padding = padding if at.scale == 4 and at.offset == 0 and end == 3 else 0
-            mask = self.scope.mask
             self.emit(lanes.Store(self.line, memory, at.index, at.scale, offset, run, mask, padding))
             start = end
 
@@ -343,7 +369,7 @@ class Lowering(ExpressionLowering):
                     return  # nothing follows
                 self.exit("function", lanes.Leave(self.line, self.frame.body))
             case tree.Discard():
-                self.refuse(rules.STAGE, "discard()", tip="lanes don't have it yet")
+                self.discard()
 
     def assign_to(self, target: tree.Expression, values: list[Value]) -> None:
         if isinstance(target, tree.Swizzle) and len(target.components) > 1:

@@ -6,9 +6,21 @@ from typing import Final
 
 from rhi.layout import INT, UINT, ArrayType, Layout, MatrixType, StructType, VectorType, stride_of
 from rhi.shading import lanes, rules, tree
-from rhi.shading.builtins import BUILTINS, Effect
-from rhi.shading.expansions import EXPANSIONS, by_component, float_modulo
-from rhi.shading.lanes import Get, Kind, Level, Literal, Memory, Space, Value, apply, literal, number
+from rhi.shading.builtins import Effect
+from rhi.shading.expansions import all_of, any_of, by_component, dot, expansion_of, float_modulo
+from rhi.shading.lanes import (
+    Get,
+    Kind,
+    Level,
+    Literal,
+    Memory,
+    Space,
+    Value,
+    Variable,
+    apply,
+    literal,
+    number,
+)
 from rhi.shading.lowering_places import (
     KINDS,
     AnyPlace,
@@ -17,6 +29,7 @@ from rhi.shading.lowering_places import (
     MemoryPlace,
     Slot,
     all_kinds,
+    count_parts,
     element,
     member,
     part,
@@ -28,7 +41,7 @@ from rhi.shading.lowering_scopes import ScopeLowering
 from rhi.shading.shader import Declaration
 from rhi.shading.shader import Memory as Field
 from rhi.shading.tree import Expression, Operator
-from rhi.shading.types import StorageType, scalar_of
+from rhi.shading.types import ImageType, StorageType, TextureType, scalar_of
 
 __rhi_internal__ = True
 
@@ -60,11 +73,24 @@ class ExpressionLowering(ScopeLowering):
         super().__init__(width)
         self.work_group = work_group
         self.memories: dict[object, Memory] = {}
+        self.checked = False
 
     # -- what statements provide
 
     def call(self, node: tree.Call) -> list[Value]:
         raise NotImplementedError
+
+    # -- what textures provide
+
+    def texture(self, node: tree.BuiltinCall) -> list[Value]:
+        """A method of a texture or image, which is the call's first argument."""
+        self.refuse(rules.NATIVE, str(node.arguments[0].type), "buffers and values", "lanes have no textures")
+
+    # -- what stages decide
+
+    def effect_mask(self) -> Variable | None:
+        """Who writes to memory that others see."""
+        return self.scope.mask
 
     # -- entry points
 
@@ -148,7 +174,8 @@ class ExpressionLowering(ScopeLowering):
                 stride = stride_of(type.element, Layout.STD430) // 4
                 known = Memory(declaration.name, Space.STORAGE, stride, 0, type.writable)
             elif declaration.memory is Field.UNIFORM:
-                known = Memory(declaration.name, Space.UNIFORM)
+                words = stride_of(type, Layout.STD140) // 4  # type: ignore[arg-type]
+                known = Memory(declaration.name, Space.UNIFORM, length=words)
             elif declaration.memory is Field.SHARED:
                 known = Memory(declaration.name, Space.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
             else:
@@ -187,14 +214,24 @@ class ExpressionLowering(ScopeLowering):
             ):
                 memory = self.memory(declaration)
                 row = self.let(self.convert(self.one(index), Kind.INT))
+                row = self.check_index(row, lanes.Count(Kind.INT, Level.DISPATCH, memory))
                 return MemoryPlace(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
             case tree.Index(base=base, index=index):
                 at = self.place(base)
                 if at is None:
                     return None
                 row = self.let(self.convert(self.one(index), Kind.INT))
+                row = self.check_index(row, number(count_parts(base.type)))  # type: ignore[arg-type]
                 return part(at, int(row.value)) if isinstance(row, Literal) else element(at, row)
         return None
+
+    def check_index(self, index: Value, limit: Value) -> Value:
+        """An index, reported where it isn't below `limit` and 0 there; as it is unless the shader is checked."""
+        if not self.checked or (isinstance(index, Literal) and isinstance(limit, Literal)):
+            return index
+        wrong = self.let(apply("greater_equal", apply("as_uint", index), apply("as_uint", limit)), "wrong")
+        self.emit(lanes.Check(self.line, wrong, index, limit, self.effect_mask()))
+        return self.let(apply("select", wrong, number(0), index))
 
     def constants(self, node: tree.ConstantArray) -> Memory:
         """The memory of a module's constant."""
@@ -247,7 +284,8 @@ class ExpressionLowering(ScopeLowering):
                 level = max(level, Level.GROUP)
         is_bool = kind is Kind.BOOL and memory.space is not Space.PRIVATE
         stored = Kind.UINT if is_bool else kind
-        value: Value = lanes.Load(stored, level, memory, index, scale, offset, self.scope.mask)
+        mask = self.scope.mask if index.level > Level.DISPATCH else None
+        value: Value = lanes.Load(stored, level, memory, index, scale, offset, mask)
         if memory.writable:
             value = self.let(value, memory.name)
         return apply("not_equal", value, literal(0, Kind.UINT)) if is_bool else value
@@ -257,7 +295,7 @@ class ExpressionLowering(ScopeLowering):
         rows = [values[start : start + size] for start in range(0, len(values), size)]
         if isinstance(index, Literal):
             return rows[int(index.value)]
-        index = self.let(index)
+        index = self.check_index(self.let(index), number(len(rows)))
         return [select_by_index(index, list(column)) for column in zip(*rows, strict=True)]
 
     # -- operators
@@ -289,8 +327,8 @@ class ExpressionLowering(ScopeLowering):
             return [apply(name, a, self.convert(b, a.kind)) for a, b in pairs]
         results = [apply(_OPERATIONS[op], a, b) for a, b in pairs]
         if op is Operator.EQUAL:
-            return EXPANSIONS["all"](self.let, results)
-        return EXPANSIONS["any"](self.let, results) if op is Operator.NOT_EQUAL else results
+            return all_of(self.let, results)
+        return any_of(self.let, results) if op is Operator.NOT_EQUAL else results
 
     def operands(self, node: tree.Binary) -> tuple[list[Value], list[Value]]:
         """Both sides, the left one first."""
@@ -351,7 +389,6 @@ class ExpressionLowering(ScopeLowering):
         matrix = node.left.type if isinstance(node.left.type, MatrixType) else node.right.type
         assert isinstance(matrix, MatrixType)
         n = matrix.size
-        dot = EXPANSIONS["dot"]
         if isinstance(node.right.type, VectorType):
             return [dot(self.let, a[row * n : row * n + n], b)[0] for row in range(n)]
         rows = [a] if isinstance(node.left.type, VectorType) else [a[i * n : i * n + n] for i in range(n)]
@@ -396,6 +433,8 @@ class ExpressionLowering(ScopeLowering):
     def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
         """A built-in's scalars; `wanted`: somebody uses them."""
         name = node.builtin.name
+        if node.arguments and isinstance(node.arguments[0].type, TextureType | ImageType):
+            return self.texture(node)
         if name.startswith("atomic_"):
             return self.atomic(node, wanted)
         if node.builtin.effect is Effect.BARRIER:
@@ -403,14 +442,27 @@ class ExpressionLowering(ScopeLowering):
             return []
         if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
             return self.place_in_dispatch(name)
-        known = BUILTINS.get(name)
-        if known is None or not (name in EXPANSIONS or known.opencl):
+        if name == "uniform":
+            return [self.uniform(value) for value in self.named(node.arguments[0])]
+        try:
+            expand = expansion_of(node.builtin)
+        except LookupError:
             self.refuse(rules.STAGE, name, tip="lanes don't have it yet")
-        arguments = [self.named(argument) for argument in node.arguments]
-        expand = EXPANSIONS.get(name)
-        if expand is None:
-            expand = by_component(lambda *parts: apply(name, *parts))
-        return expand(self.let, *arguments)
+        return expand(self.let, *(self.named(argument) for argument in node.arguments))
+
+    def uniform(self, value: Value) -> Value:
+        """What the first lane has that takes part, for all lanes of a work-item."""
+        if self.width <= 1 or value.level < Level.VARYING:
+            return value
+        if value.kind is Kind.BOOL:
+            return apply("not_equal", self.uniform(self.convert(value, Kind.INT)), number(0))
+        mask = self.effect_mask()
+        taking_part = Get(Kind.BOOL, mask.level, mask) if mask is not None else lanes.TRUE
+        first = self.let(lanes.Apply(value.kind, Level.LANES, "uniform", (value, taking_part)))
+        if self.checked:
+            wrong = self.let(apply("not_equal", value, first), "wrong")
+            self.emit(lanes.Check(self.line, wrong, apply("as_int", value), number(-1), self.effect_mask()))
+        return first
 
     def atomic(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
         target, *rest = node.arguments
@@ -430,7 +482,7 @@ class ExpressionLowering(ScopeLowering):
                 at.scale,
                 at.offset,
                 tuple(values),
-                self.scope.mask,
+                self.effect_mask(),
             )
         )
         return [Get(kind, result.level, result)] if result is not None else []

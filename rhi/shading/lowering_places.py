@@ -155,6 +155,11 @@ def element_type(type: HostType) -> HostType:
     raise TypeError(f"{type} has no elements")
 
 
+def count_parts(type: HostType) -> int:
+    """How many parts indexing chooses from."""
+    return type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
+
+
 def member(at: AnyPlace, name: str) -> AnyPlace:
     """A struct's field."""
     assert isinstance(at.type, StructType)

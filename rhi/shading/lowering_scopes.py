@@ -44,9 +44,11 @@ class Frame:
 
     function: tree.Function
     path: tuple[int, ...]
+    caller: Frame | None = None
     left: Level = Level.DISPATCH  # of the returns so far, those of callers included
     body: Body | None = None
     results: list[Slot] = field(default_factory=list)
+    textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
 
 
@@ -228,7 +230,7 @@ def is_heavy(block: lanes.Block) -> bool:
     if len(statements) > HEAVY:
         return True
     return any(
-        isinstance(statement, lanes.Store | lanes.Atomic | lanes.Loop)
+        isinstance(statement, lanes.Store | lanes.Atomic | lanes.TextureAccess | lanes.Loop)
         or any(lanes.loads(value) for value in lanes.values_of(statement))
         for statement in statements
     )

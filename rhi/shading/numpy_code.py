@@ -47,11 +47,15 @@ class _Writer:
                 numbers = (
                     ", ".join(map(repr, memory.values)).replace("inf", "np.inf").replace("nan", "np.nan")
                 )
-                head.append(f"    {memory.name} = R.constants([{numbers}], {_DTYPES[memory.kind]})")
+                head.append(f"    {self.name(memory)} = R.constants([{numbers}], {_DTYPES[memory.kind]})")
             else:
-                head.append(f"    {memory.name} = M[{memory.name!r}]")
+                head.append(f"    {self.name(memory)} = M[{memory.name!r}]")
         head.extend(f"    {name} = {text}" for text, name in self.constants.items())
         return "\n".join([*head, *self.lines, f"    return ({results})"]) + "\n"
+
+    def name(self, memory: Memory) -> str:
+        """What a shader's class names ends in an underscore, since the module has names of its own."""
+        return memory.name if memory.space in (Space.PRIVATE, Space.CONSTANT) else f"{memory.name}_"
 
     def add(self, depth: int, text: str) -> None:
         self.lines.append("    " * depth + text)
@@ -70,7 +74,7 @@ class _Writer:
             case lanes.Affine(base=base, stride=stride):
                 return f"({self.value(base)} + P.lanes * {stride})"
             case lanes.Count(memory=memory):
-                return f"np.int32({memory.name}.size // {memory.stride})"
+                return f"np.int32({self.name(memory)}.size // {memory.stride})"
             case lanes.Input(place=lanes.Place.LOCAL_INDEX):
                 return "P.local_index"
             case lanes.Input(place=place, axis=axis):
@@ -102,12 +106,12 @@ class _Writer:
         address = self.address(node.index, node.scale, node.offset)
         mask = node.mask.name if node.mask is not None else "None"
         if memory.space is Space.PRIVATE:
-            return f"R.load_private({memory.name}, {address}, {mask})"
+            return f"R.load_private({self.name(memory)}, {address}, {mask})"
         if memory.space is Space.CONSTANT:
-            return f"R.load({memory.name}, {address}, {mask})"
+            return f"R.load({self.name(memory)}, {address}, {mask})"
         if memory.space is Space.SHARED:
-            return f"R.load_shared({memory.name}, {address}, {mask}, P, {_DTYPES[node.kind]})"
-        return f"R.load_words({memory.name}, {address}, {mask}, {_DTYPES[node.kind]})"
+            return f"R.load_shared({self.name(memory)}, {address}, {mask}, P, {_DTYPES[node.kind]})"
+        return f"R.load_words({self.name(memory)}, {address}, {mask}, {_DTYPES[node.kind]})"
 
     # -- statements
 
@@ -125,7 +129,7 @@ class _Writer:
                 self.add(depth, f"{variable.name} = {text}")
             case lanes.Begin(memory=memory):
                 kind = _DTYPES[memory.kind]
-                self.add(depth, f"{memory.name} = R.private({memory.length}, {kind}, P)")
+                self.add(depth, f"{self.name(memory)} = R.private({memory.length}, {kind}, P)")
             case lanes.Set(variable=variable, value=value, mask=mask):
                 text = self.value(value)
                 if mask is not None:
@@ -135,6 +139,12 @@ class _Writer:
                 self.store(node, depth)
             case lanes.Atomic():
                 self.atomic(node, depth)
+            case lanes.TextureAccess():
+                self.texture(node, depth)
+            case lanes.Check(wrong=wrong, given=given, limit=limit, mask=mask):
+                values = f"{self.value(wrong)}, {self.value(given)}, {self.value(limit)}"
+                taking_part = mask.name if mask is not None else "None"
+                self.add(depth, f"R.check({values}, {taking_part}, {node.line!r})")
             case lanes.Barrier():
                 pass
             case lanes.If(condition=condition, then=then, otherwise=otherwise, any_lane=any_lane):
@@ -168,7 +178,7 @@ class _Writer:
         self.add(depth, word)
 
     def target(self, memory: Memory, index: Value, scale: int, offset: int) -> str:
-        return f"{memory.name}, {self.address(index, scale, offset)}"
+        return f"{self.name(memory)}, {self.address(index, scale, offset)}"
 
     def store(self, node: lanes.Store, depth: int) -> None:
         mask = node.mask.name if node.mask is not None else "None"
@@ -191,3 +201,22 @@ class _Writer:
             f"{result}R.atomic({node.operation!r}, {target}, ({values},), {mask}, P, {shared}, "
             f"{_DTYPES[node.kind]}, {wanted})",
         )
+
+    def texture(self, node: lanes.TextureAccess, depth: int) -> None:
+        """A method of `rhi.shading.numpy_textures`."""
+        name, values = self.name(node.memory), [self.value(value) for value in node.arguments]
+        if node.operation == "store":
+            mask = node.mask.name if node.mask is not None else "None"
+            self.add(
+                depth, f"{name}.store({', '.join(values[:3])}, ({', '.join(values[3:])}), {mask}, P.shape)"
+            )
+            return
+        results = ", ".join(result.name for result in node.results)
+        match node.operation:
+            case "levels":
+                call = "count_levels()"
+            case "size":
+                call = f"size({values[0]}, {len(node.results)})"
+            case operation:
+                call = f"{operation}(F, {', '.join(values)})"
+        self.add(depth, f"{results}, = {name}.{call}")

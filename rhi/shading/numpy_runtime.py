@@ -12,12 +12,21 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.shading.faults import make_index_error
+
 __rhi_internal__ = True
 
 Array = NDArray[Any]
 
 
-class Places:
+class Invocations:
+    """Those of a stage of a draw, an array of any shape; of fragments its last axes are rows and columns."""
+
+    def __init__(self, shape: tuple[int, ...]) -> None:
+        self.shape = shape
+
+
+class Places(Invocations):
     """Which groups run, and what each invocation knows of its place."""
 
     def __init__(self, first: int, count: int, groups: tuple[int, int, int], invocations: int) -> None:
@@ -27,7 +36,7 @@ class Places:
         self.group_count = tuple(np.int32(number) for number in groups)
         self.local_index = np.arange(invocations, dtype=np.int32)[None, :]
         self.rows = np.arange(count)[:, None]
-        self.shape: tuple[int, ...] = (count, invocations)
+        super().__init__((count, invocations))
 
 
 # -- conversions -------------------------------------------------------------------------------------------
@@ -93,6 +102,41 @@ def constants(values: Sequence[float], dtype: Any) -> Array:
     return np.array(values, dtype)
 
 
+# -- differences between pixels, which come in quads of 2 by 2 ---------------------------------------------
+
+
+def ddx(value: Any) -> Any:
+    """The change to the right, in each row of a quad."""
+    if np.ndim(value) < 1 or np.shape(value)[-1] == 1:
+        return np.zeros_like(value)
+    return np.repeat(value[..., 1::2] - value[..., 0::2], 2, axis=-1)
+
+
+def ddy(value: Any) -> Any:
+    """The change downwards, in each column of a quad."""
+    if np.ndim(value) < 2 or np.shape(value)[-2] == 1:
+        return np.zeros_like(value)
+    return np.repeat(value[..., 1::2, :] - value[..., 0::2, :], 2, axis=-2)
+
+
+def quads(mask: Any) -> Any:
+    """The lanes of all quads that the mask has a lane of."""
+    rows = mask[..., 0::2, :] | mask[..., 1::2, :]
+    both = rows[..., 0::2] | rows[..., 1::2]
+    return np.repeat(np.repeat(both, 2, axis=-2), 2, axis=-1)
+
+
+def check(wrong: Any, given: Any, limit: Any, mask: Any, line: tuple[str, int]) -> None:
+    """Refuse an index that isn't below its limit.
+
+    Raises:
+        ShaderError `shading-index`: with the line.
+    """
+    wrong, given = np.broadcast_arrays(wrong if mask is None else np.logical_and(wrong, mask), given)
+    if wrong.any():
+        raise make_index_error(line, int(given[wrong][0] if given.ndim else given), int(limit))
+
+
 # -- memory ------------------------------------------------------------------------------------------------
 
 
@@ -140,7 +184,7 @@ def _to_shared(values: Any) -> Array:
     return array.view(np.uint64) if array.dtype == np.float64 else array.view(np.uint32).astype(np.uint64)
 
 
-def private(length: int, dtype: Any, places: Places | None) -> list[Any]:
+def private(length: int, dtype: Any, places: Invocations | None) -> list[Any]:
     """An array that each invocation has for itself: a list, as long as its indices are single numbers."""
     return [np.zeros((), dtype)[()]] * length
 
@@ -156,7 +200,7 @@ def load_private(memory: list[Any], address: Any, mask: Any) -> Any:
     return result
 
 
-def store_private(memory: list[Any], address: Any, value: Any, mask: Any, places: Places | None) -> None:
+def store_private(memory: list[Any], address: Any, value: Any, mask: Any, places: Invocations | None) -> None:
     """Set elements of each invocation's own array."""
     if np.ndim(address) == 0:
         index = int(address)
@@ -168,7 +212,7 @@ def store_private(memory: list[Any], address: Any, value: Any, mask: Any, places
         memory[index] = np.where(chosen, value, memory[index])
 
 
-def _taking_part(address: Any, value: Any, mask: Any, places: Places) -> tuple[Array, Array]:
+def _taking_part(address: Any, value: Any, mask: Any, places: Invocations) -> tuple[Array, Array]:
     """Addresses and values of the lanes that take part, in order."""
     shapes = [np.shape(part) for part in (address, value, mask) if part is not None]
     shape = np.broadcast_shapes(*shapes)
@@ -184,7 +228,7 @@ def _words(values: Array) -> Array:
     return array.view(np.uint32)
 
 
-def store(memory: Array, address: Any, value: Any, mask: Any, places: Places) -> None:
+def store(memory: Array, address: Any, value: Any, mask: Any, places: Invocations) -> None:
     """Set words of a buffer; outside it nothing happens. Of several values for a word the last one stays."""
     address, value = _taking_part(address, value, mask, places)
     inside = (address >= 0) & (address < memory.size)
@@ -219,14 +263,17 @@ def atomic(
     address: Any,
     values: tuple[Any, ...],
     mask: Any,
-    places: Places,
+    places: Invocations,
     shared: bool,
     dtype: Any,
     wanted: bool,
 ) -> Any:
     """An atomic in the order of the invocations; the old values where they are wanted."""
     shape = places.shape
-    address = np.broadcast_to(_flat(memory, address, places) if shared else address, shape)
+    if shared:
+        assert isinstance(places, Places)
+        address = _flat(memory, address, places)
+    address = np.broadcast_to(address, shape)
     mask = np.broadcast_to(True if mask is None else mask, shape)
     chosen = address[mask]
     operands = [np.broadcast_to(value, shape)[mask] for value in values]

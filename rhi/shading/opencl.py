@@ -14,12 +14,13 @@ import struct
 from dataclasses import dataclass
 from typing import Final
 
-from rhi.descriptors import Binding, BindingKind
-from rhi.shading import lanes
+from rhi.descriptors import Binding, BindingKind, TextureKind
+from rhi.shading import lanes, tree
 from rhi.shading import opencl_prelude as prelude
 from rhi.shading.builtins import Precision
 from rhi.shading.glsl import Lines
 from rhi.shading.lanes import Affine, Code, Kind, Level, Literal, Memory, Space, Value, number
+from rhi.shading.opencl_textures import textures_text
 from rhi.shading.primitives import spelling
 
 __rhi_internal__ = True
@@ -44,33 +45,60 @@ class KernelText:
     origins: tuple[tuple[str, int], ...]
 
 
-def write_kernel(code: Code, bindings: tuple[Binding, ...], precision: Precision) -> KernelText:
-    """A compute stage as OpenCL C 1.2."""
-    return _Writer(code, precision).kernel(bindings)
+def write_kernel(
+    code: Code, bindings: tuple[Binding, ...], precision: Precision, native: tree.Function | None = None
+) -> KernelText:
+    """A compute stage as OpenCL C 1.2; `native`: its body is this function's in OpenCL C, and `code` is empty."""
+    return Writer(code, precision, native).kernel(bindings)
 
 
-class _Writer:
-    def __init__(self, code: Code, precision: Precision) -> None:
+class Writer:
+    """Writes lane code; `rhi.shading.opencl_stages` adds the stages of a draw."""
+
+    uniform_space = "constant"
+    steps = ""
+    """Of a stage whose lanes may lie anywhere: the variable with how far each lies behind the first."""
+
+    def __init__(self, code: Code, precision: Precision, native: tree.Function | None = None) -> None:
         self.code = code
+        self.native = native.native[f"opencl{code.width}"] if native is not None else None
+        self.native_file = native.file if native is not None else ""
         self.width = code.width
         self.suffix = str(code.width) if code.width > 1 else ""
         self.precision = precision
         self.lines = Lines()
         self.helpers: dict[str, str] = {}
+        self.textures: set[TextureKind] = set()
 
     def kernel(self, bindings: tuple[Binding, ...]) -> KernelText:
         size = math.prod(self.code.work_group)
         items = -(-size // self.width)
         parameters = [text for binding in bindings for text in self.parameters(binding)]
+        parameters += ["global int *rhi_faults"] if self.code.checked else []
         self.lines.add(f"__attribute__((reqd_work_group_size({items}, 1, 1)))")
         with self.lines.braces(f"kernel void compute({', '.join(parameters)})"):
             self.lines.add("const int rhi_item = (int)get_local_id(0);")
             for memory in self.code.memories:
                 if memory.space is Space.SHARED:
                     self.lines.add(f"local uint {self.name(memory)}[{memory.length}];")
-            self.block(self.code.block)
+            self.body()
+        return self.finish()
+
+    def body(self) -> None:
+        """What the stage does."""
+        self.block(self.code.block)
+        if self.native is not None:
+            for number, line in enumerate(self.native.body.splitlines()):
+                first = self.native.line
+                self.lines.add(line, self.native_file if first else "", first + number if first else 0)
+
+    def finish(self) -> KernelText:
+        """What was written, and what it calls in front of it."""
         head = self.head()
-        text = "\n".join([*head, *self.lines.text]) + "\n"
+        lines = [*head, *self.lines.text]
+        if self.code.checked:  # a rasteriser puts text in front, which __LINE__ would count
+            lines = [line.replace("RHI_HERE", str(number)) for number, line in enumerate(lines, 1)]
+        text = "\n".join(lines) + "\n"
         return KernelText(text, (("", 0),) * len(head) + tuple(self.lines.origins))
 
     def head(self) -> list[str]:
@@ -82,11 +110,16 @@ class _Writer:
                 prelude.gather_text(space, self.width) for space in ("global", "local", "constant", "private")
             ]
             texts.append(prelude.last_text(self.width))
-        texts += [prelude.function_text(name, self.width) for name in prelude.functions_in(body)]
+            texts += [prelude.QUADS] if any(name in body for name in prelude.QUAD_NAMES) else []
+        textures = textures_text(self.width, self.textures) if self.textures else ""
+        called = prelude.functions_in(body + textures)
+        texts += [prelude.function_text(name, self.width) for name in called] + [textures] * bool(textures)
         for memory in self.code.memories:
             if memory.space is Space.CONSTANT:
                 words = ", ".join(self.word(memory.kind, value) for value in memory.values)
                 texts.append(f"constant uint {self.name(memory)}[{memory.length}] = {{{words}}};")
+        if self.native is not None:
+            texts.append(self.native.declarations)
         return "\n".join([*texts, *self.helpers.values()]).split("\n")
 
     def word(self, kind: Kind, value: float) -> str:
@@ -96,11 +129,12 @@ class _Writer:
 
     def parameters(self, binding: Binding) -> list[str]:
         if binding.kind is BindingKind.UNIFORM:
-            return [f"constant uint *{binding.name}_"]
+            return [f"{self.uniform_space} uint *{binding.name}_"]
         if binding.kind is BindingKind.STORAGE:
             access = "global uint *" if binding.writes else "global const uint *restrict "
             return [f"{access}{binding.name}_", f"int {binding.name}__count"]
-        return []
+        access = "global uchar *" if binding.kind is BindingKind.IMAGE else "global const uchar *"
+        return [f"{access}{binding.name}_", f"global const int *{binding.name}__words"]
 
     # -- types and values
 
@@ -126,8 +160,11 @@ class _Writer:
                 return self.literal(node)
             case lanes.Get(variable=variable):
                 return variable.name
+            case lanes.Argument():
+                return self.argument(node)
             case Affine(kind=kind, base=base, stride=stride):
-                steps = "RHI_LANES" if stride == 1 else f"RHI_LANES * {stride}"
+                steps = self.steps or "RHI_LANES"
+                steps = steps if stride == 1 else f"{steps} * {stride}"
                 steps = f"as_uint{self.width}({steps})" if kind is Kind.UINT else steps
                 return f"({self.value(base)} + {steps})"
             case lanes.Count(memory=memory):
@@ -142,6 +179,10 @@ class _Writer:
             case lanes.Load():
                 return self.load(node)
         raise TypeError(f"no OpenCL C for {node}")
+
+    def argument(self, node: lanes.Argument) -> str:
+        """What the caller passes in."""
+        return node.name
 
     def literal(self, node: Literal) -> str:
         value = node.value
@@ -178,7 +219,7 @@ class _Writer:
 
     def name(self, memory: Memory) -> str:
         """What a shader's class names ends in an underscore, since C has names of its own, such as `signed`."""
-        named = memory.space in (Space.UNIFORM, Space.STORAGE, Space.SHARED)
+        named = memory.space not in (Space.PRIVATE, Space.CONSTANT)
         return f"{memory.name}_" if named else memory.name
 
     def pointer(self, memory: Memory) -> str:
@@ -215,8 +256,9 @@ class _Writer:
                 if offset >= stride:
                     first, offset = first + number(offset), 0
                 name = f"rhi_load_{space}_{stride}_{offset}"
-                self.helper(name, prelude.load_text(name, space, self.width, stride, offset))
-                text = f"{name}({self.name(memory)}, {self.value(first)}, {self.words(memory)})"
+                self.helper(name, prelude.load_text(name, space, self.width, stride, offset, bool(self.steps)))
+                steps = f", {self.steps}" if self.steps else ""
+                text = f"{name}({self.name(memory)}, {self.value(first)}, {self.words(memory)}{steps})"
                 return self.cast(node.kind, True, text)
         place = self.wide(self.address(index, node.scale, node.offset))
         if node.mask is not None:
@@ -266,9 +308,13 @@ class _Writer:
                 self.store(node)
             case lanes.Atomic():
                 self.atomic(node)
+            case lanes.TextureAccess():
+                self.texture(node)
             case lanes.Barrier(waits=waits):
                 word = "barrier" if waits else "mem_fence"
                 self.add(node, f"{word}(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);")
+            case lanes.Check(wrong=wrong, given=given, limit=limit, mask=mask):
+                self.check(node, wrong, given, limit, mask)
             case lanes.If():
                 self.if_(node)
             case lanes.Loop(body=body, advance=advance):
@@ -288,6 +334,13 @@ class _Writer:
                         self.add(node, f"end_{label}: ;")
             case _:
                 raise TypeError(f"no OpenCL C for {node}")
+
+    def check(
+        self, node: lanes.Statement, wrong: Value, given: Value, limit: Value, mask: lanes.Variable | None
+    ) -> None:
+        """Host programs know the Python line of a text's line."""
+        bad = self.wide(wrong) if mask is None else f"{self.wide(wrong)} & {self.mask(mask)}"
+        self.add(node, f"rhi_check({bad}, {self.wide(given)}, {self.value(limit)}, rhi_faults, RHI_HERE);")
 
     def begin(self, node: lanes.Statement, memory: Memory, zeros: bool) -> None:
         vector = memory.level is Level.VARYING
@@ -331,7 +384,7 @@ class _Writer:
         space, count = _SPACES[memory.space], len(node.values)
         values = [self.bits(value, True) for value in node.values]
         mask = self.mask(node.mask)
-        if isinstance(index, Affine) and index.stride * node.scale == count + node.padding:
+        if isinstance(index, Affine) and index.stride * node.scale == count + node.padding and not self.steps:
             values += [f"(uint{self.width})(0)"] * node.padding
             name = f"rhi_store_{space}_{len(values)}"
             self.helper(name, prelude.store_text(name, space, self.width, len(values)))
@@ -397,3 +450,39 @@ class _Writer:
             target = self.wide(place)
         call = f"{name}({self.name(memory)}, {target}, {mask}, {values});"
         self.add(node, result + call)
+
+    def texture(self, node: lanes.TextureAccess) -> None:
+        """A call of the function of `opencl_textures.cl` that has the operation's name. Those that read texels are
+        made for the lanes alone: what all lanes want is the first one's."""
+        operation, name, results = node.operation, node.memory.name, node.results
+        self.textures.add(node.memory.shape)
+        each = self.width > 1
+        varies = each and bool(results) and results[0].level is Level.VARYING
+        first = ".s0" if each and not varies else ""
+        texts = [self.wide(value, each) for value in node.arguments]
+        if operation in ("size", "levels"):
+            texts = [self.wide(value, varies) for value in node.arguments]
+            function, first = f"rhi_{operation}{'_each' * varies}", ""
+        elif operation == "store":
+            mask, values = self.mask(node.mask) if each else "1", node.arguments[3:]
+            texts = [*texts[:3], *(self.bits(value, each) for value in values)]
+            self.add(node, f"rhi_store({name}_, {mask}, {name}__words, {', '.join(texts)});")
+            return
+        elif operation == "load" and self.is_vector(node.arguments[-1]):
+            function = "rhi_load_each"
+        else:
+            function, scalar = f"rhi_{operation}", {"gather": 0, "load": 3}.get(operation)
+            if scalar is not None:
+                texts[scalar] = self.value(node.arguments[scalar])
+        arguments = ", ".join([f"{name}__words", *texts])
+        if operation in ("size", "levels", "level_of_detail"):
+            axes = [f", {axis}" if operation == "size" else "" for axis in range(len(results))]
+            words = [f"{function}({arguments}{axis}){first}" for axis in axes]
+        else:
+            kind, whole = self.type(Kind.UINT, each), f"{results[0].name}_words"
+            self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
+            words = [
+                self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)
+            ]
+        for result, word in zip(results, words, strict=True):
+            self.add(node, f"{self.type(result.kind, varies)} {result.name} = {word};")

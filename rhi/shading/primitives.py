@@ -5,6 +5,7 @@ and are found through `spelling`.
 
 - `{0}`, `{1}` are the arguments, `{type}` is the OpenCL type of the result.
 - `infix`: OpenCL takes a scalar beside a vector. Elsewhere all arguments are widened to the widest.
+- `fast` replaces the OpenCL form with Precision.FAST.
 - A `vector` form replaces the OpenCL one where a lane's value varies: there a bool is 0 or -1.
 """
 
@@ -13,19 +14,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rhi.shading.builtins import BUILTINS, Precision
+from rhi.shading.builtins import BUILTINS, Builtin, Precision
 
 __rhi_internal__ = True
 
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
-    """A row: the two spellings."""
+    """A row: the spellings."""
 
     opencl: str
     numpy: str
     vector: str = ""
     infix: bool = False
+    fast: str = ""
 
 
 def _infix(sign: str, numpy: str = "") -> Primitive:
@@ -37,7 +39,7 @@ PRIMITIVES: Final[dict[str, Primitive]] = {
     "add": _infix("+"),
     "subtract": _infix("-"),
     "multiply": _infix("*"),
-    "divide": _infix("/"),
+    "divide": Primitive("({0} / {1})", "({0} / {1})", infix=True, fast="native_divide({0}, {1})"),
     "integer_divide": Primitive("rhi_integer_divide({0}, {1})", "R.floor_divide({0}, {1})"),
     "negate": Primitive("(-{0})", "(-{0})"),
     "floor_divide": Primitive("rhi_floor_divide({0}, {1})", "R.floor_divide({0}, {1})"),
@@ -64,6 +66,8 @@ PRIMITIVES: Final[dict[str, Primitive]] = {
     "as_uint": Primitive("as_{type}({0})", "R.as_integer({0}, np.uint32)"),
     "leading_zeros": Primitive("clz({0})", "R.leading_zeros({0})"),
     "bits_set": Primitive("popcount({0})", "R.bits_set({0})"),
+    "quads": Primitive("rhi_quads({0})", "R.quads({0})"),
+    "uniform": Primitive("rhi_uniform({0}, {1})", ""),
     "half_bits": Primitive("rhi_half_bits({0})", "R.half_bits({0})"),
     "half_value": Primitive("rhi_half_value({0})", "R.half_value({0}, F)"),
 }
@@ -71,9 +75,9 @@ PRIMITIVES: Final[dict[str, Primitive]] = {
 
 def spelling(operation: str, precision: Precision = Precision.EXACT) -> Primitive:
     """The row of an operation: an operator's, or that of a built-in by component."""
-    known = PRIMITIVES.get(operation)
-    if known is not None:
-        return known
-    row = BUILTINS[operation]
-    fast = row.fast if precision is Precision.FAST else ""
-    return Primitive(fast or row.opencl, row.numpy)
+    row: Primitive | Builtin | None = PRIMITIVES.get(operation)
+    if row is None:
+        row = BUILTINS[operation]
+    if precision is Precision.FAST and row.fast:
+        return Primitive(row.fast, row.numpy)
+    return row if isinstance(row, Primitive) else Primitive(row.opencl, row.numpy)

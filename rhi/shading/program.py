@@ -9,7 +9,6 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterator
 from types import FunctionType
 
 from rhi.descriptors import Stage
@@ -22,7 +21,6 @@ from rhi.shading.shader import Memory, Shader
 from rhi.shading.signatures import AnyLength, Signature, signature_of
 from rhi.shading.source import Source, place_of, show, source_of
 from rhi.shading.statements import FunctionParser
-from rhi.shading.tree import Expression
 from rhi.shading.types import StorageType, Type
 
 __rhi_internal__ = True
@@ -138,7 +136,7 @@ def _collect(
                 writable = isinstance(declaration.type, StorageType) and declaration.type.writable
                 if writable or declaration.memory is Memory.IMAGE:
                     stored.add(declaration.name)
-        for node in _nodes(function.body):
+        for node in tree.walk(function.body):
             match node:
                 case tree.Discard():
                     discards = True
@@ -199,42 +197,3 @@ def _add_structs(type: Type, structs: dict[StructType, None]) -> None:
         for field in type.fields:
             _add_structs(field.type, structs)
         structs[type] = None
-
-
-def _nodes(block: tree.Block) -> Iterator[tree.Statement | Expression]:
-    """All statements and expressions of a block; of a binding that is stored to, only the indices."""
-    for statement in block:
-        yield statement
-        match statement:
-            case tree.Declare(value=value) | tree.Return(value=value):
-                if value is not None:
-                    yield from _expressions(value)
-            case tree.Evaluate(value=value):
-                yield from _expressions(value)
-            case tree.Assign(target=target, value=value):
-                yield from _indices(target)
-                yield from _expressions(value)
-            case tree.If(condition=condition, then=then, otherwise=otherwise):
-                yield from _expressions(condition)
-                yield from _nodes(then)
-                yield from _nodes(otherwise)
-            case tree.For(start=start, stop=stop, step=step, body=body):
-                for bound in (start, stop, step):
-                    yield from _expressions(bound)
-                yield from _nodes(body)
-            case tree.While(condition=condition, body=body):
-                yield from _expressions(condition)
-                yield from _nodes(body)
-
-
-def _indices(place: Expression) -> Iterator[Expression]:
-    while isinstance(place, tree.Member | tree.Swizzle | tree.Index):
-        if isinstance(place, tree.Index):
-            yield from _expressions(place.index)
-        place = place.base
-
-
-def _expressions(node: Expression) -> Iterator[Expression]:
-    yield node
-    for part in tree.parts_of(node):
-        yield from _expressions(part)

@@ -53,10 +53,30 @@ STAGE: Final = Rule("shading-stage", "this is not available in this stage")
 STAGES: Final = Rule("shading-stages", "a shader's stages don't fit together")
 INTERFACE: Final = Rule("shading-interface", "a stage's inputs or outputs can't have this form")
 BINDING: Final = Rule("shading-binding", "a binding can't have this form")
+UNUSED_BINDING: Final = Rule(
+    "shading-unused-binding",
+    "a shader declares a binding that none of its methods uses",
+    "remove it: every draw would have to bind it",
+)
+SHADOWED_BINDING: Final = Rule(
+    "shading-shadowed-binding",
+    "the name of an inherited binding is used for something else",
+    "choose another name: draws of the base and of the subclass bind the same names",
+)
 BARRIER: Final = Rule(
     "shading-barrier",
     "a work-group must reach a barrier as a whole",
     "move the barrier out of conditions, loops and early returns that differ within the work-group",
+)
+INDEX: Final = Rule(
+    "shading-index",
+    "an index lies outside what it indexes (found on the device)",
+    "without `checked` this reads or writes other memory",
+)
+DIFFERENT: Final = Rule(
+    "shading-different",
+    "uniform(x) got values that differ among lanes (found on the device)",
+    "say uniform only of what all invocations that take part have in common",
 )
 RACE: Final = Rule(
     "shading-race",

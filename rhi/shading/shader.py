@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import enum
 import inspect
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -88,12 +89,16 @@ class Shader:
     Attributes:
         work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
         precision: how exact some functions are on OpenCL; other backends have one way of computing them.
+        checked: every index and every `uniform(x)` is tested on the device where it is used, and a fault is an error
+            with its line: on OpenCL after a dispatch or a batch of draws, which then wait, and on NumPy. Free when off.
+            `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders that don't say.
         early_depth: depth and stencil are tested before the fragment stage, which then can't change them.
     """
 
     work_group: ClassVar[tuple[int, ...]] = (1,)
     early_depth: ClassVar[bool] = False
     precision: ClassVar[Precision] = Precision.EXACT
+    checked: ClassVar[bool] = os.environ.get("RHI_SHADING_CHECKED") == "1"
     _declared: ClassVar[Mapping[str, Declaration]] = {}
 
     def __init_subclass__(cls) -> None:
@@ -102,6 +107,7 @@ class Shader:
         declared: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__[1:]):
             declared.update(base.__dict__.get("_declared", {}))
+        inherited = dict(declared)
         for name, annotation in inspect.get_annotations(cls).items():
             if isinstance(annotation, str):
                 if annotation.startswith(("ClassVar", "typing.ClassVar")):
@@ -121,6 +127,12 @@ class Shader:
                 resolve_annotations(value, names)
             elif isinstance(value, SharedMemory):
                 declared[name] = Declaration(name, Memory.SHARED, _shared_type(cls, name, value))
+        for name, before in inherited.items():
+            after = declared[name]
+            if (before.memory, before.type) != (after.memory, after.type):
+                _refuse_shadow(cls, before, str(after.type))
+            if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
+                _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
         cls._declared = declared
 
     if not TYPE_CHECKING:  # who see the constructor that dataclass_transform makes up
@@ -167,6 +179,11 @@ def _shared_type(cls: type[Shader], name: str, value: SharedMemory) -> HostType:
     if not isinstance(value.length, int) or value.length < 1:
         _refuse(cls, name, f"a length of {value.length!r}", "")
     return ArrayType(element, value.length)
+
+
+def _refuse_shadow(cls: type, before: Declaration, given: str) -> NoReturn:
+    call, allowed = f"class {cls.__name__}: {before.name}", f"{before.type}, as in the base"
+    raise ShaderError(rules.SHADOWED_BINDING, call, given, allowed, site=find_call_site())
 
 
 def _refuse(cls: type, name: str, given: str, tip: str) -> NoReturn:

@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TypeAlias
 
@@ -350,3 +351,42 @@ def root_of(place: Expression) -> Expression:
     while isinstance(place, Member | Swizzle | Index):
         place = place.base
     return place
+
+
+def walk(block: Block) -> Iterator[Statement | Expression]:
+    """All statements and expressions of a block; of a binding that is stored to, only the indices."""
+    for statement in block:
+        yield statement
+        match statement:
+            case Declare(value=value) | Return(value=value):
+                if value is not None:
+                    yield from _expressions(value)
+            case Evaluate(value=value):
+                yield from _expressions(value)
+            case Assign(target=target, value=value):
+                yield from _indices(target)
+                yield from _expressions(value)
+            case If(condition=condition, then=then, otherwise=otherwise):
+                yield from _expressions(condition)
+                yield from walk(then)
+                yield from walk(otherwise)
+            case For(start=start, stop=stop, step=step, body=body):
+                for bound in (start, stop, step):
+                    yield from _expressions(bound)
+                yield from walk(body)
+            case While(condition=condition, body=body):
+                yield from _expressions(condition)
+                yield from walk(body)
+
+
+def _indices(place: Expression) -> Iterator[Expression]:
+    while isinstance(place, Member | Swizzle | Index):
+        if isinstance(place, Index):
+            yield from _expressions(place.index)
+        place = place.base
+
+
+def _expressions(node: Expression) -> Iterator[Expression]:
+    yield node
+    for part in parts_of(node):
+        yield from _expressions(part)

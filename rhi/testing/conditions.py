@@ -16,6 +16,7 @@ from rhi.commands import Command
 from rhi.descriptors import Binding, Id, ProgramDescriptor
 from rhi.ops import DRAWS, Op
 from rhi.states import MAX_TARGETS, PER_TARGET
+from rhi.testing.contents import Follower, UnknownContentsError, compare
 
 
 class Condition(Protocol):
@@ -165,6 +166,31 @@ class HasBindings:
 
     def __str__(self) -> str:
         return "with " + ", ".join(f"{name}={value!r}" for name, value in self.wanted.items()) + " bound"
+
+
+@dataclass(frozen=True)
+class HasContents:
+    """A uniform or storage binding holds these numbers."""
+
+    binding: str
+    wanted: Mapping[str, object]
+    tolerance: float
+    followers: list[Follower] = dataclasses.field(default_factory=list, compare=False, repr=False)
+
+    def miss(self, command: Command) -> str:
+        if not self.followers or self.followers[0].stream is not command.stream:
+            self.followers[:] = [Follower(command.stream)]
+        try:
+            values = self.followers[0].read(command, self.binding)
+        except UnknownContentsError as error:
+            return str(error)
+        wrong = compare(values, self.wanted, self.tolerance)
+        return f"of {self.binding}, {wrong}" if wrong else ""
+
+    def __str__(self) -> str:
+        shown = ", ".join(f"{name}={value!r}" for name, value in self.wanted.items())
+        within = f" within {self.tolerance:g}" if self.tolerance else ""
+        return f"with {shown} in {self.binding}{within}"
 
 
 @dataclass(frozen=True)

@@ -10,14 +10,26 @@ from __future__ import annotations
 
 import heapq
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Final, NoReturn
 
 from rhi.commands import Command, Commands
 from rhi.device import Device
 from rhi.ops import DRAWS, Op
+from rhi.shading import Struct
 from rhi.states import State
-from rhi.testing.conditions import Arguments, Condition, HasBindings, HasStates, IsOp, Uses, Where, Within
+from rhi.testing.conditions import (
+    Arguments,
+    Condition,
+    HasBindings,
+    HasContents,
+    HasStates,
+    IsOp,
+    Uses,
+    Where,
+    Within,
+)
+from rhi.testing.contents import as_fields
 from rhi.testing.work import DISPATCHES, Counts, cost_of, count
 
 SHOWN: Final = 5
@@ -86,6 +98,20 @@ class Expectation:
         """While the program's bindings are these resources: objects as they are given to `device.draw`, a
         buffer or texture of which any part will do, a label, or an id."""
         return self._and(HasBindings(resources))
+
+    def with_contents(
+        self, binding: str, wanted: Mapping[str, object] | Struct, *, tolerance: float = 0.0
+    ) -> Expectation:
+        """While a uniform or storage binding of the program holds these numbers.
+
+        Args:
+            wanted: a value of the struct, or numbers by their names: `{"color": (1, 0, 0, 1)}`; in arrays and
+                nested structs by a path, `{"lights.0.color": …}`.
+            tolerance: by how much each number may differ.
+
+        What the stream doesn't say (written on the device, or before the stream) doesn't match; the message says so.
+        """
+        return self._and(HasContents(binding, as_fields(wanted), tolerance))
 
     def where(self, name: str, predicate: object) -> Expectation:
         """For which `predicate(command)` is true; `name` stands for it in messages."""

@@ -86,9 +86,10 @@ def _make_parser() -> argparse.ArgumentParser:
 def _show(options: argparse.Namespace) -> int:
     trace = load(options.file)
     commands = trace.stream if options.label is None else trace.stream.filter(label=options.label)
-    print(commands.format(options.limit))
-    failed = len(trace.stream.failures)
-    note = f"{len(trace)} commands, {len(trace.stream.draws())} draws, {failed} failed"
+    refusals = [each for each in trace.refusals if options.label is None or options.label in each.labels]
+    print(commands.format(options.limit, refusals))
+    failed, refused = len(trace.stream.failures), len(trace.refusals)
+    note = f"{len(trace)} commands, {len(trace.stream.draws())} draws, {failed} failed, {refused} refused"
     print(f"{note}; recorded on {trace.backend or 'an unknown backend'}", file=sys.stderr)
     return 0
 
@@ -101,6 +102,8 @@ def _replay(options: argparse.Namespace) -> int:
         for index, failure in result.failures.items():
             now = failure.error if failure is not None else "it didn't fail now"
             print(f"command {index} had failed: {now}", file=sys.stderr)
+        for refusal in result.refusals:
+            print(f"refused before command {refusal.index}, when it was recorded: {refusal}", file=sys.stderr)
         if options.output is not None:
             if result.image is None:
                 return _fail("the trace presents no image")

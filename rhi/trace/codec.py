@@ -206,7 +206,9 @@ def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
     """A program's texts in the languages that it can be had in."""
     found: dict[tuple[str, Stage], str] = {}
     for language in LANGUAGES:
-        for stage in descriptor.stages:
+        for stage in Stage:  # in their order: equal traces are equal files
+            if stage not in descriptor.stages:
+                continue
             try:
                 found[language, stage] = descriptor.emit(language, stage)
             except RhiError:  # there is none, such as an OpenCL kernel of a vertex stage

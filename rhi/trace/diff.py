@@ -5,20 +5,21 @@
 - Ids are compared by what they stand for (kind, label or descriptor, which of several), so one more texture at
   the start doesn't change every later command. A program is its name and its sources.
 - Commands of the same kind that stand in each other's place are one change, told by the arguments that differ.
+- Refused calls are compared like commands, each at its place: by rule and call.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, overload
+from typing import Any, Final, overload
 
 import numpy as np
 
 from rhi.command_text import describe
-from rhi.commands import Command, CommandStream
+from rhi.commands import Command, CommandStream, Refusal
 from rhi.descriptors import Id, ProgramDescriptor
 from rhi.device import Device
 from rhi.ops import Op
@@ -30,26 +31,29 @@ from rhi.trace.ids import ID_ARGUMENTS
 __rhi_internal__ = True
 
 Source = Trace | Device | CommandStream
+Thing = Command | Refusal
+REFUSED: Final = "refused"
 
 
 @dataclass(frozen=True)
 class Difference:
-    """One command that is only in one trace, or two that stand in each other's place.
+    """One command, or refused call, that is only in one trace, or two that stand in each other's place.
 
     Attributes:
         labels: where, outermost first.
-        a, b: the command in each trace, None where there is none.
+        a, b: the command or refusal in each trace, None where there is none.
         changes: for two commands, "argument: value in a → value in b".
     """
 
     labels: tuple[str, ...]
-    a: Command | None
-    b: Command | None
+    a: Command | Refusal | None
+    b: Command | Refusal | None
     changes: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         if self.a is not None and self.b is not None:
-            return f"~ {self.a.index:>6}  {self.a.op.method}: {', '.join(self.changes)}  {self.b.site or ''}"
+            what = self.a.op.method if isinstance(self.a, Command) else self.a.call
+            return f"~ {self.a.index:>6}  {what}: {', '.join(self.changes)}  {self.b.site or ''}"
         command = self.a or self.b
         assert command is not None
         return f"{'-' if self.b is None else '+'} {command.index:>6}  {command}"
@@ -96,11 +100,16 @@ def _stream(source: Source) -> CommandStream:
 
 @dataclass(slots=True)
 class _Node:
-    """A label: its children, each a command or another label, and what each of them is compared by."""
+    """A label: its children, each a command, a refused call or another label, and what each is compared by."""
 
     index: int
     keys: list[Hashable] = field(default_factory=list)
-    items: list[int | _Node] = field(default_factory=list)
+    items: list[int | Refusal | _Node] = field(default_factory=list)
+
+
+    def add_refusal(self, refusal: Refusal) -> None:
+        self.keys.append((REFUSED, refusal.error, refusal.call, refusal.given, refusal.allowed))
+        self.items.append(refusal)
 
 
 class _Side:
@@ -113,7 +122,10 @@ class _Side:
         self._keys: dict[Hashable, Hashable] = {}
         self.root = _Node(-1)
         path = [self.root]
+        refusals = deque(stream.refusals)
         for index in range(len(stream)):
+            while refusals and refusals[0].index <= index:
+                path[-1].add_refusal(refusals.popleft())
             op, values, _, _ = stream.entry(index)
             if op is Op.PUSH_LABEL:
                 node = _Node(index)
@@ -125,6 +137,8 @@ class _Side:
             else:
                 path[-1].keys.append(self._key(op, values, stream.failures.get(index)))
                 path[-1].items.append(index)
+        for refusal in refusals:
+            path[-1].add_refusal(refusal)
 
     def _key(self, op: Op, values: tuple[Any, ...], failure: object) -> Hashable:
         """What a command is compared by; equal ones are worked out once."""
@@ -179,14 +193,14 @@ def _compare(
 
 
 def _tell(
-    left: _Side, right: _Side, removed: list[int | _Node], added: list[int | _Node], labels: tuple[str, ...],
-    found: list[Difference],
+    left: _Side, right: _Side, removed: list[int | Refusal | _Node], added: list[int | Refusal | _Node],
+    labels: tuple[str, ...], found: list[Difference],
 ) -> None:  # fmt: skip
     """What lies between two things that agree: changes where kinds agree, else removals, then additions."""
-    a = [Command(left.stream, _index(item)) for item in removed]
-    b = [Command(right.stream, _index(item)) for item in added]
+    a = [_thing(left.stream, item) for item in removed]
+    b = [_thing(right.stream, item) for item in added]
     x = y = 0
-    for next_x, next_y in [*align([c.op for c in a], [c.op for c in b]), (len(a), len(b))]:
+    for next_x, next_y in [*align(list(map(_kind, a)), list(map(_kind, b))), (len(a), len(b))]:
         found.extend(Difference(labels, command, None) for command in a[x:next_x])
         found.extend(Difference(labels, None, command) for command in b[y:next_y])
         if next_x < len(a):
@@ -195,11 +209,21 @@ def _tell(
         x, y = next_x + 1, next_y + 1
 
 
-def _index(item: int | _Node) -> int:
-    return item.index if isinstance(item, _Node) else item
+def _thing(stream: CommandStream, item: int | Refusal | _Node) -> Thing:
+    if isinstance(item, Refusal):
+        return item
+    return Command(stream, item.index if isinstance(item, _Node) else item)
 
 
-def _changes(left: _Side, right: _Side, a: Command, b: Command) -> list[str]:
+def _kind(thing: Thing) -> Hashable:
+    """Things of one kind may stand in each other's place."""
+    return thing.op if isinstance(thing, Command) else (REFUSED, thing.call)
+
+
+def _changes(left: _Side, right: _Side, a: Thing, b: Thing) -> list[str]:
+    if isinstance(a, Refusal) or isinstance(b, Refusal):
+        parts = ((name, getattr(a, name), getattr(b, name)) for name in ("error", "given", "allowed"))
+        return [f"{name}: {old} → {new}" for name, old, new in parts if old != new]
     changes = []
     for (name, annotation), old, new in zip(a.op.parameters.items(), a.values, b.values, strict=True):
         if annotation == "Id":

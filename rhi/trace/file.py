@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections import deque
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
 from types import CodeType
@@ -20,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.commands import Command, CommandStream, Failure
+from rhi.commands import Command, CommandStream, Failure, Refusal, find_site
 from rhi.descriptors import ProgramDescriptor, Region, TextureDescriptor
 from rhi.device import Device
-from rhi.errors import refuse
+from rhi.errors import CallSite, refuse
 from rhi.ops import Op
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, Reader, Writer, source_name
 from rhi.trace.check import Checker
@@ -40,7 +42,8 @@ from rhi.trace.rules import (
 __rhi_internal__ = True
 
 FORMAT: Final = "rhi-trace"
-VERSION: Final = 1
+VERSION: Final = 2
+"""2: refused calls have lines of their own."""
 _OPS: Final = {op.method: op for op in Op}
 
 
@@ -59,9 +62,18 @@ class Trace:
     def __len__(self) -> int:
         return len(self.stream)
 
-    def keep(self, indices: list[int]) -> Trace:
-        """A trace of some of the commands, in order."""
+    @property
+    def refusals(self) -> tuple[Refusal, ...]:
+        """The calls that were refused when it was recorded."""
+        return self.stream.refusals
+
+    def keep(self, indices: list[int], *, refusals: bool = True) -> Trace:
+        """A trace of some of the commands, in order, and of the refused calls between them unless they aren't
+        wanted."""
         kept = CommandStream()
+        if refusals:
+            for refusal in self.refusals:
+                kept.add_refusal(replace(refusal, index=bisect_left(indices, refusal.index)))
         for index in indices:
             op, values, code, lasti = self.stream.entry(index)
             failure = self.stream.failures.get(index)
@@ -98,8 +110,11 @@ def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> N
     with Writer(Path(path)) as writer:
         numbers: dict[bytes, int] = {}  # arrays by digest: what is written each frame is kept once
         sites: dict[tuple[str, int, str], int] = {}
-        lines = []
+        lines: list[str] = []
+        refusals = deque(trace.refusals)
         for command in trace.stream:
+            while refusals and refusals[0].index <= command.index:
+                lines.append(_to_json(_describe_refusal(refusals.popleft(), sites)))
             arguments = command.arguments
             if command.op is Op.CREATE_PROGRAM:
                 for (language, stage), text in sources_of(arguments["descriptor"]).items():
@@ -108,23 +123,40 @@ def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> N
                 name: _write_array(writer, numbers, command, value) if isinstance(value, bytes) else encode(value)
                 for name, value in arguments.items()
             }
-            lines.append(json.dumps(_describe(command, plain, sites), separators=(",", ":")))
+            lines.append(_to_json(_describe(command, plain, sites)))
+        lines.extend(_to_json(_describe_refusal(refusal, sites)) for refusal in refusals)
         writer.write(COMMANDS, "".join(f"{line}\n" for line in lines))
         header = {
-            "format": FORMAT, "version": VERSION, "backend": trace.backend, "commands": len(lines),
-            "sites": [list(site) for site in sites],
+            "format": FORMAT, "version": VERSION, "backend": trace.backend, "commands": len(trace),
+            "refusals": len(trace.refusals), "sites": [list(site) for site in sites],
         }  # fmt: skip
         writer.write(HEADER, json.dumps(header))
 
 
 def _describe(command: Command, arguments: dict[str, Any], sites: dict[tuple[str, int, str], int]) -> dict[str, Any]:
     line: dict[str, Any] = {"op": command.op.method, "arguments": arguments}
-    site = command.site
-    if site is not None:
-        line["site"] = sites.setdefault((site.file, site.line, site.function), len(sites))
+    _add_site(line, command.site, sites)
     if command.failure is not None:
         line["failure"] = {"error": command.failure.error, "message": command.failure.message}
     return line
+
+
+def _describe_refusal(refusal: Refusal, sites: dict[tuple[str, int, str], int]) -> dict[str, Any]:
+    line: dict[str, Any] = {
+        "refused": refusal.error, "call": refusal.call, "given": refusal.given, "allowed": refusal.allowed,
+        "labels": list(refusal.labels),
+    }  # fmt: skip
+    _add_site(line, refusal.site, sites)
+    return line
+
+
+def _add_site(line: dict[str, Any], site: CallSite | None, sites: dict[tuple[str, int, str], int]) -> None:
+    if site is not None:
+        line["site"] = sites.setdefault((site.file, site.line, site.function), len(sites))
+
+
+def _to_json(line: dict[str, Any]) -> str:
+    return json.dumps(line, separators=(",", ":"))
 
 
 def _write_array(writer: Writer, numbers: dict[bytes, int], command: Command, data: bytes) -> int:
@@ -176,11 +208,13 @@ class _Loader:
     def load(self) -> Trace:
         header = self._read_header()
         lines = self.reader.read_text(COMMANDS).splitlines()
-        if len(lines) != header["commands"]:
-            self.reader.refuse(TRACE_COUNT, f"{len(lines)} commands", f"{header['commands']}, as its header says")
         self.sites = [_make_code(*site) for site in header["sites"]]
         for number, line in enumerate(lines, 1):
-            self._read_command(number, line)
+            self._read_line(number, line)
+        found = {"commands": len(self.stream), "refusals": len(self.stream.refusals)}
+        for name, count in found.items():
+            if count != header[name]:
+                self.reader.refuse(TRACE_COUNT, f"{count} {name}", f"{header[name]}, as its header says")
         return Trace(self.stream, header["backend"])
 
     def _read_header(self) -> dict[str, Any]:
@@ -191,7 +225,9 @@ class _Loader:
         if type(version) is not int or not 1 <= version <= VERSION:
             self.reader.refuse(TRACE_VERSION, f"version {version!r}", f"1 to {VERSION}")
         try:
-            wanted: dict[str, Any] = {"backend": str, "commands": int, "sites": tuple[tuple[str, int, str], ...]}
+            sites = tuple[tuple[str, int, str], ...]
+            wanted: dict[str, Any] = {"backend": str, "commands": int, "refusals": int, "sites": sites}
+            header.setdefault("refusals", 0)  # version 1 had none
             return {name: decode(type, header.get(name), name) for name, type in wanted.items()}
         except MismatchError as error:
             self.reader.refuse(TRACE_FILE, f"{HEADER}: {error}", "what rhi.trace.save writes")
@@ -205,9 +241,36 @@ class _Loader:
             self.reader.refuse(TRACE_FILE, f"{where}: a {type(value).__name__}", "a JSON object")
         return value
 
-    def _read_command(self, number: int, text: str) -> None:
+    def _read_line(self, number: int, text: str) -> None:
         where = f"line {number} of {COMMANDS}"
         line = self._parse(where, text)
+        if "refused" in line:
+            self._read_refusal(where, line)
+        else:
+            self._read_command(where, line)
+
+    def _read_refusal(self, where: str, line: dict[str, Any]) -> None:
+        code = None
+        try:
+            if "site" in line:
+                code = self._read_site(line.pop("site"))
+            wanted: dict[str, Any] = dict.fromkeys(("refused", "call", "given", "allowed"), str)
+            wanted["labels"] = tuple[str, ...]
+            if line.keys() != wanted.keys():
+                raise MismatchError(f"a refused call of {', '.join(line)}")
+            error, call, given, allowed, labels = (decode(type, line[name], name) for name, type in wanted.items())
+        except MismatchError as mismatch:
+            self.reader.refuse(TRACE_COMMAND, f"{where}: {mismatch}", "what rhi.trace.save writes")
+        site = find_site(code, 0)
+        self.stream.add_refusal(Refusal(len(self.stream), error, call, given, allowed, site, labels))
+
+    def _read_site(self, given: object) -> CodeType:
+        site: int = decode(int, given, "site")
+        if not 0 <= site < len(self.sites):
+            raise MismatchError(f"site {site} of {len(self.sites)}")
+        return self.sites[site]
+
+    def _read_command(self, where: str, line: dict[str, Any]) -> None:
         try:
             op = _OPS.get(line.get("op", ""))
             if op is None or not isinstance(line.get("arguments"), dict):
@@ -216,10 +279,7 @@ class _Loader:
                 raise MismatchError(f"unknown: {', '.join(line.keys() - {'op', 'arguments', 'site', 'failure'})}")
             code = None
             if "site" in line:
-                site = decode(int, line["site"], "site")
-                if not 0 <= site < len(self.sites):
-                    raise MismatchError(f"site {site} of {len(self.sites)}")
-                code = self.sites[site]
+                code = self._read_site(line["site"])
             failure = decode(Failure, line["failure"], "failure") if "failure" in line else None
             arguments = line["arguments"]
             types = argument_types(op)
@@ -237,7 +297,7 @@ class _Loader:
         values = self._check(where, op, values, failure)
         self.stream.data.extend((int(op), *values, code, 0))
         if failure is not None:
-            self.stream.failures[number - 1] = failure
+            self.stream.failures[len(self.stream) - 1] = failure
 
     def _read_array(self, where: str, number: object) -> NDArray[Any]:
         if type(number) is not int:

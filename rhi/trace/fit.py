@@ -35,6 +35,7 @@ def check_fit(stream: CommandStream, limits: Capabilities) -> None:
     """
     looked_at: dict[Op, Callable[[Capabilities, Any], Iterator[str]]] = {
         Op.CREATE_TEXTURE: _texture,
+        Op.CREATE_SAMPLER: _sampler,
         Op.CREATE_QUERY: _query,
         Op.CREATE_PROGRAM: _program,
         Op.BEGIN_PASS: _pass,
@@ -74,6 +75,11 @@ def _texture(limits: Capabilities, values: Any) -> Iterator[str]:
         yield f"formats other than {descriptor.format.name}"
 
 
+def _sampler(limits: Capabilities, values: Any) -> Iterator[str]:
+    if values[1].max_anisotropy > limits.max_anisotropy:
+        yield f"anisotropy up to {limits.max_anisotropy:g}"
+
+
 def _query(limits: Capabilities, values: Any) -> Iterator[str]:
     if not getattr(limits, _QUERIES[values[1]]):
         yield f"needs capabilities.{_QUERIES[values[1]]}"
@@ -86,6 +92,8 @@ def _program(limits: Capabilities, values: Any) -> Iterator[str]:
         fits = all(0 < n <= most for n, most in zip((x, y, z), limits.max_work_group, strict=True))
         if not limits.compute or not fits or x * y * z > limits.max_work_group_invocations:
             yield f"work-groups up to {limits.max_work_group}, {limits.max_work_group_invocations} in all"
+        if descriptor.shared_bytes > limits.max_shared_bytes:
+            yield f"up to {limits.max_shared_bytes} bytes of shared memory"
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         yield f"up to {limits.max_vertex_attributes} attributes"
 

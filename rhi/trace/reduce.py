@@ -3,6 +3,7 @@
 - Parts are left out, half of the commands first and single ones last, as long as the predicate holds.
 - What is left of a trace after each cut is made whole before it is tried: a resource takes along all that
   uses it, a label, pass or query goes with both of its ends, and draws need their pass and program.
+- Refused calls stay if the fault can't be seen without them, else they go first.
 - `write_test` writes the result as a pytest file that needs nothing but this package.
 """
 
@@ -49,9 +50,11 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
         ValidationError: `trace-predicate` if the predicate doesn't hold for the whole trace.
     """
 
+    refusals = True
+
     def holds(indices: list[int]) -> bool:
         try:
-            return bool(predicate(trace.keep(indices)))
+            return bool(predicate(trace.keep(indices, refusals=refusals)))
         except RhiError:
             return False
 
@@ -59,6 +62,9 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
     kept = list(range(len(trace)))
     if not holds(kept):
         refuse(TRACE_PREDICATE, "rhi.trace.reduce", f"a trace of {len(trace)} commands", "one that shows the fault")
+    if trace.refusals:
+        refusals = False
+        refusals = not holds(kept)
     size = max(1, len(kept) // 2)
     while attempts > 0:
         start, shrunk = 0, False
@@ -73,7 +79,7 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
         if size == 1 and not shrunk:
             break
         size = max(1, size // 2)
-    return trace.keep(kept)
+    return trace.keep(kept, refusals=refusals)
 
 
 class _Parts:

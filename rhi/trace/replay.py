@@ -4,7 +4,8 @@
   be used after: states that were set are put back, open passes and labels are closed.
 - Ring memory (`BufferUsage.STREAM`) becomes plain memory: a ring relies on the fences of the device it was
   recorded on, which were passed there at other times. Plain writes are in order.
-- A call that failed when it was recorded is issued too; that it fails again is noted, not raised.
+- A call that failed when it was recorded is issued too; that it fails again is noted, not raised. One that was
+  refused never became a command: it is reported, since there is nothing to issue.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands import CommandStream, Failure
+from rhi.commands import CommandStream, Failure, Refusal
 from rhi.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
 from rhi.device import Device
 from rhi.errors import RhiError, refuse
@@ -49,12 +50,14 @@ class Replay:
         ids: the device's ids of the trace's resources that are alive; they live until the device is closed.
         failures: for each call that was recorded as failed, by its index, how it failed now; None if it didn't.
         commands: how many were issued.
+        refusals: the calls that were refused when it was recorded.
     """
 
     image: NDArray[np.generic] | None = None
     ids: dict[Id, Id] = field(default_factory=dict)
     failures: dict[int, Failure | None] = field(default_factory=dict)
     commands: int = 0
+    refusals: tuple[Refusal, ...] = ()
 
 
 def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
@@ -86,7 +89,7 @@ class _Player:
     def __init__(self, stream: CommandStream, device: Device) -> None:
         self.stream = stream
         self.core = device._core
-        self.result = Replay()
+        self.result = Replay(refusals=stream.refusals)
         self.context = Context()
         self.fences: dict[int, int] = {0: 0}
         self.open_query: Id = 0

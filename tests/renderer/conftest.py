@@ -24,3 +24,16 @@ def gl() -> Iterator[rhi.Device]:
         pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
     with device:
         yield device
+
+
+@pytest.fixture(scope="module", params=["gl", "cl"])
+def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
+    """A device of each backend that draws, one for a module; a test of one that isn't here is skipped."""
+    try:
+        device = rhi.create_device(request.param)
+    except rhi.DeviceError as error:
+        pytest.skip(f"no {request.param} device here: {error.given or error.rule.sentence}")
+    with device:
+        if not device.capabilities.renders:
+            pytest.skip(f"the {request.param} device draws nothing")
+        yield device

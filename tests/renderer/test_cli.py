@@ -17,7 +17,8 @@ from renderer.cli import main
 
 KEYS = [
     "backend", "device", "scene", "size", "frames", "milliseconds", "triangles", "draws", "queries",
-    "software_state_changes", "hardware_state_changes", "uploads_bytes", "image",
+    "software_state_changes", "hardware_state_changes", "simulation_steps", "skipped_simulations",
+    "uploads_bytes", "image",
 ]  # fmt: skip
 CITY = "city:blocks=4"
 
@@ -191,7 +192,9 @@ def test_a_camera_may_begin_with_a_minus(capsys: pytest.CaptureFixture[str]) -> 
 
 
 @pytest.mark.parametrize(
-    "command", [[], ["render"], ["demo"], ["scenes"]], ids=lambda c: " ".join(c) or "all"
+    "command",
+    [[], ["render"], ["demo"], ["compare", "visibility"], ["tune"], ["debug", "visibility"], ["scenes"]],
+    ids=lambda c: " ".join(c) or "all",
 )
 def test_help_shows_examples(capsys: pytest.CaptureFixture[str], command: list[str]) -> None:
     with pytest.raises(SystemExit) as exit:

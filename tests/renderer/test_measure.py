@@ -31,7 +31,7 @@ def test_a_ratio_is_the_median_of_the_rounds_ratios() -> None:
 
 def test_a_summary_has_least_median_and_most_time_and_mean_counters() -> None:
     costs = [
-        FrameCost(time, FrameStatistics(triangles, 1, 0, 5, 0, 10))
+        FrameCost(time, FrameStatistics(triangles, 1, 0, 5, 0, 10, 2, 3))
         for time, triangles in ((3.0, 10), (1.0, 20), (2.0, 31))
     ]
     summary = FrameCost.summarize(costs)

@@ -11,7 +11,8 @@ import pytest
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene, load_scene
-from renderer.visibility import FrustumCulling, NoCulling
+from renderer.shaders import View
+from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
 
 TIMELINE = {Op.SIGNAL, Op.WAIT}
@@ -25,7 +26,7 @@ def city() -> Scene:
 
 def commands(device: rhi.Device, scene: Scene, cameras: list[Camera]) -> list[tuple[Op, tuple[Any, ...]]]:
     scene.update(0.0)
-    with Renderer(device, scene, size=(64, 36)) as renderer:
+    with Renderer(device, scene, visibility=FrustumCulling(scene), size=(64, 36)) as renderer:
         for number, camera in enumerate(cameras):
             renderer.render(camera, number / 60)
         return [(command.op, command.values) for command in device.stream if command.op not in TIMELINE]
@@ -54,14 +55,15 @@ def test_a_second_frame_from_the_same_eye_uploads_the_draws_alone(null: rhi.Devi
     assert second.upload_bytes == second.draws * rhi.DRAW.itemsize
 
 
-def test_a_moved_eye_uploads_16_bytes_for_each_object(null: rhi.Device, city: Scene) -> None:
+def test_a_moved_eye_uploads_the_view_and_nothing_for_objects(null: rhi.Device, city: Scene) -> None:
     with Renderer(null, city, size=(64, 36)) as renderer:
         camera = city.paths["ground"].camera(0)
         renderer.render(camera)
         lights = 32 * len(city.lights.point) + 64 * len(city.lights.spot)
+        view = View.uniform_dtype.itemsize
         elsewhere = replace(camera, position=camera.position + np.array([1.0, 2.0, 3.0]))
         moved = renderer.render(elsewhere).statistics
-    assert moved.upload_bytes == 16 * len(city.objects) + lights + moved.draws * rhi.DRAW.itemsize
+    assert moved.upload_bytes == view + lights + moved.draws * rhi.DRAW.itemsize
 
 
 def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) -> None:
@@ -72,7 +74,7 @@ def test_moving_objects_are_uploaded_and_the_others_are_not(null: rhi.Device) ->
         still = renderer.render(camera, 0.0).statistics
         moving = renderer.render(camera, 0.5).statistics
     assert still.upload_bytes == still.draws * rhi.DRAW.itemsize
-    most = (112 + 16) * len(scene.objects.dynamic_rows)
+    most = (112 + 32) * len(scene.objects.dynamic_rows)
     assert 0 < moving.upload_bytes - moving.draws * rhi.DRAW.itemsize <= most
 
 
@@ -147,6 +149,30 @@ def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
     gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
     assert len(made) > 5
     assert {command.values[0] for command in made} <= gone
+
+
+def queries_left(device: rhi.Device) -> int:
+    """Occlusion queries that were made and not given back."""
+    device.finish()
+    made = {command.values[0] for command in device.stream.filter(Op.CREATE_QUERY)}
+    return len(made - {command.values[0] for command in device.stream.filter(Op.DESTROY)})
+
+
+def test_the_algorithm_that_a_renderer_made_is_given_back_and_one_that_it_got_is_not(
+    gl: rhi.Device, city: Scene
+) -> None:
+    cameras = [city.paths["ground"].camera(frame) for frame in range(12)]
+    with Renderer(gl, city, size=(64, 36)) as renderer:  # auto, which tries one that asks
+        for camera in cameras:
+            renderer.render(camera)
+        assert queries_left(gl) > 0
+    assert queries_left(gl) == 0
+    given = make_visibility("chc_plus_plus", city, gl)
+    with Renderer(gl, city, visibility=given, size=(64, 36)) as renderer:
+        renderer.render(cameras[0])
+    assert queries_left(gl) > 0
+    given.destroy()
+    assert queries_left(gl) == 0
 
 
 @pytest.mark.parametrize("path", ["ground", "sky"])

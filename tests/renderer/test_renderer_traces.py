@@ -13,6 +13,7 @@ import rhi
 from renderer import cli
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND, load_scene
+from renderer.visibility import FrustumCulling
 from rhi.__main__ import main as rhi_main
 from rhi.trace import load, replay, save
 
@@ -20,7 +21,7 @@ from rhi.trace import load, replay, save
 def render(device: rhi.Device, city: str, frames: int, size: tuple[int, int]) -> NDArray[np.generic] | None:
     """The city's first frames along the ground; the last one's image where there is one."""
     scene = load_scene(city)
-    with Renderer(device, scene, size=size) as renderer:
+    with Renderer(device, scene, visibility=FrustumCulling(scene), size=size) as renderer:
         for frame in range(frames):
             result = renderer.render(scene.paths["ground"].camera(frame), frame / FRAMES_PER_SECOND)
         return result.image.read() if device.capabilities.shading else None

@@ -1,5 +1,6 @@
 """Errors name the rule, the call, what was given, and the user's line."""
 
+import pickle
 import re
 import sys
 
@@ -117,3 +118,15 @@ def test_a_stack_without_a_user_frame_has_no_line():
 def test_an_error_is_also_the_python_error_that_one_would_catch(error, base, rule):
     with pytest.raises(base):
         raise error(rule, "call")
+
+
+def test_an_error_comes_back_from_another_process_as_what_it_is(rule):
+    with pytest.raises(ValidationError) as caught:
+        refuse(rule, "f(x)", 3, "4", "count again")
+    error = caught.value
+    again = pickle.loads(pickle.dumps(error))
+    assert type(again) is ValidationError
+    assert again.rule.id == error.rule.id
+    assert (again.call, again.given, again.allowed, again.tip) == ("f(x)", "3", "4", "count again")
+    assert again.site == error.site
+    assert str(again) == str(error)

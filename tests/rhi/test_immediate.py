@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from null_kit import Camera, Kit, Object
+from null_kit import Camera, Kit, Object, hand_made_program
 
 import rhi
 from rhi import Op, Primitive
@@ -38,7 +38,10 @@ def test_arrays_and_single_vertices_keep_their_order(kit: Kit) -> None:
 
 
 def test_a_block_without_vertices_draws_nothing(kit: Kit) -> None:
-    with kit.device.render_pass(kit.image), kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)):
+    with (
+        kit.device.render_pass(kit.image),
+        kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)),
+    ):
         pass
     assert not kit.ops(Op.DRAW)
 
@@ -111,3 +114,14 @@ def test_draw_many_refuses_draws_beyond_the_mesh(kit: Kit) -> None:
     with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
         kit.device.draw_many(kit.program, kit.mesh, draws, **bindings(kit))
     assert caught.value.rule.id == "mesh-range"
+
+
+def test_a_transient_mesh_serves_the_program_it_was_made_for(kit: Kit) -> None:
+    rows = np.zeros(3, [("position", "f4", 2)])
+    other = kit.device.program(hand_made_program("other"))
+    mesh = kit.device.transient.mesh(kit.program, rows)
+    with kit.device.render_pass(kit.image):
+        with pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(other, mesh, camera=kit.camera, object=kit.objects[0])
+        assert caught.value.rule.id == "mesh-attribute"
+        kit.device.draw(kit.program, mesh, camera=kit.camera, object=kit.objects[0])

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from null_kit import Camera, Object, hand_made_program
 
-from rhi import BlendFunction, Format, Stage, ValidationError
+from rhi import BlendFunction, Format, PolygonOffset, SamplerDescriptor, Stage, ValidationError, create_device
 from rhi.backends.null import find_profile
 from rhi.portability import check_portability
+from rhi.shading import Shader, StorageRW, compile_shader, local_index, shared
 
 
 def deferred_frame(device):
@@ -43,6 +44,84 @@ def test_a_frame_is_told_everything_that_stops_it_with_lines():
         "opencl-cpu": [("blend_per_target", "state-capability", 7)],
     }
     assert report.runs_on == ["everything", "gl-4.5"]
+
+
+def scattered_frame(device):
+    """Needs the same two things in several places each."""
+    device.sampler(SamplerDescriptor(max_anisotropy=8))
+    for size in (4000, 5000):  # one line
+        device.texture((size, 4), Format.R8)
+    image = device.texture((4, 4), Format.R8)
+    with device.render_pass(image), device.states(PolygonOffset(1, 0.5)):
+        pass
+    device.texture((4, 4000), Format.R8)
+    image.sampled(SamplerDescriptor(max_anisotropy=8))
+    with device.record() as commands, commands.render_pass(image):
+        with commands.states(PolygonOffset(1, 0.5)), commands.states(PolygonOffset(1, 0.25)):
+            pass
+        with commands.states(PolygonOffset(1, 0.5)):
+            pass
+    device.submit(commands)
+
+
+def test_every_line_that_would_be_refused_is_named_once():
+    report = check_portability(scattered_frame, {"gl-3.3": find_profile("gl-3.3")})
+    first = inspect.getsourcelines(scattered_frame)[1]
+    assert [(found.capability, found.error.site.line - first) for found in report.obstacles["gl-3.3"]] == [
+        ("max_anisotropy", 2),
+        ("max_texture_size", 4),
+        ("depth_bias_clamp", 6),
+        ("max_texture_size", 8),
+        ("max_anisotropy", 9),
+        ("depth_bias_clamp", 11),
+        ("depth_bias_clamp", 13),
+    ]
+
+
+def test_a_line_that_was_granted_something_sees_no_more_of_it():
+    """What a frame asks for on other lines is as the profile has it."""
+    asked = []
+
+    def frame(device):
+        device.sampler(SamplerDescriptor(max_anisotropy=8))
+        asked.append(device.capabilities.max_anisotropy)
+
+    check_portability(frame, {"gles": find_profile("gles-3")})
+    assert asked[0] == 16.0
+    assert set(asked[1:]) == {1.0}
+
+
+class TooMuch(Shader):
+    """More shared memory than most work-groups may have."""
+
+    work_group = (64,)
+    results: StorageRW[float]
+    numbers = shared(float, 10_000)
+
+    def compute(self) -> None:
+        self.numbers[local_index()] = 1.0
+        self.results[local_index()] = self.numbers[local_index()]
+
+
+@pytest.mark.parametrize(("limit", "fits"), [(40_000, True), (39_999, False)])
+def test_shared_memory_is_a_limit_of_a_profile(limit, fits):
+    profile = dataclasses.replace(find_profile("gl-4.5"), max_shared_bytes=limit)
+    report = check_portability(lambda device: device.program(TooMuch), {"own": profile})
+    assert [found.capability for found in report.obstacles["own"]] == ([] if fits else ["max_shared_bytes"])
+    assert compile_shader(TooMuch).shared_bytes == 40_000
+
+
+@pytest.mark.parametrize(("anisotropy", "fits"), [(1.0, True), (4.0, True), (4.5, False)])
+def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
+    profile = dataclasses.replace(find_profile("gl-4.5"), max_anisotropy=4.0)
+    with create_device("null", profile=profile) as device:
+        descriptor = SamplerDescriptor(max_anisotropy=anisotropy)
+        if fits:
+            device.sampler(descriptor)
+        else:
+            with pytest.raises(ValidationError) as caught:
+                device.sampler(descriptor)
+            assert caught.value.rule.id == "device-capability"
 
 
 def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():

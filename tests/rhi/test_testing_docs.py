@@ -39,6 +39,7 @@ def test_the_page_passes_on_a_gpu(pytester: pytest.Pytester, tests: int) -> None
         ("CullMode.FRONT, DepthBias(-2.0)", "DepthBias(-2.0)"),
         ("DepthBias(-2.0)", "DepthBias(-3.0)"),
         ("camera=self.sun)", "camera=self.eye)"),
+        ('Camera(offset=(0, 0, 0, 0)), label="sun"', 'Camera(offset=(0, 0, 0, 5)), label="sun"'),
     ],
 )
 def test_the_page_notices_a_broken_renderer(

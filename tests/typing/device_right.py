@@ -67,6 +67,10 @@ def use(device: rhi.Device) -> None:
         with device.immediate(flat, Primitive.QUADS, tint=tint, many=many, albedo=image) as quads:
             quads.vertex(position=(0, 0))
     device.dispatch(plain, (1, 1, 1))
+    with device.record() as commands, commands.render_pass(image), commands.states(CullMode.NONE):
+        constants = commands.transient.uniform(Tint(color=(0, 0, 0, 1)))
+        commands.draw(flat, mesh, 3, tint=constants, many=many, albedo=image)
+    device.submit(commands)
     with many.lock(Access.WRITE, 0, 2) as rows:
         rows["color"] = 1
     tint.write(Tint(color=(0, 0, 0, 0)))

@@ -26,7 +26,11 @@ MISTAKES = [
     (DRAW, DRAW.replace("albedo=image", "albedo=tint"), 'expected "TextureBinding"'),
     (DRAW, DRAW.replace("flat, mesh", "mesh, mesh"), 'Argument 1 to "draw"'),
     (DRAW, DRAW.replace("flat, mesh", "flat, image"), 'Argument 2 to "draw"'),
-    ("flat.draw(mesh, 2, tint=objects[0]", "flat.draw(mesh, 2, tint=objects", 'expected "UniformRange[Tint]"'),
+    (
+        "flat.draw(mesh, 2, tint=objects[0]",
+        "flat.draw(mesh, 2, tint=objects",
+        'expected "UniformRange[Tint]"',
+    ),
     ("device.render_pass(image", "device.render_pass(tint", 'Argument 1 to "render_pass"'),
     ("device.conditional(query)", "device.conditional(image)", 'Argument 1 to "conditional"'),
     # a missing or misspelt argument
@@ -36,11 +40,19 @@ MISTAKES = [
     ("quads.vertex(position=(0, 0))", "quads.vortex(position=(0, 0))", 'has no attribute "vortex"'),
     (DRAW, DRAW.replace("many=many", "mny=many"), 'Unexpected keyword argument "mny"'),
     ("device.dispatch(plain, (1, 1, 1))", "device.dispatch(plain)", "Too few arguments"),
+    # in a command buffer
+    ("commands.draw(flat, mesh, 3", "commands.draw(flat, image, 3", 'Argument 2 to "draw"'),
+    ("mesh, 3, tint=constants", "mesh, 3, tint=other", 'expected "UniformRange[Tint]"'),
+    ("device.submit(commands)", "device.submit(image)", 'expected "CommandBuffer"'),
     # a wrong value
     ("device.texture((8, 8), Format.RGBA8)", 'device.texture((8, 8), "rgba8")', 'Argument 2 to "texture"'),
     ("primitive=Primitive.QUADS", "primitive=4", 'Argument "primitive" to "mesh"'),
     ("Access.WRITE, 0, 2", '"w", 0, 2', 'Argument 1 to "lock"'),
-    ("tint.write(Tint(color=(0, 0, 0, 0)))", "tint.write(Other(color=(0, 0, 0, 0)))", 'Argument 1 to "write"'),
+    (
+        "tint.write(Tint(color=(0, 0, 0, 0)))",
+        "tint.write(Other(color=(0, 0, 0, 0)))",
+        'Argument 1 to "write"',
+    ),
     ("Tint(color=(1, 0, 0, 1))", "Tint(colour=(1, 0, 0, 1))", 'Unexpected keyword argument "colour"'),
     ("magnify=Filter.LINEAR", "magnify=True", 'Argument "magnify"'),
 ]

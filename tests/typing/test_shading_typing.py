@@ -36,7 +36,11 @@ MISTAKES = [
     ("mix(v.color, vec3(1), 0.5)", "mix(v.color, vec2(1), 0.5)", "No overload variant"),
     ("self.albedo.sample(v.color.xy)", "self.albedo.sample(v.color)", "incompatible type"),
     ("self.albedo.sample(", "self.albedo.smaple(", 'has no attribute "smaple"'),
-    ("lambert(normalize(v.color), self", "lambert(normalize(v.color.xy), self", 'to "__call__" of "Function"'),
+    (
+        "lambert(normalize(v.color), self",
+        "lambert(normalize(v.color.xy), self",
+        'to "__call__" of "Function"',
+    ),
     ("self.counts[old] = 3", "self.counts[old] = 3.5", "No overload variant"),
     ("position=(0, 1, 0), power=1,", "position=(0, 1), power=1,", 'Argument "position" to "Light"'),
     ("position=(0, 1, 0), power=1,", "power=1,", 'Missing named argument "position"'),

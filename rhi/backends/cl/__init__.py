@@ -1,4 +1,4 @@
-"""The OpenCL backend: memory, time and compute on any OpenCL device, such as the CPU through PoCL.
+"""The OpenCL backend: draws, compute and memory on any OpenCL device, such as the CPU through PoCL.
 
 `create_backend` is its entry point in the group `rhi.backends`. Nothing of OpenCL is imported before it is called.
 """

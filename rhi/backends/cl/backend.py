@@ -1,14 +1,14 @@
-"""The OpenCL backend: rhi's contract on one queue that executes in order. Memory, time and compute; no draws.
+"""The OpenCL backend: rhi's contract on one queue that executes in order.
 
-- Commands go to the queue as they come, so the contract's order is the queue's. Only reads wait, and an indirect
-  dispatch, because OpenCL can't take the number of work-groups from memory.
-- Passes clear and resolve. `capabilities.draws` is False: the front end refuses programs that draw.
+- Draws gather (`rhi.backends.cl.rasteriser`); all else goes to the queue as it comes, after the draws before it were
+  handed over (`_flush`). So the contract's order is the queue's.
+- Only reads wait, and indirect draws and dispatches, whose sizes OpenCL can't take from memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final, NoReturn
+from collections.abc import Callable, Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,22 +18,26 @@ from rhi.backend import Capabilities
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.programs import Programs
-from rhi.backends.cl.queries import Fence, Queries
+from rhi.backends.cl.queries import Fence, Timestamps
+from rhi.backends.cl.rasteriser import Rasteriser
 from rhi.backends.cl.resources import Buffers, Staging, Textures, alignment
+from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.states import States
 from rhi.descriptors import (
     BindingKind,
     BufferDescriptor,
     Id,
     PassDescriptor,
+    Primitive,
     ProgramDescriptor,
     QueryKind,
     Region,
     SamplerDescriptor,
+    Stage,
     TextureDescriptor,
+    VertexArrayDescriptor,
 )
-from rhi.errors import refuse
-from rhi.rules import DEVICE_CAPABILITY
+from rhi.state_cache import StateChange
 
 __rhi_internal__ = True
 
@@ -51,21 +55,27 @@ class ClBackend:
     def __init__(self, context: Context) -> None:
         self.context = context
         self._queue = context.queue
-        self._capabilities = query_capabilities(context)
         staging = Staging()
         self._buffers = Buffers(context, staging)
         self._textures = Textures(context, staging)
-        self._programs = Programs(context)
-        self._queries = Queries(context.queue)
-        self._fence = Fence(context.queue, staging)
+        self._samplers = Samplers(context.context)
+        self._programs = Programs(context, self._buffers, self._textures, self._samplers)
+        self._timestamps = Timestamps(context.queue)
+        self._rasteriser = Rasteriser(context, self._buffers, self._textures, self._samplers)
+        self._capabilities = query_capabilities(context, self._rasteriser.works)
+        self._counters = self._rasteriser.counters
+        self._flush = self._rasteriser.flush
+        self._fence = Fence(context.queue, staging, self._rasteriser.retired)
         self._states = States()
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
+        self._kinds: dict[Id, QueryKind] = {}
 
     @property
     def capabilities(self) -> Capabilities:
         return self._capabilities
 
     def close(self) -> None:
+        self._flush()
         self._queue.finish()
         for resource in list(self._destroyers):
             self.destroy(resource)
@@ -74,98 +84,187 @@ class ClBackend:
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         self._buffers.create(buffer, descriptor)
-        self._destroyers[buffer] = self._buffers.destroy
+        self._destroyers[buffer] = self._destroy_buffer
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
         self._textures.create(texture, descriptor)
-        self._destroyers[texture] = self._textures.destroy
+        self._destroyers[texture] = self._destroy_texture
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        pass  # nothing samples yet
+        self._samplers.create(sampler, descriptor)
+        self._destroyers[sampler] = self._samplers.destroy
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        self._programs.create(program, descriptor)
-        self._destroyers[program] = self._programs.destroy
+        if Stage.VERTEX in descriptor.stages:
+            self._rasteriser.create_program(program, descriptor)
+            self._destroyers[program] = self._rasteriser.destroy_program
+        else:
+            self._programs.create(program, descriptor)
+            self._destroyers[program] = self._programs.destroy
+
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        self._rasteriser.create_vertex_array(vertex_array, descriptor)
+        self._destroyers[vertex_array] = self._rasteriser.destroy_vertex_array
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        """TIMESTAMP: the other kinds count what is drawn."""
-        self._queries.create(query)
-        self._destroyers[query] = self._queries.destroy
+        queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._counters
+        queries.create(query, kind)
+        self._kinds[query] = kind
+        self._destroyers[query] = self._destroy_query
 
     def destroy(self, resource: Id) -> None:
         self._destroyers.pop(resource)(resource)
 
+    def _destroy_buffer(self, buffer: Id) -> None:
+        self._flush()
+        self._rasteriser.forget(buffer)
+        self._buffers.destroy(buffer)
+
+    def _destroy_texture(self, texture: Id) -> None:
+        self._flush()
+        self._rasteriser.forget(texture)
+        self._textures.destroy(texture)
+
+    def _destroy_query(self, query: Id) -> None:
+        kind = self._kinds.pop(query)
+        (self._timestamps if kind is QueryKind.TIMESTAMP else self._counters).destroy(query)
+
     # -- memory ------------------------------------------------------------------------------------------
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        if self._buffers[buffer].host is None:
+            self._flush()
+        self._rasteriser.write(buffer, offset, data)
         self._buffers.write(buffer, offset, data)
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
+        self._flush()
         return self._buffers.read(buffer, offset, size)
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
+        self._flush()
+        self._rasteriser.change(target)
         self._buffers.copy(source, source_offset, target, target_offset, size)
 
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
+        self._flush()
+        self._rasteriser.change(buffer)
         self._buffers.clear(buffer, offset, size, value)
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+        self._flush()
         self._textures.write(texture, level, region, data)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+        self._flush()
         return self._textures.read(texture, level, region, stencil)
 
     def copy_texture(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
     ) -> None:  # fmt: skip
+        self._flush()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
     def resolve_texture(self, source: Id, target: Id) -> None:
+        self._flush()
         self._textures.resolve(source, target)
 
     def generate_mipmaps(self, texture: Id) -> None:
+        self._flush()
         self._textures.generate_mipmaps(texture)
 
     # -- passes and bindings -----------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
+        self._flush()
         self._states.render_pass = descriptor
         for color in descriptor.colors:
             if color.clear is not None:
                 self._textures.clear_color(color)
         if descriptor.depth is not None:
             self._textures.clear_depth(descriptor.depth)
+        self._rasteriser.begin_pass(descriptor)
+
+    def set_states(self, changes: Sequence[StateChange]) -> None:
+        self._rasteriser.set_states(changes)
 
     def end_pass(self) -> None:
+        self._flush()
         for color in self._states.render_pass.colors:
             if color.resolve:
                 self._textures.resolve(color.texture, color.resolve)
 
     def bind_program(self, program: Id) -> None:
         self._states.program = program
+        self._rasteriser.bind_program(program)
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._states.ranges[BindingKind.UNIFORM, slot] = buffer, offset, size
+        self._bind(BindingKind.UNIFORM, slot, (buffer, offset, size))
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._states.ranges[BindingKind.STORAGE, slot] = buffer, offset, size
+        self._bind(BindingKind.STORAGE, slot, (buffer, offset, size))
+
+    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
+        self._bind(BindingKind.TEXTURE, slot, (texture, sampler))
+
+    def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
+        self._bind(BindingKind.IMAGE, slot, (texture, level, layer))
+
+    def _bind(self, kind: BindingKind, slot: int, what: tuple[int, ...]) -> None:
+        self._states.slots[kind, slot] = what
+        self._rasteriser.bind(kind, slot, what)
+
+    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
+        """See `rhi.backend.PreparesDraws`."""
+        return self._rasteriser.prepare_uniform(buffer, self._states.slots)
 
     # -- work --------------------------------------------------------------------------------------------
 
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
+        base_instance: int,
+    ) -> None:  # fmt: skip
+        self._rasteriser.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+
+    def prepare_draw(
+        self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:  # fmt: skip
+        """See `rhi.backend.PreparesDraws`."""
+        return self._rasteriser.prepare_draw(
+            vertex_array, primitive, first, count, base_vertex, base_instance
+        )
+
+    def on_interruption(self, call: Callable[[], None]) -> None:
+        """Nobody interrupts: nothing is shared with other contexts."""
+
+    def draw_indirect(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        count_buffer: Id, count_offset: int,
+    ) -> None:  # fmt: skip
+        """Waits for what the device writes: indirect draws are read back and become plain ones."""
+        self._rasteriser.draw_indirect(
+            vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
+        )
+
     def dispatch(self, x: int, y: int, z: int) -> None:
+        self._flush()
         states = self._states
         with translate_errors(states.place("device.dispatch")):
-            self._programs[states.program].launch(self._queue, self._buffers, states, (x, y, z))
+            self._programs[states.program].launch(self._queue, states, (x, y, z))
+        self._rasteriser.change_stored(self._programs[states.program].written)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         """Waits: OpenCL takes the number of work-groups from the CPU."""
+        self._flush()
         words = np.frombuffer(self._buffers.read(buffer, offset, _GROUPS_BYTES), np.uint32)
         self.dispatch(*words.tolist())
 
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self, value: int) -> None:
+        self._flush()
         self._fence.signal(value)
 
     def completed(self) -> int:
@@ -174,11 +273,28 @@ class ClBackend:
     def wait(self, value: int, seconds: float) -> bool:
         return self._fence.wait(value, seconds)
 
+    def begin_query(self, query: Id) -> None:
+        self._counters.begin(query)
+
+    def end_query(self, query: Id) -> None:
+        self._counters.end(query)
+
     def write_query(self, query: Id) -> None:
-        self._queries.write(query)
+        if self._kinds[query] is QueryKind.TIMESTAMP:
+            self._flush()
+            self._timestamps.write(query)
+        else:
+            self._counters.take(query)
 
     def read_query(self, query: Id) -> int | None:
-        return self._queries.read(query)
+        queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._counters
+        return queries.read(query)
+
+    def begin_conditional(self, query: Id, inverted: bool) -> None:
+        self._rasteriser.begin_conditional(query, inverted)
+
+    def end_conditional(self) -> None:
+        self._rasteriser.end_conditional()
 
     def push_label(self, text: str) -> None:
         self._states.labels.append(text)
@@ -187,22 +303,12 @@ class ClBackend:
         self._states.labels.pop()
 
     def present(self, texture: Id) -> None:
+        self._flush()
         self._queue.flush()
 
-    # -- what needs capabilities that are declared missing ---------------------------------------------------
 
-    def _refuse(self, *arguments: object) -> NoReturn:
-        refuse(
-            DEVICE_CAPABILITY, "the cl backend", "a draw, or what serves draws", "memory, time and compute"
-        )
-
-    create_vertex_array = set_states = draw = draw_indirect = _refuse
-    begin_query = end_query = begin_conditional = end_conditional = _refuse
-    bind_texture = bind_image = _refuse
-
-
-def query_capabilities(context: Context) -> Capabilities:
-    """What the device can do, as far as this backend does it."""
+def query_capabilities(context: Context, draws: bool) -> Capabilities:
+    """What the device can do, as far as this backend does it; `draws`: whether the rasteriser works on it."""
     device = context.device
     grain = alignment(device)
     x, y, z = (int(size) for size in (*device.max_work_item_sizes, 1, 1)[:3])
@@ -213,18 +319,16 @@ def query_capabilities(context: Context) -> Capabilities:
         passed_over=context.passed_over,
         max_uniform_bytes=min(_MAX_UNIFORM_BYTES, int(device.max_mem_alloc_size)),
         max_storage_bytes=min((1 << 32) - 1, int(device.max_mem_alloc_size)),
-        max_texture_slots=0,
-        max_image_slots=0,
         max_work_group=(x, y, z),
         max_work_group_invocations=int(device.max_work_group_size),
         max_shared_bytes=int(device.local_mem_size),
         uniform_alignment=grain,
         storage_alignment=grain,
-        draws=False,
-        indirect_count=False,
-        occlusion_queries=False,
-        conditional_rendering=False,
-        alpha_to_coverage=False,
-        depth_bias_clamp=False,
-        blend_per_target=False,
+        max_texture_size=8192,  # the farthest that window positions reach, see kernels/common.cl
+        draws=draws,
+        indirect_count=draws,
+        occlusion_queries=draws,
+        sample_counter=draws,
+        conditional_rendering=draws,
+        alpha_test=draws,
     )

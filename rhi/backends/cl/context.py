@@ -39,6 +39,9 @@ __kernel void probe(__global uint *words) {
     words[i] = words[i] * 3u + i;
     atomic_add(&words[get_global_size(0)], i);
 }
+// Where memory lies, and what is read there by a kernel that is given nothing else (rhi.backends.cl.memory).
+__kernel void find(__global uchar *memory, __global ulong *answer) { *answer = (ulong)memory; }
+__kernel void read(ulong address, __global ulong *answer) { *answer = *(__global ulong *)address; }
 """
 
 
@@ -47,6 +50,7 @@ class Context:
     """A device that works.
 
     Attributes:
+        probe: the program of the probe kernel, and of those that find memory.
         shares_memory: whether kernels read and write a `USE_HOST_PTR` buffer's host memory in place.
         passed_over: the devices tried before, each with why it can't be used.
     """
@@ -54,6 +58,7 @@ class Context:
     device: cl.Device
     context: cl.Context
     queue: cl.CommandQueue
+    probe: cl.Program
     shares_memory: bool
     passed_over: tuple[str, ...]
 
@@ -73,11 +78,11 @@ def open_context() -> Context:
         try:
             context = cl.Context([device])
             queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-            shares_memory = probe(context, queue)
+            program, shares_memory = probe(context, queue)
         except (cl.Error, RuntimeError) as error:
             passed_over.append(f"{describe(device)}: {shorten(error)}")
         else:
-            return Context(device, context, queue, shares_memory, tuple(passed_over))
+            return Context(device, context, queue, program, shares_memory, tuple(passed_over))
     given = "\n".join(passed_over) or "no OpenCL device"
     tip = f"{_OUTDATED}{_INSTALL}" if "unknown target CPU" in given else _INSTALL
     raise DeviceError(DEVICE_DRIVER, _CALL, given, _ALLOWED, tip)
@@ -118,14 +123,16 @@ def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
     raise DeviceError(DEVICE_DRIVER, _CALL, f"{ENVIRONMENT}={wanted!r}; the devices are{rows}", tip=tip)
 
 
-def probe(context: cl.Context, queue: cl.CommandQueue) -> bool:
-    """Build and run a kernel twice, on memory that the host changes in between; whether it saw the change.
+def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool]:
+    """Build and run a kernel twice, on memory that the host changes in between; the program, and whether it saw the
+    change.
 
     Raises:
         pyopencl.Error: it can't be built or run.
         RuntimeError: it computes wrong numbers.
     """
-    kernel = cl.Kernel(build(context, _PROBE), "probe")
+    program = build(context, _PROBE)
+    kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
     memory = cl.Buffer(context, flags, hostbuf=words)
@@ -143,7 +150,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue) -> bool:
     shows = np.array_equal(words, seen)
     words[:] = 7
     run()
-    return shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
+    return program, shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
 def build(context: cl.Context, source: str) -> cl.Program:

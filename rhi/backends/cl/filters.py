@@ -6,7 +6,7 @@ nothing is compiled per format. PoCL's pow takes 100 ns, so sRGB goes through ta
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import pyopencl as cl
@@ -14,6 +14,9 @@ import pyopencl as cl
 from rhi.backends.cl.context import Context, build
 from rhi.formats import Format, Kind
 from rhi.texels import from_srgb
+
+if TYPE_CHECKING:
+    from rhi.backends.cl.resources import Plane
 
 __rhi_internal__ = True
 
@@ -67,15 +70,16 @@ int taps(int place, int size, int target, float *weights) {
     return 3;
 }
 
-// A row of the next level. `from` and `to` are where the levels start, in channels.
-__kernel void halve(__global void *texels, ulong from, ulong to, int stored, int channels, int4 size, int4 target) {
+// A row of the next level. `from` and `to` are where the levels start and how far it is to the next row and layer,
+// in channels.
+__kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, int channels, int4 size, int4 target) {
     int y = get_global_id(0), z = get_global_id(1);
     float u[3], v[3], w[3];
     int rows = taps(y, size.y, target.y, v), layers = taps(z, size.z, target.z, w);
     int top = rows == 1 ? y : 2 * y, first = layers == 1 ? z : 2 * z;
-    size_t row = (size_t)size.x * channels, layer = row * size.y;
-    size_t source = from + first * layer + top * row;
-    size_t result = to + ((size_t)z * target.y + y) * target.x * channels;
+    size_t row = from.y, layer = from.z;
+    size_t source = from.x + first * layer + top * row;
+    size_t result = to.x + z * to.z + y * to.y;
     if (layers == 1 && rows == 2 && size.x == 2 * target.x && size.y % 2 == 0) {  // the usual 2 by 2 texels
         for (int x = 0; x < target.x; ++x)
             for (int channel = 0; channel < channels; ++channel) {
@@ -128,36 +132,31 @@ class Filters:
         self._context = context
         self._kernels: dict[str, cl.Kernel] = {}
 
-    def halve(
-        self, format: Format, texels: cl.Buffer, above: int, size: tuple[int, int, int], below: int,
-        target: tuple[int, int, int],
-    ) -> None:  # fmt: skip
-        """The mip level that starts at byte `below`, from the one at `above`; sizes are (width, height, layers)."""
-        _, height, layers = target
-        starts = [np.uint64(start // format.dtype.itemsize) for start in (above, below)]
+    def halve(self, format: Format, above: Plane, below: Plane) -> None:
+        """A mip level from the one above it, in the same buffer."""
+        planes = (above, below)
+        places = [
+            np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64)
+            // np.uint64(format.dtype.itemsize)
+            for plane in planes
+        ]
+        sizes = [np.array([plane.width, plane.height, plane.layers, 0], np.int32) for plane in planes]
         self._run(
-            "halve", (height, layers), texels, *starts, _storage(format),
-            np.int32(format.channels), np.array([*size, 0], np.int32), np.array([*target, 0], np.int32),
+            "halve", (below.height, below.layers), above.memory, *places, _storage(format),
+            np.int32(format.channels), *sizes,
         )  # fmt: skip
 
-    def resolve(
-        self, format: Format, samples: cl.Buffer, texels: cl.Buffer, size: tuple[int, int], count: int
-    ) -> None:
-        """The mean of each texel's samples; of integers, the first sample."""
-        numbers = size[0] * size[1] * format.channels
+    def resolve(self, format: Format, samples: Plane, texels: Plane) -> None:
+        """The mean of each texel's samples, which are layers; of integers, the first sample. Both planes have one
+        size, so their padding may go along."""
         if format.is_integer:
-            byte_count = numbers * format.dtype.itemsize
-            cl.enqueue_copy(self._context.queue, texels, samples, byte_count=byte_count)
+            size = texels.layer_bytes
+            cl.enqueue_copy(self._context.queue, texels.memory, samples.memory, byte_count=size)
             return
         self._run(
-            "resolve",
-            (numbers,),
-            samples,
-            texels,
-            _storage(format),
-            np.int32(format.channels),
-            np.int32(count),
-        )
+            "resolve", (texels.layer_bytes // format.dtype.itemsize,), samples.memory, texels.memory,
+            _storage(format), np.int32(format.channels), np.int32(samples.layers),
+        )  # fmt: skip
 
     def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
         if not self._kernels:

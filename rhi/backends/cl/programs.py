@@ -2,8 +2,9 @@
 
 What a program's OpenCL C must look like, be it written by the shading language or by hand:
 
-- One kernel. Its arguments are the program's bindings in their order: for a uniform `constant T *`, for storage
-  `global T *` and, right behind it, an `int`: how many elements are bound.
+- One kernel. Its arguments are the program's bindings in their order: for a uniform `constant T *`; for storage
+  `global T *` and, right behind it, an `int`: how many elements are bound; for a texture `global const uchar *`, for
+  an image `global uchar *`, and right behind it `global const int *`: the words of `rhi.shading.texture_words`.
 - Bound ranges begin at multiples of the capabilities' alignments, and vector loads may run past their end by
   `rhi.backends.cl.resources.GRAIN` bytes.
 - Its `reqd_work_group_size` is the work-group in work-items. It divides the descriptor's work-group, which counts
@@ -13,6 +14,7 @@ What a program's OpenCL C must look like, be it written by the shading language 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -20,11 +22,13 @@ import pyopencl as cl
 
 from rhi.backends.cl.context import Context, build
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.resources import Buffers
+from rhi.backends.cl.resources import Buffers, Textures
+from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.states import States
-from rhi.descriptors import BindingKind, Id, ProgramDescriptor, Stage
+from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
 from rhi.errors import CallSite, ShaderError
 from rhi.rules import SHADER_DRIVER
+from rhi.shading.faults import FAULT_WORDS, find_fault
 
 __rhi_internal__ = True
 
@@ -40,10 +44,61 @@ def count_lanes(device: cl.Device) -> int:
     return next((width for width in _WIDTHS if native >= width), 1)
 
 
-class Program:
-    """A kernel, and which arguments it was given last."""
+class Arguments:
+    """What a kernel is given for what is bound."""
 
-    def __init__(self, context: Context, descriptor: ProgramDescriptor) -> None:
+    def __init__(self, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
+        self._buffers = buffers
+        self._textures = textures
+        self._samplers = samplers
+
+    def find(self, binding: Binding, bound: tuple[int, ...]) -> tuple[cl.Buffer | np.int32, ...]:
+        """A binding's arguments; `bound` are those of the command that bound it."""
+        if binding.kind is BindingKind.TEXTURE:
+            name, sampler = bound
+            texture = self._textures[name]
+            return texture.levels[0].memory, self._samplers.describe(texture, sampler)
+        name, first, second = bound
+        if binding.kind is BindingKind.IMAGE:
+            texture = self._textures[name]
+            return texture.levels[0].memory, self._samplers.describe_image(texture, first, second)
+        memory = self._buffers.bound(name, first, second)
+        if binding.kind is BindingKind.UNIFORM:
+            return (memory,)
+        return memory, np.int32(second // max(1, binding.size))
+
+
+class Faults:
+    """Where a stage of a checked shader leaves what it finds (`rhi.shading.faults`)."""
+
+    def __init__(self, context: cl.Context, lines: Sequence[tuple[str, int]]) -> None:
+        self._lines = lines
+        self._words = np.zeros(FAULT_WORDS, np.int32)
+        flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+        self.memory = cl.Buffer(context, flags, hostbuf=self._words)
+
+    def read(self, queue: cl.CommandQueue) -> None:
+        """Wait for the launch.
+
+        Raises:
+            ShaderError: what it found; the next launch begins anew.
+        """
+        cl.enqueue_copy(queue, self._words, self.memory)
+        error = find_fault(self._words.tolist(), self._lines)
+        if error is not None:
+            self._words[:] = 0
+            cl.enqueue_copy(queue, self.memory, self._words)
+            raise error
+
+
+class Program:
+    """A kernel, and which arguments it was given last.
+
+    Attributes:
+        written: the bindings that it writes.
+    """
+
+    def __init__(self, context: Context, descriptor: ProgramDescriptor, arguments: Arguments) -> None:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
             program = build(context.context, source)
@@ -58,35 +113,44 @@ class Program:
         )
         self._kernel = kernel
         self._group = tuple(required) if any(required) else descriptor.work_group
-        self._bindings = descriptor.bindings
-        # Each kept alive while a kernel has it for an argument, which OpenCL doesn't promise to do.
-        self._bound: list[tuple[cl.Buffer, int] | None] = [None] * len(descriptor.bindings)
-
-    def launch(
-        self, queue: cl.CommandQueue, buffers: Buffers, states: States, groups: tuple[int, int, int]
-    ) -> None:
-        """Run work-groups with what is bound."""
+        self.written = [binding for binding in descriptor.bindings if binding.writes]
+        self._arguments = arguments
+        self._bindings: list[tuple[int, Binding]] = []
         place = 0
-        for i, binding in enumerate(self._bindings):
-            buffer, offset, size = states.ranges[binding.kind, binding.slot]
-            memory = buffers.bound(buffer, offset, size)
-            bound = self._bound[i]
-            if bound is None or bound[0] is not memory or bound[1] != size:
-                self._kernel.set_arg(place, memory)
-                if binding.kind is BindingKind.STORAGE:
-                    self._kernel.set_arg(place + 1, np.int32(size // max(1, binding.size)))
-                self._bound[i] = memory, size
-            place += 2 if binding.kind is BindingKind.STORAGE else 1
+        for binding in descriptor.bindings:
+            self._bindings.append((place, binding))
+            place += 1 if binding.kind is BindingKind.UNIFORM else 2
+        self._faults: Faults | None = None
+        if descriptor.checked:
+            self._faults = Faults(context.context, descriptor.lines.get(Stage.COMPUTE, ()))
+            kernel.set_arg(place, self._faults.memory)
+        # What was bound last, by names that are never used twice, and the arguments: each kept alive while a kernel
+        # has it, which OpenCL doesn't promise to do.
+        self._bound: dict[int, tuple[int, ...]] = {}
+        self._given: dict[int, tuple[cl.Buffer | np.int32, ...]] = {}
+
+    def launch(self, queue: cl.CommandQueue, states: States, groups: tuple[int, int, int]) -> None:
+        """Run work-groups with what is bound."""
+        for place, binding in self._bindings:
+            bound = states.slots[binding.kind, binding.slot]
+            if self._bound.get(place) != bound:
+                given = self._given[place] = self._arguments.find(binding, bound)
+                for i, argument in enumerate(given):
+                    self._kernel.set_arg(place + i, argument)
+                self._bound[place] = bound
         if 0 not in groups:
             whole = tuple(count * items for count, items in zip(groups, self._group, strict=True))
             cl.enqueue_nd_range_kernel(queue, self._kernel, whole, self._group)
+            if self._faults is not None:
+                self._faults.read(queue)
 
 
 class Programs:
     """All programs of a device, by id."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: Context, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self._context = context
+        self._arguments = Arguments(buffers, textures, samplers)
         self._programs: dict[Id, Program] = {}
 
     def __getitem__(self, program: Id) -> Program:
@@ -94,7 +158,7 @@ class Programs:
 
     def create(self, program: Id, descriptor: ProgramDescriptor) -> None:
         with translate_errors(f"device.program({descriptor.name})"):
-            self._programs[program] = Program(self._context, descriptor)
+            self._programs[program] = Program(self._context, descriptor, self._arguments)
 
     def destroy(self, program: Id) -> None:
         del self._programs[program]

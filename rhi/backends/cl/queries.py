@@ -13,8 +13,9 @@ from typing import Final
 
 import pyopencl as cl
 
+from rhi.backends.cl.memory import Retired
 from rhi.backends.cl.resources import Staging
-from rhi.descriptors import Id
+from rhi.descriptors import Id, QueryKind
 from rhi.errors import DeviceError
 from rhi.rules import DEVICE_LOST
 
@@ -39,14 +40,16 @@ def is_done(event: cl.Event) -> bool:
 class Fence:
     """The device's fence: a value that rises as the device gets done."""
 
-    def __init__(self, queue: cl.CommandQueue, staging: Staging) -> None:
+    def __init__(self, queue: cl.CommandQueue, staging: Staging, retired: Retired) -> None:
         self._queue = queue
         self._staging = staging
-        self._pending: deque[tuple[int, cl.Event, list[cl.Event]]] = deque()
+        self._retired = retired
+        self._pending: deque[tuple[int, cl.Event, list[object]]] = deque()
         self._value = 0
 
     def signal(self, value: int) -> None:
-        self._pending.append((value, cl.enqueue_marker(self._queue), self._staging.clear()))
+        kept = [*self._staging.clear(), *self._retired.take()]
+        self._pending.append((value, cl.enqueue_marker(self._queue), kept))
         self._queue.flush()
 
     def poll(self) -> int:
@@ -73,14 +76,14 @@ class Fence:
         return True
 
 
-class Queries:
+class Timestamps:
     """All timestamps of a device, by id."""
 
     def __init__(self, queue: cl.CommandQueue) -> None:
         self._queue = queue
         self._markers: dict[Id, cl.Event | None] = {}
 
-    def create(self, query: Id) -> None:
+    def create(self, query: Id, kind: QueryKind) -> None:
         self._markers[query] = None
 
     def destroy(self, query: Id) -> None:

@@ -5,7 +5,9 @@
 - What the CPU writes is copied first and the copy kept until the device has read it (`Staging`); a write that is
   too large for that waits instead.
 - A texture's levels lie one after the other in one buffer; a level is layers of rows of texels, a sample being a
-  layer of its own. Depth is kept as float32 with the values that its format has, stencil in a second buffer.
+  layer of its own. Rows and columns are padded to multiples of `BLOCK`, so that a block of pixels always lies in
+  memory; nobody may see what the padding holds. Depth is kept as float32 with the values that its format has,
+  stencil in a second buffer.
 - A STREAM buffer is host memory that kernels read in place, where the device can; writing it is then a copy.
 """
 
@@ -36,6 +38,8 @@ __rhi_internal__ = True
 
 GRAIN: Final = 128
 """Memory comes in multiples of this many bytes, and at least as many are behind what was asked for."""
+BLOCK: Final = 4
+"""Texels along the edge of a block: rows are as long, and as many, as whole blocks need."""
 _copy_box: Final[Any] = (
     cl.enqueue_copy
 )  # whose stubs name its arguments for boxes otherwise than they are called
@@ -68,10 +72,11 @@ class Staging:
 class Memory:
     """A buffer: OpenCL's, its host memory if the CPU writes it in place, and the ranges of it that were bound."""
 
-    __slots__ = ("cl", "host", "ranges")
+    __slots__ = ("cl", "host", "ranges", "size")
 
-    def __init__(self, made: cl.Buffer, host: NDArray[np.uint8] | None = None) -> None:
+    def __init__(self, made: cl.Buffer, size: int, host: NDArray[np.uint8] | None = None) -> None:
         self.cl = made
+        self.size = size
         self.host = host
         self.ranges: dict[tuple[int, int], cl.Buffer] = {}
 
@@ -95,13 +100,16 @@ class Buffers:
             if descriptor.usage is BufferUsage.STREAM and self._context.shares_memory:
                 host = allocate_pages(_round_up(descriptor.size) + GRAIN)
                 flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
-                made = Memory(cl.Buffer(self._context.context, flags, hostbuf=host), host)
+                made = Memory(cl.Buffer(self._context.context, flags, hostbuf=host), descriptor.size, host)
             else:
-                made = Memory(allocate(self._context, descriptor.size))
+                made = Memory(allocate(self._context, descriptor.size), descriptor.size)
         self._buffers[buffer] = made
 
     def destroy(self, buffer: Id) -> None:
         self._buffers.pop(buffer).release()
+
+    def __getitem__(self, buffer: Id) -> Memory:
+        return self._buffers[buffer]
 
     def bound(self, buffer: Id, offset: int, size: int) -> cl.Buffer:
         """A range as a kernel's argument."""
@@ -147,9 +155,16 @@ class Buffers:
 
 
 class Plane:
-    """Layers of texels from byte `start` of a buffer on: rows of `width` texels of `texel` bytes, top row first."""
+    """Layers of texels from byte `start` of a buffer on, top row first.
 
-    __slots__ = ("_pitches", "height", "layers", "memory", "start", "texel", "width")
+    Attributes:
+        texel: bytes of a texel.
+        width, height, layers: in texels, without padding.
+        pitch: bytes from one row to the next.
+        layer_bytes: bytes from one layer to the next.
+    """
+
+    __slots__ = ("height", "layer_bytes", "layers", "memory", "pitch", "start", "texel", "width")
 
     def __init__(
         self, memory: cl.Buffer, start: int, texel: int, width: int, height: int, layers: int
@@ -160,7 +175,11 @@ class Plane:
         self.width = width
         self.height = height
         self.layers = layers
-        self._pitches = width * texel, width * height * texel
+        self.pitch, self.layer_bytes = pitches_of(texel, width, height)
+
+    @property
+    def _pitches(self) -> tuple[int, int]:
+        return self.pitch, self.layer_bytes
 
     def write(
         self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.uint8], block: bool
@@ -174,7 +193,7 @@ class Plane:
     def copy(self, queue: cl.CommandQueue, region: Region, target: Plane, x: int, y: int, layer: int) -> None:
         if self.memory is target.memory and self._pitches != target._pitches:  # which OpenCL can't do at once
             box = region.width, region.height, region.layers
-            size = self.texel * region.width * region.height * region.layers
+            size = pitches_of(self.texel, *box[:2])[1] * region.layers
             between = Plane(cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size), 0, self.texel, *box)
             self.copy(queue, region, between, 0, 0, 0)
             between.copy(queue, Region(0, 0, *box[:2], 0, box[2]), target, x, y, layer)
@@ -187,8 +206,8 @@ class Plane:
         )  # fmt: skip
 
     def fill(self, queue: cl.CommandQueue, texel: bytes, layer: int, layers: int) -> None:
-        size = self._pitches[1]
-        fill(queue, self.memory, texel, self.start + layer * size, layers * size)
+        start = self.start + layer * self.layer_bytes
+        fill(queue, self.memory, texel, start, layers * self.layer_bytes)
 
     def _origin(self, x: int, y: int, layer: int) -> tuple[int, int, int]:
         """A box's corner. The level's start is added to the first number, a distance in bytes like any other:
@@ -208,13 +227,18 @@ class Plane:
 
 
 class Texture:
-    """A texture's levels, and those of its stencil if it has one."""
+    """A texture's levels, and those of its stencil if it has one.
 
-    __slots__ = ("_memory", "descriptor", "levels", "stencil")
+    Attributes:
+        words: what kernels are told about it, by sampler, or by level and layer of an image (`samplers`).
+    """
+
+    __slots__ = ("_memory", "descriptor", "levels", "stencil", "words")
 
     def __init__(self, context: Context, descriptor: TextureDescriptor) -> None:
         self.descriptor = descriptor
         self._memory: list[cl.Buffer] = []
+        self.words: dict[Id | tuple[int, int], cl.Buffer] = {}
         self.stencil: list[Plane] = []
         format = descriptor.format
         self.levels = self._allocate(context, format.channels * format.dtype.itemsize)
@@ -234,13 +258,13 @@ class Texture:
         ]
         starts = [0]
         for width, height, layers in boxes:
-            starts.append(_round_up(starts[-1] + width * height * layers * texel))
+            starts.append(_round_up(starts[-1] + pitches_of(texel, width, height)[1] * layers))
         memory = allocate(context, starts[-1])
         self._memory.append(memory)
         return [Plane(memory, start, texel, *box) for start, box in zip(starts, boxes, strict=False)]
 
     def release(self) -> None:
-        for memory in self._memory:
+        for memory in (*self._memory, *self.words.values()):
             memory.release()
 
 
@@ -253,6 +277,9 @@ class Textures:
         self._staging = staging
         self._filters = Filters(context)
         self._textures: dict[Id, Texture] = {}
+
+    def __getitem__(self, texture: Id) -> Texture:
+        return self._textures[texture]
 
     def create(self, texture: Id, descriptor: TextureDescriptor) -> None:
         with translate_errors("device.texture", f"{descriptor.size}, {descriptor.format}"):
@@ -289,18 +316,12 @@ class Textures:
 
     def resolve(self, source: Id, target: Id) -> None:
         old, new = self._textures[source], self._textures[target]
-        self._filters.resolve(
-            old.descriptor.format, old.levels[0].memory, new.levels[0].memory, old.descriptor.size,
-            old.descriptor.samples,
-        )  # fmt: skip
+        self._filters.resolve(old.descriptor.format, old.levels[0], new.levels[0])
 
     def generate_mipmaps(self, texture: Id) -> None:
         made = self._textures[texture]
         for above, below in zip(made.levels, made.levels[1:], strict=False):
-            sizes = [(plane.width, plane.height, plane.layers) for plane in (above, below)]
-            self._filters.halve(
-                made.descriptor.format, above.memory, above.start, sizes[0], below.start, sizes[1]
-            )
+            self._filters.halve(made.descriptor.format, above, below)
 
     def clear_color(self, attachment: Attachment) -> None:
         made = self._textures[attachment.texture]
@@ -320,6 +341,12 @@ class Textures:
     def _fill(self, texture: Texture, plane: Plane, texel: bytes, layer: int) -> None:
         """All samples of a layer; a multi-sampled texture has one layer and its samples as layers."""
         plane.fill(self._queue, texel, layer, texture.descriptor.samples)
+
+
+def pitches_of(texel: int, width: int, height: int) -> tuple[int, int]:
+    """Bytes from row to row and from layer to layer."""
+    pitch = _whole_blocks(width) * texel
+    return pitch, _whole_blocks(height) * pitch
 
 
 def alignment(device: cl.Device) -> int:
@@ -350,6 +377,10 @@ def fill(queue: cl.CommandQueue, memory: cl.Buffer, pattern: bytes, offset: int,
     while len(pattern) < _MAX_PATTERN and (offset | size) % (2 * len(pattern)) == 0:
         pattern += pattern
     cl.enqueue_fill_buffer(queue, memory, np.frombuffer(pattern, np.uint8), offset, size)
+
+
+def _whole_blocks(size: int) -> int:
+    return -(-size // BLOCK) * BLOCK
 
 
 def _round_up(size: int) -> int:

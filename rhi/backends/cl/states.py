@@ -14,15 +14,15 @@ class States:
     """Of one device.
 
     Attributes:
-        ranges: what is bound to slots: (buffer, offset, size) by kind and slot.
+        slots: what is bound, by kind and slot: the arguments of the binding command behind the slot.
         labels: the open ones, outermost first.
     """
 
-    __slots__ = ("labels", "program", "ranges", "render_pass")
+    __slots__ = ("labels", "program", "render_pass", "slots")
 
     def __init__(self) -> None:
         self.program: Id = 0
-        self.ranges: dict[tuple[BindingKind, int], tuple[Id, int, int]] = {}
+        self.slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
         self.render_pass = PassDescriptor((0, 0))
         self.labels: list[str] = []
 

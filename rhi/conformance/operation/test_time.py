@@ -260,7 +260,8 @@ def test_devices_come_and_go(backend: str) -> None:
 
 def test_a_device_says_what_it_is(device: Device, backend: str) -> None:
     capabilities = device.capabilities
-    assert device.backend_name == capabilities.backend == backend
+    assert device.backend_name == capabilities.backend
+    assert device.backend_name == backend or ":" in backend  # module:function, not installed
     assert capabilities.device
     assert capabilities.max_texture_size >= 4096
     assert capabilities.max_color_targets >= 4
@@ -303,6 +304,8 @@ def test_more_work_takes_more_time(device: Device) -> None:
         device.mesh(np.tile(rectangle(), 40)) as mesh,
     ):
         program = device.program(Colored)
+        with device.render_pass(small):  # a driver may build what a draw needs when it first draws
+            device.draw(program, mesh.view(0, 3))
         device.finish()
         device.present()
         with device.event("little"), device.render_pass(small):

@@ -6,7 +6,7 @@ import sys
 from types import TracebackType
 from typing import Any
 
-from rhi import Device, Op, RhiError, Rule, ValidationError
+from rhi import Device, Encoder, Op, RhiError, Rule, ValidationError
 
 MEMOS = frozenset({Op.CREATE_VERTEX_ARRAY, Op.CREATE_SAMPLER})
 """Made once for a mesh and program, or a descriptor, and kept: the user can't tell whether they are there."""
@@ -66,6 +66,6 @@ class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
         return True
 
 
-def loose(device: Device) -> Any:
-    """The device without its types: for calls that a type checker refuses before they run."""
-    return device
+def loose(encoder: Encoder) -> Any:
+    """A device or command buffer without its types: for calls that a type checker refuses before they run."""
+    return encoder

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,22 +12,16 @@ from rhi import (
     Access,
     Device,
     Format,
+    ProgramDescriptor,
     rules,
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
-from rhi.conformance.validation.shaders import Passing, Tint
-from rhi.shading import (
-    Shader,
-    Storage,
-    StorageRW,
-    Texture2D,
-    Uniform,
-    atomic_add,
-    uint,
-)
+from rhi.conformance.validation.shaders import Passing
+from rhi.descriptors import Binding, BindingKind
+from rhi.shading import Shader, StorageRW, atomic_add, compile_shader, shared, uint
 
 SIZE = (4, 4)
 
@@ -43,8 +38,9 @@ class Count(Shader):
 @pytest.mark.needs("compute")
 @pytest.mark.needs("draws")
 def test_a_dispatch_needs_a_compute_stage(recording: Device) -> None:
+    program = recording.program(Colored)
     with refuses(rules.PROGRAM_STAGE, recording):
-        recording.dispatch(recording.program(Colored), 1)
+        recording.dispatch(program, 1)
     with recording.storage(uint, 1) as total:
         recording.dispatch(recording.program(Count), 1, total=total)
 
@@ -128,21 +124,39 @@ def test_a_dispatch_checks_its_bindings(recording: Device, device: Device) -> No
 
 @pytest.mark.needs("draws")
 @pytest.mark.parametrize(
-    ("annotation", "limit"),
+    ("kind", "limit"),
     [
-        (Uniform[Tint], "max_uniform_slots"),
-        (Storage[float], "max_storage_slots"),
-        (Texture2D, "max_texture_slots"),
+        (BindingKind.UNIFORM, "max_uniform_slots"),
+        (BindingKind.STORAGE, "max_storage_slots"),
+        (BindingKind.TEXTURE, "max_texture_slots"),
+        (BindingKind.IMAGE, "max_image_slots"),
     ],
-    ids=["uniform", "storage", "texture"],
+    ids=lambda value: value.name.lower() if isinstance(value, BindingKind) else "",
 )
-def test_bindings_are_no_more_than_the_device_says(recording: Device, annotation: Any, limit: str) -> None:
-    def shader(count: int) -> Any:
-        return type(
-            f"With{count}", (Passing,), {"__annotations__": {f"b{i}": annotation for i in range(count)}}
-        )
+def test_bindings_are_no_more_than_the_device_says(recording: Device, kind: BindingKind, limit: str) -> None:
+    def program(count: int) -> ProgramDescriptor:
+        bindings = tuple(Binding(f"b{i}", kind, i, False, None, 16) for i in range(count))
+        return replace(compile_shader(Passing), bindings=bindings)
 
     most = getattr(recording.capabilities, limit)
     with refuses(rules.DEVICE_CAPABILITY, recording):
-        recording.program(shader(most + 1))
-    recording.program(shader(most)).destroy()
+        recording.program(program(most + 1))
+    recording.program(program(most)).destroy()
+
+
+@pytest.mark.needs("compute")
+def test_a_work_group_shares_no_more_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_shared_bytes // 4
+
+    class Sharing(Shader):
+        """Shares a little too much."""
+
+        results: StorageRW[float]
+        numbers = shared(float, most + 1)
+
+        def compute(self) -> None:
+            self.numbers[0] = 1.0
+            self.results[0] = self.numbers[0]
+
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.program(Sharing)

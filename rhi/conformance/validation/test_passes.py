@@ -25,6 +25,7 @@ from rhi import (
     rules,
 )
 from rhi.conformance.compare import assert_same
+from rhi.conformance.formats import require_samples
 from rhi.conformance.shaders import Colored, Place, PlaceVarying
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
@@ -118,6 +119,7 @@ def test_targets_have_one_size(recording: Device, other: tuple[int, int]) -> Non
 
 
 def test_targets_have_one_number_of_samples(recording: Device) -> None:
+    require_samples(recording, 2)
     with (
         recording.texture(SIZE, Format.R8, samples=2) as image,
         recording.texture(SIZE, Format.D32F) as depth,
@@ -177,6 +179,7 @@ def test_a_stencil_clear_needs_stencil(recording: Device) -> None:
 
 
 def test_a_resolve_fits_its_target(recording: Device) -> None:
+    require_samples(recording, 2)
     with (
         recording.texture(SIZE, Format.RGBA8, samples=2) as image,
         recording.texture(SIZE, Format.RGBA8) as fitting,

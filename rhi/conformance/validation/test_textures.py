@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, Device, Format, Op, Region, TextureKind, rules
+from rhi import Access, Device, Format, Op, Region, SamplerDescriptor, TextureKind, rules
 from rhi.conformance.compare import assert_same
+from rhi.conformance.formats import require_samples
 from rhi.conformance.validation.refusal import refuses
 from rhi.formats import DEPTH_FORMATS
 
@@ -28,6 +29,16 @@ def test_a_texture_is_no_larger_than_the_device_says(recording: Device) -> None:
             recording.texture(size, Format.R8)
     for size in ((most, 1), (1, most)):
         recording.texture(size, Format.R8).destroy()
+
+
+def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_anisotropy
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.sampler(SamplerDescriptor(max_anisotropy=most + 0.5))
+    with recording.texture((1, 1), Format.RGBA8) as texture:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            texture.sampled(SamplerDescriptor(max_anisotropy=most + 0.5))
+    recording.sampler(SamplerDescriptor(max_anisotropy=most))
 
 
 @pytest.mark.parametrize("size", [(4,), (4, 4, 4), (4.0, 4.0), ("4", "4")], ids=str)
@@ -97,6 +108,7 @@ def test_samples_are_a_power_of_two_that_the_device_has(recording: Device, sampl
 
 
 def test_multi_sampled_textures_are_flat_and_have_one_level(recording: Device) -> None:
+    require_samples(recording, 2)
     with refuses(rules.TEXTURE_SAMPLES, recording):
         recording.texture((4, 4), Format.R8, samples=2, levels=2)
     with refuses(rules.TEXTURE_SAMPLES, recording):
@@ -235,6 +247,7 @@ def test_a_copy_within_a_texture_must_not_overlap(recording: Device, x: int, ove
 
 
 def test_samples_are_resolved_not_read(recording: Device) -> None:
+    require_samples(recording, 2)
     with (
         recording.texture((4, 4), Format.RGBA8, samples=2) as samples,
         recording.texture((4, 4), Format.RGBA8) as plain,
@@ -255,6 +268,7 @@ def test_samples_are_resolved_not_read(recording: Device) -> None:
 
 
 def test_a_resolve_goes_from_several_samples_to_one(recording: Device) -> None:
+    require_samples(recording, 2)
     with (
         recording.texture((4, 4), Format.RGBA8) as plain,
         recording.texture((4, 4), Format.RGBA8) as other,
@@ -268,6 +282,7 @@ def test_a_resolve_goes_from_several_samples_to_one(recording: Device) -> None:
 
 @pytest.mark.parametrize(("size", "format"), [((5, 4), Format.RGBA8), ((4, 4), Format.RGBA16F)], ids=str)
 def test_a_resolve_keeps_size_and_format(recording: Device, size: tuple[int, int], format: Format) -> None:
+    require_samples(recording, 2)
     with (
         recording.texture((4, 4), Format.RGBA8, samples=2) as samples,
         recording.texture(size, format) as target,

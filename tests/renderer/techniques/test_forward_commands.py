@@ -68,6 +68,17 @@ def test_objects_are_drawn_front_to_back(null: rhi.Device) -> None:
     assert [scene.nodes.world[scene.objects.node[row], 2, 3] for row in draws["base_instance"]] == [4, 0, -4]
 
 
+def test_what_stands_on_a_wide_ground_is_drawn_before_it(null: rhi.Device) -> None:
+    # The ground's middle is the nearer; its far edge is the farther.
+    builder = boxes((0, 0, -4))
+    ground = builder.add_node(translation((0, -2, 0)) @ scaling((20, 1, 20)))
+    builder.add_objects(ground, 0, 0)
+    scene = builder.build()
+    (draw,) = record(null, scene).draws()
+    written = [c for c in null.stream.filter(Op.WRITE_BUFFER) if c["buffer"] == draw["buffer"]]
+    assert np.frombuffer(written[-1]["data"], rhi.DRAW)["base_instance"].tolist() == [0, 1]
+
+
 @pytest.mark.parametrize(
     ("kind", "storages", "uniforms", "textures"),
     [
@@ -121,7 +132,7 @@ def test_the_camera_says_which_way_depth_runs(
     assert stream.draws()[0].states[rhi.DepthFunction] is function
 
 
-def test_call_sites_are_lines_of_the_technique(null: rhi.Device) -> None:
+def test_call_sites_are_lines_of_the_scene_pass(null: rhi.Device) -> None:
     (draw,) = record(null, boxes((0, 0, 0)).build()).draws()
     assert draw.site is not None
-    assert draw.site.file.endswith("techniques/forward.py")
+    assert draw.site.file.endswith("frame/passes.py")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
+import pytest
 from hypothesis import strategies as st
 
 import rhi
@@ -13,10 +14,11 @@ from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene
 from renderer.scene.scene import SceneBuilder
 from renderer.scene.shapes import box, sphere
-from renderer.scene.transforms import multiply, scaling, translation
-from renderer.visibility import VisibilityAlgorithm
+from renderer.scene.transforms import multiply, rotation, scaling, translation
+from renderer.visibility import NoCulling, VisibilityAlgorithm
 from renderer.visibility.box_queries import BoxShader
 from renderer.visibility.forest import Forest
+from rhi import OcclusionQuery
 from rhi.backends.null import NullBackend
 from rhi.backends.null.queries import Draw
 
@@ -32,15 +34,17 @@ def make_boxes(
     motion: Callable[[float], object] | None = None,
     moving: Collection[int] = (),
     name: str = "boxes",
+    turns: object = None,
 ) -> Scene:
     """Boxes and spheres in turn, each of a colour of its own, at `places` (k, 3) with `sizes` (k, 3).
 
-    `moving` ones go along `motion`: seconds to an offset (3,).
+    `moving` ones go along `motion`: seconds to an offset (3,). `turns` are rotations (k, 4, 4).
     """
     places, sizes = np.asarray(places, float).reshape(-1, 3), np.asarray(sizes, float).reshape(-1, 3)
     builder = SceneBuilder(name)
     meshes = [builder.add_mesh(box()), builder.add_mesh(sphere(8))]
-    local = multiply(translation(places), scaling(sizes))
+    stretched = scaling(sizes) if turns is None else multiply(turns, scaling(sizes))
+    local = multiply(translation(places), stretched)
     dynamic = np.isin(np.arange(len(places)), list(moving))
     nodes = builder.add_nodes(local, dynamic=dynamic)
     colors = np.random.default_rng(3).uniform(0.1, 1.0, (len(places), 4))
@@ -50,7 +54,7 @@ def make_boxes(
         rows = np.flatnonzero(dynamic)
 
         def move(seconds: float) -> np.ndarray:
-            return multiply(translation(places[rows] + np.asarray(motion(seconds))), scaling(sizes[rows]))
+            return multiply(translation(places[rows] + np.asarray(motion(seconds))), stretched[rows])
 
         builder.animate(nodes[rows], move)
     builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
@@ -63,7 +67,10 @@ def scenes(draw: st.DrawFn) -> Scene:
     object isn't decided by the order of draws."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 24))
-    return make_boxes(rng.uniform(-8.0, 8.0, (count, 3)), rng.uniform(0.05, 5.0, (count, 3)))
+    places, sizes = rng.uniform(-8.0, 8.0, (count, 3)), rng.uniform(0.05, 5.0, (count, 3))
+    axis = rng.normal(size=3)
+    turns = rotation(axis / np.linalg.norm(axis), rng.uniform(0.0, 6.3, count))
+    return make_boxes(places, sizes, turns=turns if draw(st.booleans()) else None)
 
 
 coordinates = st.floats(-9.0, 9.0, width=32)
@@ -140,3 +147,143 @@ def visible(result: FrameResult) -> set[int]:
     rows = result.visible.tolist()
     assert len(rows) == len(set(rows))
     return set(rows)
+
+
+Shots = list[tuple[Camera, float]]
+"""Cameras and times, frame by frame."""
+
+
+def count_wrong_pixels(
+    device: rhi.Device,
+    scene: Scene,
+    algorithm: VisibilityAlgorithm,
+    shots: Shots,
+    size: tuple[int, int] = (97, 55),
+) -> list[int]:
+    """Of each frame, against no culling."""
+    none = NoCulling(scene)
+    wrong = []
+    with Renderer(device, scene, size=size) as renderer:
+        for camera, seconds in shots:
+            expected = draw_with(renderer, none, camera, seconds).image.read()
+            given = draw_with(renderer, algorithm, camera, seconds).image.read()
+            wrong.append(int((given != expected).any(2).sum()))
+    return wrong
+
+
+def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
+    """Let every query be looked at (`is_finished`) so many times before its answer is there; waiting for it always
+    helps."""
+    left: dict[int, int] = {}
+    begin, poll, wait = OcclusionQuery.begin, OcclusionQuery._poll, OcclusionQuery.wait
+
+    def begin_late(query: OcclusionQuery) -> None:
+        begin(query)
+        left[query.id] = looks
+
+    def poll_late(query: OcclusionQuery) -> None:
+        left[query.id] -= 1
+        if left[query.id] < 0:
+            poll(query)
+
+    def wait_late(query: OcclusionQuery) -> int:
+        left[query.id] = 0
+        return wait(query)
+
+    monkeypatch.setattr(OcclusionQuery, "begin", begin_late)
+    monkeypatch.setattr(OcclusionQuery, "_poll", poll_late)
+    monkeypatch.setattr(OcclusionQuery, "wait", wait_late)
+
+
+SIZE = (97, 55)
+ORIGIN = (0.0, 0.0, 0.0)
+WALL = (0.0, 0.0, -5.0)
+
+
+def look(eye: object, aim: object, **lens: float) -> Camera:
+    """A perspective camera."""
+    return Camera.look_at(eye, aim, projection=Perspective(**lens))
+
+
+def walk(scene: Scene, path: str, frames: Iterable[int]) -> Shots:
+    """These frames of a path."""
+    return [(scene.paths[path].camera(frame), frame / 60) for frame in frames]
+
+
+def _make_grey_boxes(places: object, sizes: object) -> Scene:
+    scene = make_boxes(places, sizes)
+    scene.materials["base_color"] = 0.5
+    scene.objects.mesh[:] = 0
+    return scene
+
+
+_TOUCH = [0.25 * (1.0 + ulps * 2.0**-52) for ulps in (-1, 0, 1)]
+
+HARD_CASES = {
+    "camera 1.5 near from a corner, at 60°": (
+        make_boxes([(0.0, 0.0, 0.0), (0.0, 0.0, -6.0)], [(2.0, 2.0, 2.0), (1.0, 1.0, 1.0)]),
+        look((1.1, 1.1, 1.05), (-2.0, -2.0, -1.0), near=0.1),
+    ),
+    "camera inside a box": (
+        make_boxes([ORIGIN, (0.0, 0.0, -0.5)], [(4.0, 4.0, 4.0), (0.5, 0.5, 0.5)]),
+        look((0.0, 0.0, 1.0), (0.0, 0.0, -1.0), near=0.1),
+    ),
+    "everything visible": (
+        make_boxes([(x, y, -9.0) for x in (-2, 0, 2) for y in (-2, 0, 2)], [(0.9, 0.9, 0.9)] * 9),
+        look(ORIGIN, WALL),
+    ),
+    "everything hidden but a wall": (
+        make_boxes(
+            [WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1))],
+            [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 9,
+        ),
+        look(ORIGIN, WALL),
+    ),
+    "boxes without thickness": (
+        make_boxes([WALL, (1.0, 0.0, -6.0), (0.0, 3.0, -5.5)], [(3.0, 3.0, 0.0), (3.0, 0.0, 3.0), (0.0, 3.0, 3.0)]),
+        look(ORIGIN, WALL),
+    ),
+    "one object": (
+        make_boxes([WALL], [(1.0, 1.0, 1.0)]),
+        look(ORIGIN, WALL),
+    ),
+    "corner where w is 0": (
+        make_boxes([(2.0, 0.0, 0.0), (0.0, 0.0, -4.0)], [(2.0, 2.0, 0.0), (1.0, 1.0, 1.0)]),
+        look(ORIGIN, WALL, fov=2.2, near=0.1),
+    ),
+    "corners where w is negative": (
+        make_boxes([(3.0, 0.0, 0.0), (2.5, 0.0, -6.0)], [(2.0, 2.0, 30.0), (3.0, 1.0, 1.0)]),
+        look(ORIGIN, WALL, fov=2.2, near=0.1),
+    ),
+    "spheres that touch the near plane, to an ulp": (
+        make_boxes(
+            [(9.0, 9.0, -9.0)] + [(0.5 * (x - 1), 0.0, -0.1 - r) for x, r in enumerate(_TOUCH)] + [(0.0, 0.0, -4.0)],
+            [(1.0, 1.0, 1.0)] + [(2.0 * r,) * 3 for r in _TOUCH] + [(9.0, 9.0, 1.0)],
+        ),
+        look(ORIGIN, WALL, fov=2.0, near=0.1),
+    ),
+    "slit of a pixel": (
+        make_boxes(
+            [(-5.03, 0.0, -5.0), (5.03, 0.0, -5.0), (0.0, 0.0, -20.0)],
+            [(10.0, 9.0, 1.0), (10.0, 9.0, 1.0), (6.0, 6.0, 6.0)],
+        ),
+        look(ORIGIN, WALL),
+    ),
+    "two faces in one plane": (
+        # Of one colour: which of the two shows where both are is up to the order of draws.
+        _make_grey_boxes([WALL, WALL], [(1.0, 1.0, 1.0), (4.0, 0.5, 1.0)]),
+        look(ORIGIN, WALL),
+    ),
+    "far from the world's origin": (
+        make_boxes([(1e6, 0.0, -1e6), (1e6 + 0.3, 0.0, -1e6 - 3.0)], [(1.0, 1.0, 1.0), (1.0, 1.0, 1.0)]),
+        look((1e6, 0.0, 5.0 - 1e6), (1e6, 0.0, -1e6)),
+    ),
+    "a parallel projection whose near plane cuts boxes": (
+        make_boxes(
+            [(0.0, 0.0, 0.5), (1.0, 0.2, -4.0), (1.0, 0.0, -9.0)],
+            [(1.0, 1.0, 2.0), (1.5, 1.5, 1.0), (1.2, 1.2, 1.0)],
+        ),
+        Camera.look_at(ORIGIN, WALL, projection=Orthographic(6.0, near=0.0, far=40.0)),
+    ),
+}  # fmt: skip
+"""A scene, and from where it is looked at."""

@@ -10,12 +10,13 @@ import pytest
 from PIL import Image
 
 from renderer.cli import main
-from renderer.cli.compare_visibility import Picture
+from renderer.cli.compare_visibility import Picture, list_frames
 from renderer.visibility import ALGORITHMS
 
 ROW = [
     "algorithm", "milliseconds", "ratio", "triangles", "draws", "queries", "software_state_changes",
-    "hardware_state_changes", "wrong_pixels", "tied_pixels", "stalled_milliseconds",
+    "hardware_state_changes", "wrong_pixels", "tied_pixels", "stalled_milliseconds", "simulation_steps",
+    "skipped_simulations",
 ]  # fmt: skip
 COMMAND = ["compare", "visibility", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3"]
 
@@ -37,6 +38,34 @@ def test_rows_say_what_each_algorithm_costs(capsys: pytest.CaptureFixture[str]) 
     assert rows["stop_and_wait"]["stalled_milliseconds"] > 0 == rows["none"]["stalled_milliseconds"]
     # Boxes are counted: those that stop-and-wait asks for, and nothing hides the whole city.
     assert rows["stop_and_wait"]["draws"] > rows["stop_and_wait"]["queries"]
+
+
+@pytest.mark.parametrize(("teleport", "frames"), [
+    (None, [10, 11, 12, 13, 14, 15, 16]), (1, [10, 61, 12, 63, 14, 65, 16]), (3, [10, 11, 12, 63, 64, 65, 16]),
+])  # fmt: skip
+def test_a_teleport_is_half_a_path_long(teleport: int | None, frames: list[int]) -> None:
+    assert list_frames(10, 6, 100, teleport) == frames
+    assert list_frames(90, 2, 100, 1) == [90, 41, 92]
+
+
+@pytest.mark.usefixtures("gl")
+def test_teleports_lose_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*COMMAND, "--frames", "6", "--teleport", "2", "--backend", "gl", "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["teleport"] == 2
+    assert all(row["wrong_pixels"] == 0 for row in report["rows"])
+
+
+@pytest.mark.usefixtures("gl")
+def test_above_a_threshold_of_0_the_error_is_counted(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [*COMMAND, "--backend", "gl", "--json", "--algorithms", "frustum,stop_and_wait"]
+    assert main([*command, "--threshold", "100"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["settings"]["threshold"] == 100
+    wrong = {row["algorithm"]: row["wrong_pixels"] for row in report["rows"]}
+    assert wrong["frustum"] == 0 < wrong["stop_and_wait"]
+    assert main(command) == 0
+    assert all(row["wrong_pixels"] == 0 for row in json.loads(capsys.readouterr().out)["rows"])
 
 
 @pytest.mark.usefixtures("gl")
@@ -90,3 +119,29 @@ def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
     assert Picture(other, depth).compare(expected) == (0, 2)
     nearer[3, 4] = np.nextafter(np.float32(0.5), np.float32(1.0))
     assert Picture(other, nearer).compare(expected) == (1, 1)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("gl")
+def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    command = [
+        "compare",
+        "visibility",
+        "city",
+        "--camera-path",
+        "ground",
+        "--frames",
+        "60",
+        "--size",
+        "320x180",
+    ]
+    algorithms = ["--algorithms", "frustum,stop_and_wait,chc,chc_plus_plus"]
+    assert main([*command, *algorithms, "--backend", "gl", "--json"]) == 0
+    rows = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    ours = rows["chc_plus_plus"]
+    assert ours["triangles"] <= 0.15 * rows["frustum"]["triangles"]
+    assert ours["queries"] <= 0.1 * rows["stop_and_wait"]["queries"]
+    assert ours["hardware_state_changes"] <= 0.15 * rows["chc"]["hardware_state_changes"]
+    assert all(row["wrong_pixels"] == 0 for row in rows.values())

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from occlusion_scenes import make_boxes
 
-from renderer.scene import Camera, Depth, Orthographic, Perspective
-from renderer.visibility.bounds import find_near, near_radius, pad_boxes
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, rotation
+from renderer.scene.shapes import box
+from renderer.visibility.bounds import Boxes, find_near, near_radius, pad_boxes, pad_turned, see_boxes
+from renderer.visibility.volumes import TightestBoxes, find_turned
 
 AHEAD = (0.0, 0.0, -1.0)
 
@@ -84,6 +89,94 @@ def test_padding_is_at_least_a_subpixel_and_at_most_a_pixel(parallel: bool) -> N
     across = 0.5 * np.array([960, 540]) * clip[:2] / clip[3]
     assert (across > 2 / 256).all()
     assert (across < 1.0).all()
+
+
+TURN = rotation((0, 1, 0), np.pi / 4)
+
+
+def beam(place: tuple[float, float, float]) -> Scene:
+    """A long box across the axes: its own box is much smaller than its aligned one."""
+    return make_boxes([place], [(0.2, 0.2, 10.0)], turns=TURN[None])
+
+
+def test_only_boxes_that_are_smaller_turned_are_turned() -> None:
+    places, sizes = np.zeros((4, 3)), np.array([(1.0, 1.0, 4.0)] * 3 + [(1.0, 0.0, 4.0)])
+    turns = np.stack([np.eye(4), TURN, rotation((0, 1, 0), np.pi / 2), TURN])
+    scene = make_boxes(places, sizes, turns=turns)
+    turned = find_turned(scene, np.arange(4))
+    assert turned.rows.tolist() == [1, 3]  # not those along the axes; a flat one, too
+    assert turned.half == pytest.approx(0.5 * sizes[[1, 3]], abs=1e-6)
+    assert np.linalg.det(turned.turn) == pytest.approx([1.0, 1.0])
+
+
+def test_a_sheared_object_keeps_its_aligned_box() -> None:
+    shear = TURN.copy()
+    shear[0, 1] = 0.3
+    assert not len(
+        find_turned(make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], turns=shear[None]), np.arange(1)).rows
+    )
+
+
+def test_a_mirrored_object_s_box_is_right_handed() -> None:
+    scene = make_boxes([(0, 0, 0)], [(-0.2, 0.2, 9.0)], turns=TURN[None])
+    assert np.linalg.det(find_turned(scene, np.arange(1)).turn) == pytest.approx([1.0])
+
+
+def test_boxes_of_what_moves_turn_with_it() -> None:
+    builder = SceneBuilder("turning")
+    node = builder.add_node(dynamic=True)
+    builder.add_objects(node, builder.add_mesh(box()), builder.add_material())
+    builder.animate(node, lambda seconds: rotation((0, 1, 0), np.array([seconds])))
+    scene = builder.build()
+    tightest = TightestBoxes(scene)
+    assert len(tightest.find().rows) == 0
+    scene.update(0.7)
+    assert tightest.find().turn[0] == pytest.approx(rotation((0, 1, 0), 0.7)[:3, :3].T)
+    scene.update(0.0)
+    assert len(tightest.find().rows) == 0
+
+
+def see(scene: Scene, camera: Camera) -> Boxes:
+    turned = find_turned(scene, np.arange(len(scene.objects)))
+    return see_boxes(camera, scene.objects.lower, scene.objects.upper, turned, turned.rows)
+
+
+def test_a_turned_box_holds_every_corner_of_its_object_and_is_smaller() -> None:
+    scene = beam((1.0, 2.0, -20.0))
+    boxes = see(scene, look(Perspective()))
+    corners = np.array(list(product((-0.5, 0.5), repeat=3))) * (0.2, 0.2, 10.0) @ TURN[:3, :3].T
+    axes = np.stack([boxes.x[0], boxes.y[0], np.cross(boxes.x[0], boxes.y[0])])
+    away = np.abs((corners + np.array([1.0, 2.0, -20.0]) - boxes.centre[0]) @ axes.T)
+    assert (away < boxes.half[0]).all()
+    assert boxes.half.prod() < 0.05 * (0.5 * (scene.objects.upper - scene.objects.lower)).prod()
+
+
+@pytest.mark.parametrize("lens", [Perspective(near=0.1), Orthographic(10.0, near=0.1)])
+def test_a_turned_box_is_near_where_the_near_plane_may_cut_it(lens: object) -> None:
+    camera = look(lens)
+    assert see(beam((-3.5, 0.0, -3.5)), camera).near.tolist() == [True]  # one end is at the eye
+    away = see(beam((-4.5, 0.0, -4.5)), camera)
+    assert away.near.tolist() == [False]
+    assert away.x[0] != pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_an_eye_in_the_aligned_box_and_not_in_the_turned_one_asks_for_that() -> None:
+    beside = see(beam((3.4, 0.0, -3.4)), look(Perspective(near=0.1)))
+    assert beside.near.tolist() == [False]
+    assert beside.x[0] != pytest.approx((1.0, 0.0, 0.0))
+
+
+def test_where_only_the_turned_box_is_near_the_aligned_one_is_asked_for() -> None:
+    # The box of a turned ball has corners that the ball's aligned bounds lack, if its mesh's are the tighter ones.
+    scene = make_boxes([(0.0, 0.0, 0.0)], [(2.0, 2.0, 2.0)], turns=TURN[None])
+    lower, upper = np.full((1, 3), -1.0), np.full((1, 3), 1.0)
+    camera = look(Perspective(near=0.01), (1.38, 0.0, 0.0))
+    turned = find_turned(scene, np.arange(1))
+    assert pad_turned(camera, turned)[1].tolist() == [True]
+    boxes = see_boxes(camera, lower, upper, turned, turned.rows)
+    assert boxes.near.tolist() == [False]
+    assert boxes.x[0].tolist() == [1.0, 0.0, 0.0]
+    assert boxes.half[0] == pytest.approx([1.0] * 3, abs=0.01)
 
 
 def test_bounds_of_any_size_stay_finite_or_near() -> None:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from occlusion_scenes import OCCLUSION, Oracle, draw_with, make_boxes, visible
+from occlusion_scenes import OCCLUSION, Oracle, delay_answers, draw_with, make_boxes, visible
 
 import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective
 from renderer.visibility import make_visibility
-from rhi import OcclusionQuery
 
 NEVER = 10**9
 
@@ -19,25 +18,7 @@ NEVER = 10**9
 def latency(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """Looks at a query (`is_finished`) before its answer is there; waiting for it always helps."""
     looks: int = request.param
-    left: dict[int, int] = {}
-    begin, poll, wait = OcclusionQuery.begin, OcclusionQuery._poll, OcclusionQuery.wait
-
-    def begin_late(query: OcclusionQuery) -> None:
-        begin(query)
-        left[query.id] = looks
-
-    def poll_late(query: OcclusionQuery) -> None:
-        left[query.id] -= 1
-        if left[query.id] < 0:
-            poll(query)
-
-    def wait_late(query: OcclusionQuery) -> int:
-        left[query.id] = 0
-        return wait(query)
-
-    monkeypatch.setattr(OcclusionQuery, "begin", begin_late)
-    monkeypatch.setattr(OcclusionQuery, "_poll", poll_late)
-    monkeypatch.setattr(OcclusionQuery, "wait", wait_late)
+    delay_answers(monkeypatch, looks)
     return looks
 
 

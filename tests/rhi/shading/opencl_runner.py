@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from functools import cache
+from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,10 @@ import pyopencl as cl
 from rhi.descriptors import BindingKind
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluate import storage_words, uniform_words
+from rhi.shading.faults import FAULT_WORDS, find_fault
+from rhi.shading.numpy_textures import HostTexture
+from rhi.shading.opencl import KernelText
+from rhi.shading.texture_words import LevelPlace, describe_texture
 
 PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_global_id(0); }"
 
@@ -35,28 +39,44 @@ def queue() -> cl.CommandQueue:
     raise RuntimeError("no OpenCL device works")
 
 
+@lru_cache(64)
+def built(shader: type[Shader], width: int) -> tuple[KernelText, cl.Program]:
+    """A kernel's text and program."""
+    text = opencl_kernel(shader, width)
+    return text, cl.Program(queue().context, text.text).build(["-w"])
+
+
 class Kernel:
     """A compute shader for `width` lanes, its arguments set once."""
 
     def __init__(self, shader: type[Shader], width: int, **bindings: Any) -> None:
         self.queue = queue()
         descriptor = compile_shader(shader)
-        self.text = opencl_kernel(shader, width).text
-        self.kernel = cl.Kernel(cl.Program(queue().context, self.text).build(["-w"]), "compute")
+        written, program = built(shader, width)
+        self.text, self.origins = written.text, written.origins
+        self.kernel = cl.Kernel(program, "compute")
         self.items = -(-math.prod(descriptor.work_group) // width)
         self.buffers: dict[str, tuple[cl.Buffer, Any]] = {}
+        self.images: dict[str, tuple[cl.Buffer, Any, HostTexture]] = {}
         arguments: list[Any] = []
         for binding in descriptor.bindings:
             value = bindings[binding.name]
             if binding.kind is BindingKind.UNIFORM:
                 words = uniform_words(shader._declared[binding.name].type, value, binding.name)
                 arguments.append(self._buffer(words))
+            elif binding.kind in (BindingKind.TEXTURE, BindingKind.IMAGE):
+                memory, words = place_texture(value)
+                arguments += [self._buffer(memory.view(np.uint32)), self._buffer(words.view(np.uint32))]
+                if binding.kind is BindingKind.IMAGE:
+                    self.images[binding.name] = (arguments[-2], memory, value)
             else:
                 element = shader._declared[binding.name].type.element
                 whole, words = storage_words(element, value, binding.name)
                 arguments += [self._buffer(words), np.int32(len(whole))]
                 if binding.writes:
                     self.buffers[binding.name] = (arguments[-2], whole)
+        self.faults = self._buffer(np.zeros(FAULT_WORDS, np.uint32)) if descriptor.checked else None
+        arguments += [self.faults] if descriptor.checked else []
         self.arguments = arguments  # a kernel doesn't keep its buffers alive
         self.kernel.set_args(*arguments)
 
@@ -67,16 +87,48 @@ class Kernel:
         return cl.Buffer(queue().context, flags, hostbuf=padded)
 
     def launch(self, groups: Any = 1) -> None:
-        """Enqueue and wait."""
+        """Enqueue and wait; raises what a checked shader found."""
         x, y, z = (*(groups if isinstance(groups, tuple) else (groups,)), 1, 1)[:3]
         cl.enqueue_nd_range_kernel(self.queue, self.kernel, (x * self.items, y, z), (self.items, 1, 1)).wait()
+        if self.faults is not None:
+            words = np.zeros(FAULT_WORDS, np.int32)
+            cl.enqueue_copy(self.queue, words, self.faults)
+            error = find_fault(words.tolist(), self.origins)
+            if error is not None:
+                raise error
 
     def results(self) -> dict[str, Any]:
-        """What each writable buffer holds."""
+        """What each writable buffer, and each image, holds."""
         for buffer, whole in self.buffers.values():
             if whole.size:
                 cl.enqueue_copy(self.queue, whole, buffer)
-        return {name: whole for name, (_, whole) in self.buffers.items()}
+        results = {name: whole for name, (_, whole) in self.buffers.items()}
+        for name, (buffer, memory, texture) in self.images.items():
+            cl.enqueue_copy(self.queue, memory, buffer)
+            results[name] = texels_of(memory, texture.levels[0])
+        return results
+
+
+def place_texture(texture: HostTexture) -> tuple[Any, Any]:
+    """A texture's levels as bytes, rows and columns padded with what must not be seen, and its words."""
+    parts, places = [], []
+    for texels in texture.levels:
+        layers, height, width, channels = texels.shape
+        padded = np.full((layers, -(-height // 4) * 4, -(-width // 4) * 4, channels), 77, texels.dtype)
+        padded[:, :height, :width] = texels
+        start = sum(map(len, parts))
+        places.append(LevelPlace(start, width, height, layers, padded[0, 0].nbytes, padded[0].nbytes))
+        parts.append(padded.view(np.uint8).reshape(-1))
+        parts.append(np.zeros(-len(parts[-1]) % 128, np.uint8))
+    words = describe_texture(texture.format, texture.kind, places, texture.sampler)
+    return np.concatenate(parts), words
+
+
+def texels_of(memory: Any, like: Any) -> Any:
+    """The first level that was placed in memory, without padding."""
+    layers, height, width, channels = like.shape
+    shape = (layers, -(-height // 4) * 4, -(-width // 4) * 4, channels)
+    return memory.view(like.dtype)[: np.prod(shape)].reshape(shape)[:, :height, :width]
 
 
 def run_opencl(shader: type[Shader], width: int, groups: Any = 1, **bindings: Any) -> dict[str, Any]:

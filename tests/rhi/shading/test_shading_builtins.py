@@ -218,7 +218,8 @@ VALUES = {
     "group_count": ("float(group_count().y)", 1),
 }
 ELSEWHERE = {
-    # tests of their own in test_shading_values.py
+    # tests of their own in test_shading_values.py and test_shading_table.py
+    "uniform",
     "atomic_add", "atomic_min", "atomic_max", "atomic_and", "atomic_or", "atomic_xor", "atomic_exchange",
     "atomic_compare_exchange", "barrier", "memory_barrier", "global_id", "local_id", "group_id",
     # what they give depends on a draw: the conformance kit

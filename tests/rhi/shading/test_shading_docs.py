@@ -8,6 +8,7 @@ from pathlib import Path
 from rhi.descriptors import Stage
 from rhi.shading import Shader, compile_shader
 from rhi.shading.builtins import BUILTINS
+from rhi.shading.reference import update
 
 PAGE = Path(__file__).parents[3] / "docs" / "shading.md"
 
@@ -22,7 +23,9 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
         spec.loader.exec_module(module)
     finally:
         del sys.modules["page"]
-    shaders = [v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader]
+    shaders = [
+        v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader
+    ]
     assert len(shaders) == 5
     for shader in shaders:
         program = compile_shader(shader)
@@ -36,3 +39,9 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
 def test_the_page_names_every_builtin():
     words = set(re.findall(r"\w+", PAGE.read_text()))
     assert set(BUILTINS) <= words
+
+
+def test_the_reference_of_the_builtins_is_what_the_table_says():
+    page = PAGE.read_text()
+    assert update(page) == page, "run python -m rhi.shading.reference docs/shading.md"
+    assert update(page.replace("| sine (", "| sin (")) == page

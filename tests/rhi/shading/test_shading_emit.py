@@ -53,7 +53,14 @@ def test_a_language_there_is_none_of_is_refused_with_those_there_are(language: s
     assert caught.value.rule.id == "shading-native"
 
 
-def test_stages_that_draw_have_no_kernel() -> None:
-    assert compile_shader(Corner).emit("glsl", Stage.VERTEX)
-    with pytest.raises(ShaderError):
-        compile_shader(Corner).emit("opencl16", Stage.VERTEX)
+def test_a_stage_that_draws_is_a_function_for_16_lanes() -> None:
+    text = compile_shader(Corner).emit("opencl16", Stage.VERTEX)
+    assert "void rhi_vertex(" in text
+    assert "kernel" not in text
+
+
+@pytest.mark.parametrize("language", ["opencl1", "opencl8", "numpy"])
+def test_a_stage_that_draws_is_for_16_lanes_only(language: str) -> None:
+    with pytest.raises(ShaderError, match=r"allowed: glsl, opencl16\n") as caught:
+        compile_shader(Corner).emit(language, Stage.VERTEX)
+    assert caught.value.rule.id == "shading-native"

@@ -190,6 +190,9 @@ BODIES = [
         "zero",
     ),
     ("out-of-range", ["x = 1 // 0"], ["x = 1 // 1"], "zero"),
+    ("out-of-range", ["n = len(self.out)", "n %= 0"], ["n = len(self.out)", "n %= 5"], "zero"),
+    ("out-of-range", ["x = ivec2(self.counts[0]) // 0"], ["x = ivec2(self.counts[0]) // 2"], "zero"),
+    ("out-of-range", ["x = uint(self.counts[0]) % 0"], ["x = uint(self.counts[0]) % 3"], "zero"),
     (
         "out-of-range",
         ["for i in range(0, 4, 0):", "    pass"],
@@ -263,6 +266,14 @@ class Test(Shader):
     def compute(self) -> None:
         self.out[0] = 1.0
 """
+VARIANT = """
+class Test(Base):
+    spare: Uniform[float]
+    def compute(self) -> None:
+        if self.level > 9.0:
+            self.out[0] = self.spare
+        self.out[0] = self.scale
+"""
 # (rule, a shader, what to replace in it, by what, what the message must say)
 DIVERGENT = """
 class Test(Shader):
@@ -278,6 +289,17 @@ class Test(Shader):
         self.out[i] = 0.0
 """
 CLASSES = [
+    ("unused-binding", VARIANT, "= self.spare", "= 2.0", "spare: Uniform[float]"),
+    ("unused-binding", COMPUTE, "    def", "    memory = shared(float, 4)\n    def", "memory is never used"),
+    ("shadowed-binding", VARIANT, "    def", "    scale: Uniform[int]\n    def", "float, as in the base"),
+    ("shadowed-binding", VARIANT, "    def", "    scale = 3\n    def", "scale = 3"),
+    (
+        "shadowed-binding",
+        VARIANT,
+        "    def",
+        "    def scale(self) -> float:\n        return 1.0\n    def",
+        "scale",
+    ),
     ("barrier", DIVERGENT, "group_id().x > 0", "i > 0", "part of a work-group"),
     ("barrier", DIVERGENT, "if group_id().x > 0:", "for _k in range(i):", "part of a work-group"),
     ("barrier", DIVERGENT, "self.out[i] = 0.0", "barrier()", "part of a work-group"),
@@ -428,7 +450,10 @@ def test_a_shader_without_source_is_refused():
     assert error.value.rule is rules.NO_SOURCE
 
 
-TESTED_ELSEWHERE = {"shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"}
+TESTED_ELSEWHERE = {
+    *("shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"),
+    *("shading-index", "shading-different"),  # checked shaders
+}
 
 
 def test_every_rule_of_the_language_has_a_failing_case():

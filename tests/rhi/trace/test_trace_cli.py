@@ -30,7 +30,7 @@ def test_show_prints_the_commands(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["trace", "show", str(VERSION_1)]) == 0
     output = capsys.readouterr()
     assert output.out.strip("\n") == str(load(VERSION_1).stream)
-    assert output.err == "87 commands, 6 draws, 0 failed; recorded on null\n"
+    assert output.err == "87 commands, 6 draws, 0 failed, 0 refused; recorded on null\n"
 
 
 def test_show_keeps_to_a_label_and_a_limit(capsys: pytest.CaptureFixture[str]) -> None:

@@ -175,7 +175,7 @@ def test_a_save_that_fails_leaves_the_old_file(file: Path, monkeypatch: pytest.M
 # -- its header ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("version", [0, 2, "1", None, 1.0, True])
+@pytest.mark.parametrize("version", [0, 3, "1", None, 1.0, True])
 def test_another_version_is_refused(file: Path, version: object) -> None:
     refused(rewrite(file, header(lambda h: h.update(version=version))), TRACE_VERSION)
 

@@ -29,6 +29,7 @@ from rhi.shading import Shader, Storage, StorageRW, Texture2D, global_id, vec2, 
 from rhi.trace import save
 
 VERSION_1 = Path(__file__).parent / "version-1.zip"
+VERSION_2 = Path(__file__).parent / "version-2.zip"
 
 
 class Doubled(Shader):
@@ -102,12 +103,12 @@ def rewrite(path: Path, members: Callable[[dict[str, bytes]], None]) -> Path:
     return changed
 
 
-def edit_line(path: Path, op: str, change: Callable[[dict[str, Any]], None]) -> Path:
-    """The same file with the first command `op` changed."""
+def edit_line(path: Path, op: str, change: Callable[[dict[str, Any]], object], *, kind: str = "op") -> Path:
+    """The same file with the first command `op` changed, or with the first line that has a `kind`."""
 
     def edit(members: dict[str, bytes]) -> None:
         lines = [json.loads(line) for line in members["commands.jsonl"].splitlines()]
-        change(next(line for line in lines if line["op"] == op))
+        change(next(line for line in lines if kind in line and (not op or line["op"] == op)))
         members["commands.jsonl"] = "".join(json.dumps(line) + "\n" for line in lines).encode()
 
     return rewrite(path, edit)

@@ -22,7 +22,7 @@ def devices_twice(monkeypatch: pytest.MonkeyPatch, first_probe: str) -> None:
     """The machine's device as two, of which the first has another probe kernel."""
     probes = [first_probe, context._PROBE]
 
-    def probe(made: cl.Context, queue: cl.CommandQueue) -> bool:
+    def probe(made: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool]:
         with monkeypatch.context() as patch:
             patch.setattr(context, "_PROBE", probes.pop(0))
             return REAL_PROBE(made, queue)

@@ -7,7 +7,7 @@ import pytest
 from cl_kit import FILL, ClKit, describe_program
 
 from rhi.descriptors import Binding, BindingKind, BufferUsage, Stage
-from rhi.errors import CallSite, DeviceError, ShaderError, ValidationError
+from rhi.errors import CallSite, DeviceError, ShaderError
 
 SCALE = """
 kernel void scale(constant float *factor, global const float *from, int from_count, global float *to, int to_count) {
@@ -164,9 +164,3 @@ def test_a_dispatch_that_fails_names_the_labels_it_lies_in(cl_kit: ClKit) -> Non
     cl_kit.backend.pop_label()
     cl_kit.dispatch(cl_kit.program(describe_program(FILL)))
     assert cl_kit.words(words, 1) == [1]
-
-
-def test_draws_are_refused_should_anyone_ask(cl_kit: ClKit) -> None:
-    with pytest.raises(ValidationError) as caught:
-        cl_kit.backend.draw(1, 2, 3)
-    assert caught.value.rule.id == "device-capability"

@@ -153,6 +153,16 @@ def test_a_read_that_waits_frees_everything_before_it():
     assert not backend.hazards
 
 
+def test_a_read_of_the_memory_itself_frees_it():
+    """The read is a use, too; it is over when it returns."""
+    backend = uniform_backend()
+    backend.bind_uniform(0, STREAM, 0, 16)
+    draw(backend)
+    backend.read_buffer(STREAM, 0, 16)
+    backend.write_buffer(STREAM, 0, bytes(4))
+    assert not backend.hazards
+
+
 def test_an_answer_frees_what_came_before_its_query():
     backend = uniform_backend()
     backend.create_query(1, QueryKind.TIMESTAMP)

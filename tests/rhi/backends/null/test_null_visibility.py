@@ -50,6 +50,12 @@ def test_what_a_script_does_not_say_raises_or_is_counted(backend):
     assert ask(backend, 1) == [8]
 
 
+def test_what_a_mapping_or_a_function_does_not_say_is_never_zero(backend):
+    for answers in ({2: 64}, lambda query: 64 if query == 2 else None):
+        backend.answer_queries(answers)
+        assert ask(backend, 1, 2) == ["null-samples", 64]
+
+
 def test_a_script_may_hold_no_nonsense(backend):
     backend.answer_queries([-1])
     assert ask(backend, 1) == ["null-answer"]

@@ -1,0 +1,283 @@
+"""How backends grow: time against triangles, pixels and lights on gl and cl, with the fitted slopes.
+
+- triangles: a sheet of equal triangles that fills the image, depth alone.
+- pixels: a lit city, from 160×90 to 2560×1440.
+- lights: one full-screen triangle whose fragments add up so many point lights.
+- draws: the triangles of a city in 1,936 draws of one call each, against the same in one.
+- taps: a full-screen triangle of 4 bilinear samples of a 512×512 image.
+
+Both backends take turns, round by round; times are medians. A slope is the exponent p in `time = c · n^p`, fitted to
+the upper half of the sizes, where fixed costs have faded: 1 means that twice as much takes twice as long.
+
+    python benchmarks/backends.py [--json] [--plot docs/images/backends.png] [--rounds 9] [--only lights,draws]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import rhi
+from renderer.measure import alternate
+from renderer.measure.backends import BackendPasses, DepthShader
+from renderer.scene import find_path, load_scene
+from rhi import CullMode, Device, Format, Mesh
+from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, vec2, vec3, vec4
+
+BACKENDS = ("gl", "cl")
+SIZE = (1280, 720)
+Work = Callable[[int], object]
+
+
+class Place(Struct):
+    position: vec4
+
+
+class Across(Struct):
+    clip: vec4
+    uv: vec2
+
+
+class Light(Struct):
+    position: vec3
+    color: vec3
+
+
+class Scale(Struct):
+    factor: float
+
+
+class Sheet(Shader):
+    """Positions as they are."""
+
+    def vertex(self, v: Place) -> vec4:
+        return v.position
+
+    def fragment(self) -> None:
+        pass
+
+
+class Lights(Shader):
+    """A curved floor under point lights."""
+
+    lights: Storage[Light]
+
+    def vertex(self, v: Place) -> Across:
+        return Across(clip=v.position, uv=v.position.xy)
+
+    def fragment(self, v: Across) -> vec4:
+        normal = vec3(v.uv * 0.3, 1.0)
+        place = vec3(v.uv, dot(v.uv, v.uv) * 0.1)
+        color = vec3(0.0)
+        for i in range(len(self.lights)):
+            away = self.lights[i].position - place
+            squared = dot(away, away)
+            color += self.lights[i].color * (max(dot(normal, away), 0.0) / (squared * (1.0 + squared)))
+        return vec4(color, 1.0)
+
+
+class Taps(Shader):
+    """Four bilinear samples."""
+
+    image: Texture2D
+    scale: Uniform[Scale]
+
+    def vertex(self, v: Place) -> Across:
+        return Across(clip=v.position, uv=v.position.xy * 0.5 + 0.5)
+
+    def fragment(self, v: Across) -> vec4:
+        uv = v.uv * self.scale.factor
+        total = self.image.sample_lod(uv, 0.0) + self.image.sample_lod(uv + vec2(0.013, 0.0), 0.0)
+        total += self.image.sample_lod(uv + vec2(0.0, 0.013), 0.0)
+        return (total + self.image.sample_lod(uv + vec2(0.013, 0.013), 0.0)) * 0.25
+
+
+FULL = np.array([(-1, -1, 0.5, 1), (3, -1, 0.5, 1), (-1, 3, 0.5, 1)], np.float32)
+
+
+def draw_sheet(device: Device, triangles: int) -> Work:
+    side = round((triangles / 2) ** 0.5)
+    axis = np.linspace(-1, 1, side + 1, dtype=np.float32)
+    places = np.full((side + 1, side + 1, 4), (0, 0, 0.5, 1), np.float32)
+    places[..., 0], places[..., 1] = axis, axis[:, None]
+    corner = np.arange(side)[:, None] * (side + 1) + np.arange(side)
+    quad = np.stack([corner, corner + 1, corner + side + 2, corner, corner + side + 2, corner + side + 1], -1)
+    mesh = device.mesh({"position": places.reshape(-1, 4)}, quad.reshape(-1).astype(np.uint32))
+    depth, program = device.texture(SIZE, Format.D32F), device.program(Sheet)
+
+    def work(_: int) -> None:
+        with device.render_pass(depth=depth, clear_depth=0.0), device.states(CullMode.NONE):
+            device.draw(program, mesh)
+        device.finish()
+
+    return work
+
+
+def draw_screen(device: Device, shader: type[Shader], **bindings: Any) -> Work:
+    mesh, program = device.mesh({"position": FULL}), device.program(shader)
+    image = device.texture(SIZE, Format.RGBA8)
+
+    def work(_: int) -> None:
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(program, mesh, **bindings)
+        device.finish()
+
+    return work
+
+
+def draw_lights(device: Device, count: int) -> Work:
+    rng = np.random.default_rng(0)
+    lights = np.zeros(count, Light.dtype)
+    lights["position"] = rng.uniform((-1, -1, 0.2), (1, 1, 1), (count, 3))
+    lights["color"] = rng.random((count, 3)) / count
+    return draw_screen(device, Lights, lights=device.storage(Light, lights))
+
+
+def draw_taps(device: Device, _: int) -> Work:
+    texels = np.random.default_rng(0).integers(0, 256, (512, 512, 4), dtype=np.uint8)
+    return draw_screen(
+        device, Taps, image=device.texture(texels, Format.RGBA8), scale=device.uniform(Scale(factor=2.0))
+    )
+
+
+def draw_city(device: Device, pixels: int) -> Work:
+    width = round((pixels * 16 / 9) ** 0.5)
+    scene = load_scene("city:blocks=16")
+    passes = BackendPasses(device, scene, find_path("ground", scene).camera(900), (width, width * 9 // 16))
+    return passes.work("lit")
+
+
+def draw_apart(device: Device, apart: int) -> Work:
+    """The city's triangles in one draw each object, or all in one mesh and one draw."""
+    scene = load_scene("city")
+    passes = BackendPasses(device, scene, find_path("sky", scene).camera(900), SIZE)
+    arrays, resources = passes.resources.arrays, passes.resources
+    bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
+    if apart:
+        program, parts = device.program(DepthShader), []
+        for draw in resources.draws:
+            part = resources.mesh.view(
+                int(draw["first"]), int(draw["count"]), base_vertex=int(draw["base_vertex"]),
+                base_instance=int(draw["base_instance"]),
+            )  # fmt: skip
+            parts.append(part)
+    else:
+        program = device.program(Sheet)
+        parts = [place_city(device, passes)]
+        bindings = {}
+
+    def work(_: int) -> None:
+        with device.render_pass(depth=passes.targets.depth, clear_depth=0.0):
+            for part in parts:
+                device.draw(program, part, **bindings)
+        device.finish()
+
+    return work
+
+
+def place_city(device: Device, passes: BackendPasses) -> Mesh:
+    """All objects as one mesh, in clip space."""
+    scene, camera = passes.resources.scene, passes.camera
+    matrix = np.asarray(camera.relative_view_projection).T
+    positions, placed, indices, base = scene.meshes.vertices["position"], [], [], 0
+    for mesh, node in zip(scene.objects.mesh, scene.objects.node, strict=True):
+        part = scene.meshes.ranges[mesh]
+        first = int(part["first_index"])
+        rows = scene.meshes.indices[first : first + int(part["index_count"])].astype(int) + int(
+            part["base_vertex"]
+        )
+        low, high = int(rows.min()), int(rows.max()) + 1
+        world = scene.nodes.world[node]
+        relative = positions[low:high] @ world[:3, :3].T + (world[:3, 3] - camera.position)
+        placed.append(np.c_[relative, np.ones(high - low)] @ matrix)
+        indices.append(rows - low + base)
+        base += high - low
+    corners = np.concatenate(placed).astype(np.float32)
+    return device.mesh({"position": corners}, np.concatenate(indices).astype(np.uint32))
+
+
+SERIES: dict[str, tuple[Callable[[Device, int], Work], list[int]]] = {
+    "triangles": (draw_sheet, [2 ** (2 * k + 1) for k in range(5, 11)]),
+    "pixels": (draw_city, [14_400 * 4**k for k in range(5)]),
+    "lights": (draw_lights, [1, 4, 16, 32, 64, 128, 256]),
+    "draws": (draw_apart, [0, 1]),
+    "taps": (draw_taps, [4]),
+}
+
+
+def measure(name: str, rounds: int) -> list[dict[str, Any]]:
+    make, sizes = SERIES[name]
+    rows = []
+    for size in sizes:
+        devices = {backend: rhi.create_device(backend) for backend in BACKENDS}
+        work = {backend: make(device, size) for backend, device in devices.items()}
+        times = alternate(work, range(rounds), warm_ups=2)
+        ratio = times["gl"].ratio_to(times["cl"])
+        rows.append(
+            {"n": size, "gl": 1e3 * times["gl"].median, "cl": 1e3 * times["cl"].median, "ratio": ratio}
+        )
+        print(
+            f"{name:10} {size:>9,}  gl {rows[-1]['gl']:9.2f} ms  cl {rows[-1]['cl']:9.2f} ms  ×{ratio:.1f}",
+            file=sys.stderr,
+        )
+        for device in devices.values():
+            device.close(quiet=True)
+    return rows
+
+
+def fit_slope(rows: list[dict[str, Any]], backend: str) -> float:
+    upper = rows[len(rows) // 2 - 1 :]
+    n, time = (np.log([row[key] for row in upper]) for key in ("n", backend))
+    return round(float(np.polyfit(n, time, 1)[0]), 2)
+
+
+def plot(result: dict[str, Any], path: Path) -> None:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(12, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    names = [name for name in ("triangles", "pixels", "lights") if name in result]
+    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names))), names, strict=True):
+        rows = result[name]["rows"]
+        for backend in BACKENDS:
+            label = f"{backend}: n^{result[name]['slopes'][backend]:.2f}"
+            axes.loglog([row["n"] for row in rows], [row[backend] for row in rows], "o-", label=label)
+        axes.set(xlabel=name, ylabel="milliseconds")
+        axes.grid(alpha=0.3)
+        axes.legend()
+    figure.savefig(path, dpi=100)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="draw the growth as charts")
+    parser.add_argument("--rounds", type=int, default=9, metavar="N", help="of each size (default: 9)")
+    parser.add_argument("--only", default=",".join(SERIES), metavar="A,B,…", help=f"of {', '.join(SERIES)}")
+    given = parser.parse_args()
+    result: dict[str, Any] = {}
+    for name in given.only.split(","):
+        rows = measure(name, given.rounds)
+        result[name] = {"rows": rows}
+        if len(rows) > 2:
+            result[name]["slopes"] = {backend: fit_slope(rows, backend) for backend in BACKENDS}
+            print(f"{name:10} slopes {result[name]['slopes']}", file=sys.stderr)
+    if given.plot is not None:
+        plot(result, given.plot)
+    if given.json:
+        print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+"""`compare backends`: what the same passes of a scene cost on each backend."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.output import note, prepare_image, show_progress
+from renderer.measure import format_table
+from renderer.measure.backends import PASSES, BackendRow, compare_backends
+from renderer.scene import find_path, load_scene
+
+_EXAMPLES = """\
+  python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720
+  python -m renderer compare backends city --camera-path sky --passes depth --json
+  python -m renderer compare backends hall --passes depth,lit --plot hall.png
+
+All objects are drawn, without culling, front to back, by one camera. A round runs a pass once on each backend,
+starting with the next of them; times are medians over the rounds, from the first command until the device is
+done. `ratio to gl` is how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
+asks for 1,000 boxes and then reads all answers, `waited` reads each before it asks for the next."""
+_BASE = "gl"
+
+
+def add_to(subjects: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        subjects, "backends", run, "compare what a scene's passes cost on each backend", _EXAMPLES
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+    parser.add_argument(
+        "--passes",
+        type=_parse_passes,
+        default=["depth", "lit", "queries"],
+        metavar="A,B,…",
+        help=f"of {', '.join(PASSES)} (default: depth,lit,queries)",
+    )
+    parser.add_argument(
+        "--backends",
+        type=lambda text: text.split(","),
+        default=["cl"],
+        metavar="A,B,…",
+        help=f"what to compare with {_BASE} (default: cl)",
+    )
+    parser.add_argument(
+        "--camera-path", default="ground", metavar="PATH", help="ground, sky, or a file (default: ground)"
+    )
+    parser.add_argument(
+        "--frame", type=parse_frame, metavar="N", help="whose camera (default: the path's middle)"
+    )
+    parser.add_argument(
+        "--rounds", type=parse_count, default=15, metavar="N", help="of each pass (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--size", type=parse_size, default=(1280, 720), metavar="WxH", help="of the image (default: 1280x720)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="draw times as a chart")
+
+
+def run(given: argparse.Namespace) -> None:
+    """Measure and report."""
+    if given.plot is not None:
+        prepare_image(given.plot)
+    scene = load_scene(given.scene)
+    path = find_path(given.camera_path, scene)
+    frame = len(path) // 2 if given.frame is None else given.frame
+    camera = path.camera(frame)
+    backends = [_BASE, *(name for name in given.backends if name != _BASE)]
+
+    def rounds(name: str) -> Iterable[int]:
+        return show_progress(range(given.rounds), given.rounds, name)
+
+    devices, rows = compare_backends(scene, camera, backends, given.passes, given.size, rounds)
+    report = {
+        "scene": scene.name,
+        "triangles": scene.count_triangles(np.arange(len(scene.objects))),
+        "camera_path": given.camera_path,
+        "frame": frame,
+        "size": list(given.size),
+        "rounds": given.rounds,
+        "devices": devices,
+        "rows": [
+            {
+                "pass": row.name,
+                "backend": row.backend,
+                "milliseconds": row.milliseconds,
+                "ratio_to_gl": row.speed,
+            }
+            for row in rows
+        ],
+    }
+    if given.plot is not None:
+        plot(rows, f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}", given.plot)
+        note(f"wrote {given.plot}")
+    if given.json:
+        print(json.dumps(report))
+    else:
+        cells = [[row.name, row.backend, row.milliseconds, row.speed] for row in rows]
+        print(format_table(["pass", "backend", "ms", "ratio to gl"], cells))
+
+
+def plot(rows: list[BackendRow], title: str, path: Path) -> None:
+    """A chart of times: a group of bars for each pass, a bar for each backend."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    names = list(dict.fromkeys(row.name for row in rows))
+    backends = list(dict.fromkeys(row.backend for row in rows))
+    height = 0.8 / len(backends)
+    for place, backend in enumerate(backends):
+        chosen = [row for row in rows if row.backend == backend]
+        bars = axes.barh(
+            [names.index(row.name) + place * height for row in chosen],
+            [row.milliseconds for row in chosen],
+            height,
+            label=backend,
+        )
+        axes.bar_label(bars, [f" {row.milliseconds:,.1f} ms, ×{row.speed:,.1f}" for row in chosen])
+    axes.set(title=title, xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
+    axes.invert_yaxis()
+    axes.margins(x=0.2)
+    axes.legend()
+    figure.savefig(path, dpi=110)
+
+
+def _parse_passes(text: str) -> list[str]:
+    names = text.split(",")
+    unknown = [name for name in names if name not in PASSES]
+    if unknown:
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is no pass; give some of {', '.join(PASSES)}")
+    return list(dict.fromkeys(names))

@@ -1,0 +1,251 @@
+"""`tune`: the best b and n of CHC++ for a scene, a camera path and a device (thesis 6.5.1)."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import json
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import asdict, fields
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
+
+import rhi
+from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.output import OutputError, note, show_progress
+from renderer.measure import format_table
+from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
+from renderer.scene import CameraPath, find_path, load_scene
+from renderer.visibility import Settings, list_algorithms
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+_EXAMPLES = """\
+  python -m renderer tune city --camera-path ground --b 1:100 --n 1:40
+  python -m renderer tune hall --camera-path walk.json --executor processes:4
+  python -m renderer tune city --executor dask:tcp://scheduler:8786 --output tuned
+  python -m renderer compare visibility city --settings tuned/settings.json
+
+b is how many hidden nodes gather before they are asked for, n for how many frames a visible object isn't asked
+for again. Each trial renders the path with one pair of them and, in turn, with the default pair (b=50, n=20);
+pairs are judged by the ratio of the two, so trials may run beside each other and on different machines. The best
+three then run against each other in one process. DIR receives `trials.csv`, `trials.png` and `settings.json`,
+which `render` and `compare visibility` read with --settings."""
+
+
+class SerialExecutor(Executor):
+    """Runs what is submitted at once, in this process."""
+
+    def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
+        """A future that is done."""
+        future: Future[R] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def add_to(commands: Any) -> None:
+    """Add the command."""
+    parser = add_command(
+        commands, "tune", run, "find the best b and n of CHC++ along a camera path", _EXAMPLES
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+    parser.add_argument(
+        "--camera-path",
+        default="ground",
+        metavar="PATH",
+        help="ground, sky, or the .json file of a walk-through (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--frame",
+        type=parse_frame,
+        metavar="N",
+        help="first frame, 60 a second (default: so that the frames lie around the path's middle)",
+    )
+    parser.add_argument(
+        "--frames",
+        type=parse_count,
+        default=60,
+        metavar="N",
+        help="how many frames a trial renders (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--b", type=_parse_range, default=(1, 100), metavar="LOW:HIGH", help="range of b (default: 1:100)"
+    )
+    parser.add_argument(
+        "--n", type=_parse_range, default=(1, 40), metavar="LOW:HIGH", help="range of n (default: 1:40)"
+    )
+    parser.add_argument(
+        "--rounds",
+        type=parse_count,
+        default=4,
+        metavar="N",
+        help="how often to look more closely, the lattice included (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--executor",
+        default="serial",
+        metavar="E",
+        help="serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--backend",
+        metavar="NAME",
+        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
+    )
+    parser.add_argument(
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
+    )
+    parser.add_argument(
+        "--output", type=Path, default=Path("tuned"), metavar="DIR", help="a folder (default: %(default)s)"
+    )
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def run(given: argparse.Namespace) -> None:
+    """Search, decide and write."""
+    scene = load_scene(given.scene)
+    path = find_path(given.camera_path, scene)
+    first = max(0, (len(path) - given.frames - 1) // 2) if given.frame is None else given.frame
+    walk = Walk(
+        given.scene,
+        CameraPath.record([path.camera(first + frame) for frame in range(given.frames + 1)]),
+        first,
+        given.backend,
+        given.size,
+    )
+    with rhi.create_device(given.backend) as device:
+        backend, name = device.backend_name, device.capabilities.device
+        if "chc_plus_plus" not in list_algorithms(device):
+            raise OutputError(
+                f"--backend: the {backend} device answers no queries, so there is nothing to tune"
+            )
+    with make_executor(given.executor) as executor:
+        given.output.mkdir(parents=True, exist_ok=True)
+        trials = list(search(given.b, given.n, given.rounds, lambda pairs: _try_all(executor, walk, pairs)))
+        finalists = find_best(trials)
+        pairs = [(trial.batch, trial.persistence) for trial in finalists]
+        finals = executor.submit(try_pairs, walk, pairs).result()
+    best = find_best(finals, 1)[0]
+    is_better = best.ratio < 1.0  # than the default pair
+    settings = Settings(batch=best.batch, persistence=best.persistence) if is_better else Settings()
+    report = {
+        "backend": backend,
+        "device": name,
+        "scene": scene.name,
+        "camera_path": given.camera_path,
+        "first_frame": first + 1,
+        "frames": given.frames,
+        "size": list(given.size),
+        "ratio": min(best.ratio, 1.0),
+    }
+    write_trials(given.output / "trials.csv", trials)
+    plot(trials, finals, f"{scene.name}, {given.camera_path}, {name}", given.output / "trials.png")
+    settings.save(given.output / "settings.json", **report)
+    note(f"wrote trials.csv, trials.png and settings.json to {given.output}")
+    if given.json:
+        print(
+            json.dumps({**report, "visibility": asdict(settings), "finals": [asdict(one) for one in finals]})
+        )
+        return
+    names = [field.name for field in fields(Trial)]
+    shown = sorted(finals, key=lambda trial: trial.ratio)
+    print(
+        format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in shown])
+    )
+    print(f"b={settings.batch}, n={settings.persistence}: {report['ratio']:.2f} of the default's time")
+
+
+def _try_all(executor: Executor, walk: Walk, pairs: Sequence[Pair]) -> list[Trial]:
+    """A trial of each, in this order, as many at a time as the executor has room for."""
+    count = len(pairs)
+    futures = [executor.submit(try_pairs, walk, [pair]) for pair in show_progress(pairs, count, "tune")]
+    for _ in show_progress(as_completed(futures), count, "tune"):  # done by now where there is one process
+        pass
+    return [trial for future in futures for trial in future.result()]
+
+
+@contextmanager
+def make_executor(text: str) -> Iterator[Executor]:
+    """The executor that `--executor` names."""
+    kind, _, rest = text.partition(":")
+    if kind == "serial" and not rest:
+        yield SerialExecutor()
+    elif kind == "processes" and (not rest or (rest.isascii() and rest.isdigit() and int(rest))):
+        # Fresh processes: a driver's state doesn't survive a fork.
+        with ProcessPoolExecutor(int(rest) if rest else None, mp_context=get_context("spawn")) as pool:
+            yield pool
+    elif kind == "dask" and rest:
+        try:
+            distributed: Any = import_module("distributed")
+        except ModuleNotFoundError:
+            raise OutputError(
+                "--executor: dask is missing; install it with: pip install 'rhi[dask]'"
+            ) from None
+        try:
+            client = distributed.Client(rest, timeout=10)
+        except (OSError, TimeoutError, ValueError) as error:
+            raise OutputError(f"--executor: no scheduler at {rest}: {error}") from None
+        with client:
+            yield client.get_executor()
+    else:
+        raise OutputError(f"--executor: {text!r} is none of serial, processes, processes:N, dask:ADDRESS")
+
+
+def write_trials(path: Path, trials: Sequence[Trial]) -> None:
+    """A row for each trial, in the order in which they were made."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        names = [field.name for field in fields(Trial)]
+        writer.writerow(names)
+        writer.writerows([getattr(trial, name) for name in names] for trial in trials)
+
+
+def plot(trials: Sequence[Trial], finals: Sequence[Trial], title: str, path: Path) -> None:
+    """Where trials were made and how they came out; the finalists are ringed."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.suptitle(title)
+    both, batch, persistence = figure.subplots(1, 3)
+    points = both.scatter(
+        [t.batch for t in trials],
+        [t.persistence for t in trials],
+        c=[t.ratio for t in trials],
+        cmap="viridis",
+    )
+    both.scatter(
+        [t.batch for t in finals], [t.persistence for t in finals], s=120, facecolors="none", edgecolors="red"
+    )
+    figure.colorbar(points, ax=both, label="time, default = 1")
+    both.set(xscale="log", yscale="log", xlabel="b", ylabel="n")
+    for axes, name, label in ((batch, "batch", "b"), (persistence, "persistence", "n")):
+        axes.scatter([getattr(t, name) for t in trials], [t.ratio for t in trials], s=12, color="#4477aa")
+        axes.axhline(1.0, color="grey", linewidth=0.8)
+        axes.set(xscale="log", xlabel=label, ylabel="time, default = 1")
+    figure.savefig(path, dpi=100)
+
+
+def _title(name: str) -> str:
+    short = {"batch": "b", "persistence": "n", "default_milliseconds": "default ms"}
+    return short.get(name, name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s"))
+
+
+def _parse_range(text: str) -> Pair:
+    """`1:100` as (1, 100); one number is a range of it alone."""
+    low, _, high = text.partition(":")
+    high = high or low
+    if not (low.isascii() and low.isdigit() and high.isascii() and high.isdigit()) or not (
+        1 <= int(low) <= int(high)
+    ):
+        raise argparse.ArgumentTypeError(f"{text!r} is no range; give LOW:HIGH, such as 1:100")
+    return int(low), int(high)

@@ -1,0 +1,227 @@
+"""The same passes on several backends: what a scene's depth, its light, its textures and its queries cost on each.
+
+Each pass does one kind of work, the same on all backends: all objects, no culling, front to back, one fixed camera.
+The CPU's share is what the device needs to be told; scene and camera are uploaded before. A time is from the first
+command until the device is done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+import rhi
+from renderer import rules
+from renderer.frame import SceneResources, Targets
+from renderer.frame.passes import ScenePass
+from renderer.measure.alternate import alternate
+from renderer.scene import Camera, Depth, Scene
+from renderer.shaders import PARTS, Object, Place, Vertex, View, forward_variant, relative_position
+from renderer.techniques.forward import bind_forward
+from renderer.visibility.bounds import pad_boxes
+from rhi import ColorWrite, DepthFunction, DepthWrite, Device, Mesh, OcclusionQuery, Program, refuse
+from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
+
+PASSES: Final = {
+    "depth": "depth alone",
+    "lit": "the forward shader without images",
+    "textured": "the forward shader with the scene's images",
+    "queries": "a query for each of up to 1,000 objects' boxes, all asked before the first is read",
+    "waited": "the same, each read before the next is asked",
+}
+"""What can be timed."""
+_QUERIES: Final = 1000
+_CORNERS: Final = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], bool)
+_FACES: Final = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
+_TRIANGLES: Final = _FACES[:, [0, 1, 2, 0, 2, 3]].reshape(-1)  # counter-clockwise seen from outside
+
+
+@dataclass(frozen=True, slots=True)
+class BackendRow:
+    """A pass on a backend: the median time, and how many times as fast as the first backend it is: the median over
+    the rounds."""
+
+    name: str
+    backend: str
+    milliseconds: float
+    speed: float
+
+
+class DepthShader(Shader):
+    """The forward shader's positions alone."""
+
+    view: Uniform[View]
+    objects: Storage[Object]
+    places: Storage[Place]
+
+    def vertex(self, v: Vertex) -> vec4:
+        row = instance_index()
+        thing = self.objects[row]
+        position = thing.linear @ v.position + relative_position(self.places[row], self.view)
+        return self.view.relative_view_projection @ vec4(position, 1.0)
+
+    def fragment(self) -> None:
+        pass
+
+
+class Corner(Struct):
+    """Of a box, relative to the eye."""
+
+    position: vec3
+
+
+class BoxShader(Shader):
+    """Boxes' depth."""
+
+    view: Uniform[View]
+
+    def vertex(self, v: Corner) -> vec4:
+        return self.view.relative_view_projection @ vec4(v.position, 1.0)
+
+    def fragment(self) -> None:
+        pass
+
+
+class BackendPasses:
+    """The passes of one scene on one device, seen by one camera.
+
+    Attributes:
+        targets: what is drawn to. resources: the scene. camera: with the targets' aspect.
+    """
+
+    def __init__(self, device: Device, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:
+        """`size` is (width, height) of the targets in pixels."""
+        self.device = device
+        self.targets = Targets(device, size)
+        self.resources = SceneResources(device, scene)
+        self.camera = camera.with_aspect(size[0] / size[1])
+        self._rows = np.arange(len(scene.objects))
+        self.resources.update(self.camera)
+        self.resources.simulate(self._rows)
+        self._depth = device.program(DepthShader)
+        self._forward: dict[bool, tuple[Program[Any], dict[str, Any]]] = {}
+        self._box = device.program(BoxShader)
+        self._boxes: Mesh | None = None
+        self._parts: list[Mesh] = []
+        self._queries: list[OcclusionQuery] = []
+
+    def work(self, name: str) -> Callable[[int], object]:
+        """What to time for a pass of `PASSES`; it takes a round's number, and waits for the device."""
+        if name in ("lit", "textured"):
+            return lambda _: self._draw_lit(images=name == "textured")
+        if name == "depth":
+            return lambda _: self.draw_depth()
+        self.draw_depth()
+        self._prepare_boxes()
+        return lambda _: self.count_boxes(waits=name == "waited")
+
+    def draw_depth(self) -> None:
+        """All objects' depth."""
+        arrays = self.resources.arrays
+        bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
+        self._draw(self._depth, bindings, color=False)
+
+    def _draw_lit(self, images: bool) -> None:
+        if images not in self._forward:
+            program, bindings = bind_forward(self.device, self.resources)
+            if not images:
+                bindings.pop("images", None)
+                program = self.device.program(forward_variant(*(part for part in PARTS if part in bindings)))
+            self._forward[images] = program, bindings
+        self._draw(*self._forward[images], color=True)
+
+    def _draw(self, program: Program[Any], bindings: dict[str, Any], color: bool) -> None:
+        image = self.targets.color if color else None
+        with ScenePass(
+            self.device, self.resources, self.camera, program, bindings,
+            color=image, depth=self.targets.depth, clear=(*self.resources.scene.background, 1.0),
+        ) as scene:  # fmt: skip
+            scene(self._rows)
+        self.device.finish()
+
+    def _prepare_boxes(self) -> None:
+        if self._boxes is not None:
+            return
+        objects = self.resources.scene.objects
+        count = min(_QUERIES, len(objects))
+        # Spread over the scene: the first 1,000 of a generated city are one of its sides.
+        rows = np.linspace(0, len(objects) - 1, count).astype(np.int64)
+        low, high, _ = pad_boxes(self.camera, objects.lower[rows], objects.upper[rows])
+        corners = np.where(_CORNERS, high[:, None], low[:, None]) - self.camera.position
+        indices = 8 * np.arange(count)[:, None] + _TRIANGLES
+        self._boxes = self.device.mesh(
+            {"position": corners.reshape(-1, 3).astype(np.float32)}, indices.reshape(-1).astype(np.uint32)
+        )
+        self._parts = [self._boxes.view(36 * i, 36) for i in range(count)]
+        self._queries = [self.device.occlusion_query() for _ in range(count)]
+
+    def count_boxes(self, waits: bool) -> list[int]:
+        """Samples of each box that are nearer than the depth that was drawn last."""
+        device, view, program = self.device, self.resources.view.buffer, self._box
+        samples: list[int] = []
+        nearer = (
+            DepthFunction.GREATER if self.camera.projection.depth is Depth.REVERSED else DepthFunction.LESS
+        )
+        states = device.states(ColorWrite.OFF, DepthWrite.OFF, nearer)
+        with device.render_pass(depth=self.targets.depth), states:
+            for query, part in zip(self._queries, self._parts, strict=True):
+                with query:
+                    device.draw(program, part, view=view)
+                if waits:
+                    samples.append(query.wait())
+        return samples or [query.wait() for query in self._queries]
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        if self._boxes is not None:
+            self._boxes.destroy()
+        for query in self._queries:
+            query.destroy()
+        self.resources.destroy()
+        self.targets.destroy()
+
+
+def compare_backends(
+    scene: Scene, camera: Camera, backends: Sequence[str], passes: Sequence[str], size: tuple[int, int],
+    rounds: Callable[[str], Iterable[int]],
+) -> tuple[dict[str, str], list[BackendRow]]:  # fmt: skip
+    """A row for each pass on each backend, alternating within a pass; and the backends' devices by name.
+
+    Args:
+        backends: the first is what the others are compared with.
+        passes: of `PASSES`.
+        rounds: the rounds of a pass, by its name: a `range`, or a progress bar around one.
+
+    Raises:
+        ValidationError: `measure-no-images` for a textured pass of a scene without images, `measure-no-pictures`
+            for a backend that doesn't draw.
+    """
+    call = "compare_backends"
+    if "textured" in passes and not scene.images:
+        refuse(rules.NO_IMAGES, call, f"textured, of {scene.name}", "depth, lit, queries, waited")
+    made: dict[str, BackendPasses] = {}
+    rows: list[BackendRow] = []
+    devices: list[Device] = []
+    try:
+        for backend in backends:
+            devices.append(rhi.create_device(backend))
+            if not devices[-1].capabilities.renders:
+                refuse(rules.NO_PICTURES, call, backend, "a backend that draws")
+            made[backend] = BackendPasses(devices[-1], scene, camera, size)
+        for name in passes:
+            work = {backend: one.work(name) for backend, one in made.items()}
+            times = alternate(work, rounds(name), warm_ups=2)
+            base = times[backends[0]]
+            rows += [
+                BackendRow(name, backend, round(1e3 * time.median, 3), round(1.0 / time.ratio_to(base), 2))
+                for backend, time in times.items()
+            ]
+        return {name: one.device.capabilities.device for name, one in made.items()}, rows
+    finally:
+        for one in made.values():
+            one.destroy()
+        for device in devices:
+            device.close()

@@ -1,0 +1,157 @@
+"""Finding b and n of CHC++ (thesis 6.5.1): what to try next, and what a trial is.
+
+A trial renders a walk through the scene with one pair (b, n), and in turn, frame by frame in the same process,
+with the default pair. What counts is the mean of the frames' ratios, the quarter at either end left out. So
+another load on the machine, other trials beside this one above all, slows both alike, and times from different
+machines can be compared. Counters don't depend on time but for answers that come early or late.
+
+The search begins with a lattice over both ranges, evenly spaced by ratio, and looks ever more closely around the
+best (the thesis's binary search, on both axes at once). All trials of a round may run at the same time. The last
+word is a trial of the best few against each other, in one process with nothing beside it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import Final
+
+import numpy as np
+
+import rhi
+from renderer.measure.alternate import alternate
+from renderer.measure.frames import measure_frame
+from renderer.renderer import FrameStatistics, Renderer
+from renderer.scene import FRAMES_PER_SECOND, CameraPath, load_scene
+from renderer.visibility import Settings, make_visibility
+
+Pair = tuple[int, int]
+"""b and n."""
+
+_FIRST: Final = 4  # values of either in the first round
+_FINALISTS: Final = 3
+_TRIMMED: Final = 0.25
+_TURN: Final = (
+    Lock()
+)  # trials on threads of one process would share its interpreter, and a driver's one context
+
+
+@dataclass(frozen=True, slots=True)
+class Walk:
+    """What every trial renders; small enough to be sent to another machine, which makes the scene itself.
+
+    `scene` is its text, `path` has the frames to render and one before them, `first` is its first frame's
+    number; `backend` None is the machine's own choice.
+    """
+
+    scene: str
+    path: CameraPath
+    first: int = 0
+    backend: str | None = None
+    size: tuple[int, int] = (960, 540)
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """What a pair came to: medians of the times, `ratio` to the default's, and means of the counters."""
+
+    batch: int
+    persistence: int
+    milliseconds: float
+    default_milliseconds: float
+    ratio: float
+    triangles: int
+    draws: int
+    queries: int
+    hardware_state_changes: int
+
+
+def try_pairs(walk: Walk, pairs: Sequence[Pair], threshold: int = 0) -> list[Trial]:
+    """A trial of each pair, the frames of all and of the default pair taking turns; on a device of its own.
+
+    A process makes one call at a time; more of them wait.
+    """
+    scene = load_scene(walk.scene)
+    default = Settings(threshold=threshold)
+    with (
+        _TURN,
+        rhi.create_device(walk.backend) as device,
+        Renderer(device, scene, size=walk.size) as renderer,
+    ):
+        tried = [replace(default, batch=batch, persistence=persistence) for batch, persistence in pairs]
+        algorithms = [make_visibility("chc_plus_plus", scene, device, one) for one in (default, *tried)]
+        costs: list[list[FrameStatistics]] = [[] for _ in algorithms]
+
+        def render(which: int, frame: int) -> None:
+            renderer.visibility = algorithms[which]
+            seconds = (walk.first + frame) / FRAMES_PER_SECOND
+            costs[which].append(measure_frame(renderer, walk.path.camera(frame), seconds)[1].statistics)
+
+        work = {
+            str(which): lambda frame, which=which: render(which, frame) for which in range(len(algorithms))
+        }
+        times = list(alternate(work, range(1, len(walk.path))).values())
+    base = times[0]
+    trials = []
+    for pair, time, counted in zip(pairs, times[1:], costs[1:], strict=True):
+        ratios = np.sort(np.divide(time.seconds, base.seconds))
+        cut = int(_TRIMMED * len(ratios))
+        trials.append(
+            Trial(
+                *pair,
+                milliseconds=round(1e3 * time.median, 3),
+                default_milliseconds=round(1e3 * base.median, 3),
+                ratio=round(float(ratios[cut : len(ratios) - cut].mean()), 4),
+                **{
+                    name: round(sum(getattr(one, name) for one in counted[1:]) / len(counted[1:]))
+                    for name in ("triangles", "draws", "queries", "hardware_state_changes")
+                },
+            )
+        )
+    return trials
+
+
+def search(
+    batches: Pair, persistences: Pair, rounds: int, try_all: Callable[[list[Pair]], list[Trial]]
+) -> Iterator[Trial]:
+    """Trials of what looks best within both ranges, ends included; `try_all` makes those of a round.
+
+    The first round is a lattice over the ranges, each further one spans the square root of the last one's spans
+    around the best so far. No pair is tried twice.
+    """
+    known: dict[Pair, Trial] = {}
+    default = Settings()
+    spans = [high / low for low, high in (batches, persistences)]
+    wanted = {
+        (b, n) for b in _spaced(*batches, _FIRST) for n in _spaced(*persistences, _FIRST)
+    } | {(min(max(default.batch, batches[0]), batches[1]),
+          min(max(default.persistence, persistences[0]), persistences[1]))}  # fmt: skip
+    for turn in range(rounds):
+        if turn:
+            best = find_best(list(known.values()), 1)[0]
+            spans = [span**0.5 for span in spans]
+            wanted = {
+                (b, n)
+                for b in _around(best.batch, spans[0], batches)
+                for n in _around(best.persistence, spans[1], persistences)
+            }
+        new = try_all(sorted(wanted - known.keys()))
+        known |= {(trial.batch, trial.persistence): trial for trial in new}
+        yield from new
+
+
+def find_best(trials: Sequence[Trial], count: int = _FINALISTS) -> list[Trial]:
+    """The trials with the least ratios, the best first; of equal ones those with fewer queries."""
+    return sorted(trials, key=lambda trial: (trial.ratio, trial.queries))[:count]
+
+
+def _spaced(low: int, high: int, count: int) -> list[int]:
+    return sorted({round(value) for value in np.geomspace(low, high, count).tolist()})
+
+
+def _around(middle: int, span: float, limits: Pair) -> list[int]:
+    """The value itself and one on either side, a different one where the limits leave room."""
+    step = span**0.5
+    below, above = min(round(middle / step), middle - 1), max(round(middle * step), middle + 1)
+    return sorted({min(max(value, limits[0]), limits[1]) for value in (below, middle, above)})

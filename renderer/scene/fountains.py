@@ -1,0 +1,98 @@
+"""Fountains: drops that are thrown up, fall, and are thrown anew; the simulation of the hall.
+
+A fountain throws one drop each step, into the direction that its number and the step's say, so a drop's way
+depends on nothing but the step in which it was thrown. When all have been thrown anew, nothing is left of what
+was before.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene.meshes import VERTEX, Geometry
+from renderer.scene.simulation import Rows
+from renderer.scene.transforms import Floats
+
+__rhi_internal__ = True
+
+DROPS: Final = 90
+"""Of a fountain; one is thrown each step, and so each flies for so many of them."""
+
+_STEP: Final = 1.0 / 60.0
+_GRAVITY: Final = 9.81
+_UP: Final = (5.2, 6.8)  # metres a second
+_AWAY: Final = 0.55  # at most
+_SIZE: Final = 0.045  # from a drop's middle to its corners
+_CORNERS: Final = _SIZE * np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) / np.sqrt(3.0)
+_FACES: Final = np.array([(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)])
+
+BOUNDS: Final = (
+    np.array([-1.0, 0.0, -1.0]) * (_AWAY * DROPS * _STEP) - _SIZE,
+    np.array([1.0, 0.0, 1.0]) * (_AWAY * DROPS * _STEP) + (0.0, 0.5 * _UP[1] ** 2 / _GRAVITY, 0.0) + _SIZE,
+)
+"""Corners (3,) of what a fountain's drops never leave, around the nozzle at the origin."""
+
+
+class Fountains:
+    """`count` fountains, all at their own origins.
+
+    Attributes:
+        position, velocity: (count, DROPS, 3) metres, and metres a second.
+    """
+
+    interval = _STEP
+    memory: int | None = DROPS
+
+    def __init__(self, count: int, seed: int) -> None:
+        self._seed = seed
+        self.position: Floats = np.zeros((count, DROPS, 3))
+        self.velocity: Floats = np.zeros((count, DROPS, 3))
+
+    def step(self, members: Rows, numbers: Rows) -> None:
+        """Let the drops of `members` (j,) fly on, and throw one of each."""
+        velocity = self.velocity[members]
+        velocity[:, :, 1] -= _GRAVITY * _STEP
+        position = self.position[members] + velocity * _STEP
+        np.maximum(position[:, :, 1], 0.0, out=position[:, :, 1])  # the basin
+        each, slot = np.arange(len(members)), numbers % DROPS
+        position[each, slot], velocity[each, slot] = 0.0, self._throw(members, numbers)
+        self.position[members], self.velocity[members] = position, velocity
+
+    def _throw(self, members: Rows, numbers: Rows) -> Floats:
+        """Velocities (j, 3): a hash of member and step number, so that there is no state to skip."""
+        key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
+        angle, away, up = (_hash(key * np.uint64(3) + np.uint64(part)) for part in range(3))
+        away = _AWAY * np.sqrt(away)
+        angle = 2.0 * np.pi * angle
+        rise = _UP[0] + (_UP[1] - _UP[0]) * up
+        return np.stack([away * np.cos(angle), rise, away * np.sin(angle)], axis=1)
+
+    def vertices(self, member: int) -> NDArray[Any]:
+        """(12 * DROPS,) of `VERTEX`: a tetrahedron for each drop."""
+        return _tetrahedra(self.position[member])
+
+
+def make_drops() -> Geometry:
+    """The mesh of a fountain before its first step: all drops at the nozzle."""
+    vertices = _tetrahedra(np.zeros((DROPS, 3)))
+    return Geometry(vertices, np.arange(len(vertices), dtype=np.uint32))
+
+
+def _tetrahedra(centres: Floats) -> NDArray[Any]:
+    corners = _CORNERS[_FACES]  # (4, 3, 3)
+    normals = corners.mean(axis=1)
+    vertices = np.zeros((len(centres), 4, 3), VERTEX)
+    vertices["position"] = centres[:, None, None] + corners
+    vertices["normal"] = (normals / np.linalg.norm(normals, axis=1, keepdims=True))[:, None]
+    return vertices.reshape(-1)
+
+
+def _hash(key: NDArray[np.uint64]) -> Floats:
+    """In [0, 1): SplitMix64 (Steele, Lea and Flood, 2014)."""
+    x = (key + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return ((x ^ (x >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) * 2.0**-53

@@ -1,0 +1,287 @@
+"""Draws, gathered into batches and then rasterised.
+
+- A draw is a row of 64-bit words in one flat array: its prepared part (`PreparedDraws`), instances, view, counter,
+  condition, and what is bound. Consecutive draws of one pass and pipeline make a batch, whatever they bind.
+- `flush` turns the rows into the tables of kernels/common.cl by NumPy, whole columns at a time, and launches vertex,
+  set-up, binning and raster kernels. Whoever enqueues something else flushes first.
+- Batches of many vertices or primitives go in pieces and slices, which bounds the memory in flight: a slice's records
+  lie in pools that the next one uses again.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from rhi.backends.cl.context import Context
+from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
+from rhi.backends.cl.pipelines import Geometry, Kernel, Pipeline
+from rhi.backends.cl.tables import BATCH, DRAW, GROUP, MAX_STREAMS, RECORD_BYTES, TILE, varying_words
+from rhi.backends.cl.targets import MergerKey
+from rhi.descriptors import BindingKind, Interpolation
+
+__rhi_internal__ = True
+
+_SLICE_GROUPS: Final = 1 << 15  # 512 k primitives: 74 MiB of records, boxes and lists
+_PIECE_GROUPS: Final = 1 << 18  # of vertices: 4 M, 64 MiB of window positions
+_CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough that counts of tiles stay small
+_MIN_CHUNK: Final = 8  # groups: less isn't worth a work-item
+_VERTEX_CHUNK: Final = 64  # groups
+_FEW_GROUPS: Final = (
+    8  # a slice of so few is looked through by each tile, which costs less than to make lists
+)
+_LIST_WORDS: Final = 1 << 20  # at the least
+_LISTED_PER_PRIMITIVE: Final = 4
+_FIRST_GREATER: Final = 4  # of the numbers of comparisons, see targets.py
+
+# Columns of a row before what is bound.
+PREPARED, INSTANCES, VIEW, SAMPLES, CONDITION, INVERTED = range(6)
+FIXED_COLUMNS: Final = 6
+
+POOLS: Final = (
+    "positions", "clips", "varyings", "records", "planes", "boxes", "counts", "starts", "list", "survivors", "scratch",
+)  # fmt: skip
+"""The addresses in a batch that are those of scratch memory."""
+
+
+class PreparedDraws:
+    """What of a draw stays the same from frame to frame: growing tables.
+
+    Attributes:
+        draws: of `DRAW`, without what is numbered batch by batch.
+        streams: the addresses of each one's vertex streams, (n, MAX_STREAMS).
+    """
+
+    def __init__(self) -> None:
+        size = 256
+        self.draws = np.zeros(size, DRAW)
+        self.streams = np.zeros((size, MAX_STREAMS), np.uint64)
+        self._free: list[int] = list(range(size))
+        self._left: list[int] = []
+
+    def add(self) -> int:
+        """A place that nobody uses."""
+        if not self._free:
+            size = len(self.draws)
+            self.draws = np.concatenate([self.draws, np.zeros_like(self.draws)])
+            self.streams = np.concatenate([self.streams, np.zeros_like(self.streams)])
+            self._free = list(range(size, 2 * size))
+        return self._free.pop()
+
+    def leave(self, place: int) -> None:
+        """It may be used again once the draws gathered now are flushed."""
+        self._left.append(place)
+
+    def recycle(self) -> None:
+        """No draw that was gathered needs what was left."""
+        self._free += self._left
+        self._left.clear()
+
+
+class Target:
+    """What a pass draws into, as the kernels see it.
+
+    Attributes:
+        size: (width, height).
+        planes: (address of the memory, start, pitch, bytes from sample to sample) of each color attachment, of depth,
+            of stencil; None for a missing one.
+    """
+
+    __slots__ = ("colors", "depth", "samples", "size", "stencil")
+
+    def __init__(
+        self, size: tuple[int, int], samples: int, colors: Sequence[tuple[int, int, int, int]],
+        depth: tuple[int, int, int, int] | None, stencil: tuple[int, int, int, int] | None,
+    ) -> None:  # fmt: skip
+        self.size = size
+        self.samples = samples
+        self.colors = colors
+        self.depth = depth
+        self.stencil = stencil
+
+    def planes_of(self, key: MergerKey) -> list[tuple[int, int, int, int]]:
+        """Those that a raster kernel takes, in its order."""
+        planes = [self.colors[color.location] for color in key.colors]
+        if key.has_depth:
+            assert self.depth is not None
+            planes.append(self.depth)
+        if key.has_stencil:
+            assert self.stencil is not None
+            planes.append(self.stencil)
+        return planes
+
+
+class Batch:
+    """The draws gathered and not yet flushed.
+
+    Attributes:
+        rows: their words, `width` for each draw.
+        views: what their VIEW columns number.
+    """
+
+    def __init__(self, context: Context, addresses: Addresses, retired: Retired) -> None:
+        self._context = context
+        self._queue = context.queue
+        self.prepared = PreparedDraws()
+        self.rows = array("Q")
+        self.views: list[NDArray[Any]] = []
+        self.pipeline: Pipeline | None = None
+        self.target: Target | None = None
+        self.vertex: Kernel | None = None
+        self.raster: Kernel | None = None
+        self._key: MergerKey | None = None
+        self._streams = 0
+        self._width = FIXED_COLUMNS
+        self._geometry: Geometry | None = None
+        self._uploads = Uploads(context, addresses)
+        self._pools = {name: Pool(context, addresses, retired) for name in POOLS}
+
+    def begin(
+        self, pipeline: Pipeline, target: Target, vertex: Kernel, streams: int, raster: Kernel, key: MergerKey
+    ) -> None:
+        """What the next draws have in common. The batch is empty."""
+        self.pipeline, self.target, self.vertex, self._streams = pipeline, target, vertex, streams
+        self.raster, self._key = raster, key
+        self._width = FIXED_COLUMNS + pipeline.starts[-1]
+
+    def flush(self) -> cl.Event | None:
+        """Rasterise what was gathered. The event is that of the last kernel.
+
+        Raises:
+            pyopencl.Error: out of memory; the draws are lost.
+            ShaderError: a checked program found a fault.
+        """
+        if not self.rows:
+            return None
+        rows = np.frombuffer(self.rows, np.uint64).reshape(-1, self._width).copy()
+        views = np.stack(self.views)
+        del self.rows[:]
+        self.views.clear()
+        places = rows[:, PREPARED].astype(np.int64)
+        draws, streams = self.prepared.draws[places], self.prepared.streams[places, : self._streams]
+        self.prepared.recycle()
+        groups = np.cumsum(draws["vertex_groups"] * rows[:, INSTANCES].astype(np.int64))
+        if groups[-1] <= _PIECE_GROUPS:
+            event = self._draw(rows, draws, streams, views)
+        else:
+            event = None
+            for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(groups // _PIECE_GROUPS)) + 1):
+                event = self._draw(rows[part], draws[part], streams[part], views) or event
+        if event is not None:
+            self._uploads.release(event)
+            assert self.pipeline is not None
+            for faults in self.pipeline.faults.values():
+                faults.read(self._queue)
+        return event
+
+    def _draw(
+        self,
+        rows: NDArray[np.uint64],
+        prepared: NDArray[Any],
+        streams: NDArray[np.uint64],
+        views: NDArray[Any],
+    ) -> cl.Event | None:
+        """One piece: its vertices all at once, its primitives slice by slice."""
+        assert self.pipeline is not None
+        assert self.target is not None
+        assert self._key is not None
+        key, target = self._key, self.target
+        draws = _number_groups(rows, prepared)
+        vertex_groups, groups = int(draws["vertex_group"][-1]), int(draws["primitive_group"][-1])
+        if not groups:
+            return None
+        bound = self._count_elements(rows[:, FIXED_COLUMNS:])
+        bound = np.concatenate([bound, streams], axis=1)
+        planes = target.planes_of(key)
+        tiles_x, tiles_y = (-(-size // TILE) for size in target.size)
+
+        batch, write = np.zeros((), BATCH), self._uploads.write
+        batch["draws"], batch["views"], batch["draw_count"] = write(draws), write(views), len(rows)
+        batch["rows"], batch["row_words"] = write(bound), bound.shape[1]
+        batch["surfaces"][: len(planes)] = [plane[0] for plane in planes]
+        batch["places"] = write(np.array([plane[1:] for plane in planes] or [(0, 0, 0)], np.uint64))
+        batch["vertex_groups"], batch["vertex_chunk"] = vertex_groups, _VERTEX_CHUNK
+        batch["width"], batch["height"] = target.size
+        batch["tiles_x"], batch["tiles"] = tiles_x, tiles_x * tiles_y
+        batch["samples"], batch["shades"] = key.samples, key.shades
+        batch["near_is_less"] = key.depth_passes < _FIRST_GREATER
+        varyings = self.pipeline.descriptor.varyings
+        batch["linear"] = any(varying.interpolation is Interpolation.NO_PERSPECTIVE for varying in varyings)
+        self._reserve(batch, vertex_groups * GROUP, min(groups, _SLICE_GROUPS) * GROUP)
+        return self._launch(batch, vertex_groups, groups)
+
+    def _reserve(self, batch: NDArray[Any], vertices: int, primitives: int) -> None:
+        """Scratch memory for a piece's vertices and a slice's primitives."""
+        assert self.pipeline is not None
+        tiles, listed = int(batch["tiles"]), max(_LIST_WORDS, primitives * _LISTED_PER_PRIMITIVE)
+        sizes = {
+            "positions": 16 * vertices,
+            "clips": 16 * vertices,
+            "varyings": 4 * varying_words(self.pipeline.descriptor) * vertices,
+            "records": RECORD_BYTES * primitives,
+            "planes": RECORD_BYTES * primitives if batch["shades"] else 0,
+            "boxes": 4 * primitives,
+            "counts": 4 * _CHUNKS * tiles,
+            "starts": 4 * (tiles + 1),
+            "survivors": 4 * _CHUNKS,
+            "scratch": 4 * 3 * GROUP * _CHUNKS,
+            "list": 4 * listed,
+        }
+        for name, size in sizes.items():
+            batch[name] = self._pools[name].reserve(size)
+        batch["list_size"] = listed
+
+    def _launch(self, batch: NDArray[Any], vertex_groups: int, groups: int) -> cl.Event | None:
+        """All kernels of a piece; the event is that of the last one."""
+        assert self.vertex is not None
+        assert self.raster is not None
+        if self._geometry is None:
+            self._geometry = Geometry(self._context)
+        geometry, queue, tiles, event = self._geometry, self._queue, int(batch["tiles"]), None
+        for first in range(0, groups, _SLICE_GROUPS):
+            end = min(first + _SLICE_GROUPS, groups)
+            chunk = max(_MIN_CHUNK, -(-(end - first) // _CHUNKS))
+            chunks = -(-(end - first) // chunk)
+            batch["first_group"], batch["end_group"] = first, end
+            batch["chunk_groups"], batch["chunks"] = chunk, chunks
+            batch["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
+            place = self._uploads.write(batch.reshape(1))
+            if first == 0:
+                self.vertex.launch(queue, place, -(-vertex_groups // _VERTEX_CHUNK))
+            geometry.set_up.launch(queue, place, chunks)
+            if listed:
+                geometry.prefix.launch(queue, place, 1)
+                geometry.scatter.launch(queue, place, chunks)
+            event = self.raster.launch(queue, place, tiles)
+        return event
+
+    def _count_elements(self, bound: NDArray[np.uint64]) -> NDArray[np.uint64]:
+        """Rows of what is bound, with the number of a storage's elements where the size was."""
+        assert self.pipeline is not None
+        for binding, at in zip(self.pipeline.descriptor.bindings, self.pipeline.starts, strict=False):
+            if binding.kind is BindingKind.STORAGE:
+                bound[:, at + 1] //= np.uint64(max(1, binding.size))
+        return bound
+
+
+def _number_groups(rows: NDArray[np.uint64], prepared: NDArray[Any]) -> NDArray[Any]:
+    """The table of draws; the last row is where groups end."""
+    draws = np.zeros(len(rows) + 1, DRAW)
+    draws[:-1] = prepared
+    for name, column in (
+        ("view", VIEW),
+        ("samples", SAMPLES),
+        ("condition", CONDITION),
+        ("inverted", INVERTED),
+    ):
+        draws[name][:-1] = rows[:, column]
+    instances = rows[:, INSTANCES].astype(np.int64)
+    draws["vertex_group"][1:] = np.cumsum(prepared["vertex_groups"] * instances)
+    draws["primitive_group"][1:] = np.cumsum(prepared["primitive_groups"] * instances)
+    draws["row"][:-1] = np.arange(len(rows))
+    return draws

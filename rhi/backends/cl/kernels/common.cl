@@ -1,0 +1,141 @@
+// What the kernels of a draw share: the tables they read, and 16 lanes.
+//
+// - A batch is many draws of one program into one pass. Its kernels take one argument, the address of its `Batch`,
+//   and find all else through addresses in memory: no argument is set per draw, whatever a draw binds.
+// - Work comes in groups of 16 vertices or primitives. A group belongs to one instance of one draw, so all that
+//   differs from draw to draw is the same for 16 lanes. Tables are mirrored in tables.py.
+// - Window positions are whole numbers of 1/256 texel from the centre of texel 0, 0; y counts from the top.
+
+#define INLINE static inline __attribute__((always_inline))
+#define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
+#define AT(type, address) ((global type *)(address))
+#define LANES (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
+#define GROUP 16
+#define UNROLL _Pragma("unroll")  // PoCL unrolls only what it is told to; else arrays would lie in memory
+
+#define SUBTEXELS 256
+// Floats below 2^22 are rounded to whole numbers by adding 1.5 * 2^23. So positions reach 2^22 subtexels, 16384 texels,
+// from the target's corner, twice the largest target; what lies beyond is clipped to a little less.
+#define POSITION_LIMIT 4194000.0f
+#define CLIP_LIMIT 16380.0f  // texels
+
+#define TILE_BITS 6
+#define TILE (1 << TILE_BITS)  // texels along its edge: 4096 depths are 16 KiB, half of a core's first cache
+
+enum { POINTS = 1, LINES = 2, TRIANGLES = 3 };
+
+// Records of primitives, 16 words each: three edges A x + B y + C, depth as a plane from the box's first texel on, the
+// first and the last texel of the box, flags, the depth that is most likely to pass. How edges are given: see setup.cl.
+enum { SMALL, BIG, POLYGON };
+enum { EDGE_A = 0, EDGE_B = 3, EDGE_C = 6, DEPTH_PLANE = 9, BOX_FIRST = 12, BOX_LAST = 13, FLAGS = 14, NEAREST = 15 };
+// Records for shading: 1/w and the weights of corners 1 and 2, divided by w, as planes; the two corners' w if something
+// is interpolated in the window; the slots of the three corners; the primitive's number in its draw.
+enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14 };
+enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
+// Flags: the draw's number, whether the box cuts the primitive, whether it is a front, the kind.
+#define PACK_FLAGS(draw, cuts, front, kind) ((draw) << 4 | (cuts) << 3 | (front) << 2 | (kind))
+
+// Whether an edge owns what lies on it: it is a left or a top one.
+#define OWNS(a, b) (((a) > 0) | (((a) == 0) & ((b) > 0)))
+
+#define SAMPLE_REACH 96  // subtexels from a texel's centre to its outermost sample, along an axis
+
+typedef struct {
+    ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
+    ulong surfaces[10], places;       // color targets, depth, stencil; where they begin in their memory
+    int draw_count, row_words;
+    int vertex_groups, vertex_chunk;  // of the batch, and for one work-item
+    int first_group, end_group, chunk_groups, chunks;  // of primitives: this slice, and for one work-item
+    int tiles_x, tiles, list_size, listed;
+    int samples, shades, linear, width, height;
+    int near_is_less;                 // of depths: which way the test goes
+} Batch;
+
+typedef struct {
+    ulong indices;                          // of its first corner; 0: vertices in order
+    ulong vertex_indices;                   // of its first vertex; 0: those from first_vertex on
+    ulong samples, condition;               // counters of samples; 0: none
+    int vertex_group, primitive_group;      // numbers of its first groups in the batch
+    int vertex_groups, primitive_groups;    // for one instance
+    int first_vertex, vertices;             // what is added to a vertex's number; how many are transformed
+    int lowest;                             // the index of the first of them
+    int primitives, primitive;              // number and kind
+    int index_bytes, vertex_index_bytes;
+    int base_instance, number;
+    int row, view, inverted;
+} Draw;
+
+typedef struct {
+    float scale[4], shift[4];  // window = clip / w * scale + shift, in texels; then depth
+    int box[4];                // first and last texel that may be drawn
+    int culled;                // 1: those with positive area in the window, 2: negative, 3: both
+    int front;                 // 1: a positive area is a front
+    float bias_units, bias_slope, bias_clamp, bias_step;  // step 0: that of floats
+    uint state[STATE_WORDS];   // of targets.cl
+} View;
+
+#define SHUFFLE __builtin_shufflevector
+
+// Four vectors of four quarters, transposed: between 4 rows of 16 texels and 4 blocks of 4 × 4.
+#define EXCHANGE_QUARTERS(type) \
+static inline __attribute__((always_inline, overloadable)) void exchange_quarters(const type *from, type *to) { \
+    type a = SHUFFLE(from[0], from[1], 0, 1, 2, 3, 16, 17, 18, 19, 4, 5, 6, 7, 20, 21, 22, 23); \
+    type b = SHUFFLE(from[2], from[3], 0, 1, 2, 3, 16, 17, 18, 19, 4, 5, 6, 7, 20, 21, 22, 23); \
+    type c = SHUFFLE(from[0], from[1], 8, 9, 10, 11, 24, 25, 26, 27, 12, 13, 14, 15, 28, 29, 30, 31); \
+    type d = SHUFFLE(from[2], from[3], 8, 9, 10, 11, 24, 25, 26, 27, 12, 13, 14, 15, 28, 29, 30, 31); \
+    to[0] = SHUFFLE(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23); \
+    to[1] = SHUFFLE(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31); \
+    to[2] = SHUFFLE(c, d, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23); \
+    to[3] = SHUFFLE(c, d, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31); \
+}
+
+EXCHANGE_QUARTERS(uint16)
+EXCHANGE_QUARTERS(float16)
+
+// The lanes of a mask as bits.
+INLINE uint bits_of(int16 mask) {
+#if defined(__AVX512DQ__)
+    return (uint)(ushort)__builtin_ia32_cvtd2mask512(mask);
+#elif defined(__AVX__)
+    return (uint)__builtin_ia32_movmskps256(as_float8(mask.lo)) | (uint)__builtin_ia32_movmskps256(as_float8(mask.hi)) << 8;
+#else
+    int16 bits = mask & (int16)(1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768);
+    int8 half_sum = bits.lo | bits.hi;
+    int4 quarter = half_sum.lo | half_sum.hi;
+    int2 pair = quarter.lo | quarter.hi;
+    return (uint)(pair.x | pair.y);
+#endif
+}
+
+// Four vectors of 4 × 4 words each, transposed within each 4 × 4: from 16 rows of 4 words (row 4 i + j in quarter i of
+// vector j) to the 4 columns, and back.
+INLINE void transpose4(const uint16 *rows, uint16 *columns) {
+    uint16 a = SHUFFLE(rows[0], rows[1], 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29);
+    uint16 b = SHUFFLE(rows[0], rows[1], 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31);
+    uint16 c = SHUFFLE(rows[2], rows[3], 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29);
+    uint16 d = SHUFFLE(rows[2], rows[3], 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31);
+    columns[0] = SHUFFLE(a, c, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29);
+    columns[1] = SHUFFLE(a, c, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31);
+    columns[2] = SHUFFLE(b, d, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13, 28, 29);
+    columns[3] = SHUFFLE(b, d, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31);
+}
+
+// The draw that a group belongs to: the last one that begins at or before it. `part` is a field's place in Draw.
+#define FIND_DRAW(name, field) \
+INLINE int name(global const Draw *draws, int count, int group) { \
+    int low = 0, high = count - 1; \
+    while (low < high) { \
+        int middle = (low + high + 1) / 2; \
+        if (draws[middle].field <= group) low = middle; \
+        else high = middle - 1; \
+    } \
+    return low; \
+}
+
+// Whether a draw is dropped by its condition: the counter of a query, which is two words.
+INLINE bool is_dropped(global const Draw *draw) {
+    if (!draw->condition) return false;
+    global const uint *counter = AT(const uint, draw->condition);
+    bool seen = counter[0] | counter[1];
+    return seen == draw->inverted;
+}

@@ -1,0 +1,87 @@
+// Primitives that are drawn as convex polygons: triangles that are clipped, lines, points.
+//
+// - They are few, so each is done by itself in plain scalars, and twice: set-up needs its box, and each tile that it
+//   touches its corners. So one record is enough for any polygon, and the order of primitives holds.
+// - Clipping is against the view's depth range and a guard band far outside the target, never against the target.
+//   New corners are computed from the inner to the outer end of an edge: two triangles that share it agree.
+// - What a clipped triangle carries comes from the whole one (setup.cl), so nothing but positions is clipped.
+
+#define MAX_CORNERS 9  // a triangle's, and one more for each of six planes
+
+// How far a clip position is inside of a plane: near, far, then the four sides of the guard band.
+INLINE float inside_of(global const View *view, float4 p, int plane) {
+    switch (plane) {
+    case 0: return p.z;
+    case 1: return p.w - p.z;
+    case 2: return view->scale[0] * p.x + (view->shift[0] + CLIP_LIMIT) * p.w;
+    case 3: return (CLIP_LIMIT - view->shift[0]) * p.w - view->scale[0] * p.x;
+    case 4: return view->scale[1] * p.y + (view->shift[1] + CLIP_LIMIT) * p.w;
+    default: return (CLIP_LIMIT - view->shift[1]) * p.w - view->scale[1] * p.y;
+    }
+}
+
+INLINE float4 cut(float4 inner, float4 outer, float inner_distance, float outer_distance) {
+    return inner + (outer - inner) * (inner_distance / (inner_distance - outer_distance));
+}
+
+INLINE int2 to_window(global const View *view, float4 p) {
+    float near_w = 1.0f / p.w;
+    float x = fma(p.x * near_w, view->scale[0], view->shift[0]), y = fma(p.y * near_w, view->scale[1], view->shift[1]);
+    return (int2)(convert_int_rte((x - 0.5f) * SUBTEXELS), convert_int_rte((y - 0.5f) * SUBTEXELS));
+}
+
+// The corners of a primitive in the window, in an order that makes its area positive; their number, 0 if nothing is
+// left of it. Of a triangle, `flipped` says whether it is seen with a negative area.
+INLINE int make_polygon(
+    global const View *view, const float4 *clips, int primitive, bool flipped, int2 *points
+) {
+    float4 corners[MAX_CORNERS + 1], kept[MAX_CORNERS + 1];
+    int count = primitive;
+    for (int i = 0; i < count; ++i) corners[i] = clips[primitive == TRIANGLES && flipped ? (3 - i) % 3 : i];
+    for (int plane = 0; plane < 6; ++plane) {
+        int left = 0;
+        for (int i = 0; i < count; ++i) {
+            float4 p = corners[i], q = corners[i + 1 < count ? i + 1 : 0];
+            float at_p = inside_of(view, p, plane), at_q = inside_of(view, q, plane);
+            bool has_p = at_p >= 0.0f, has_q = at_q >= 0.0f;  // NaN is outside
+            if (has_p) kept[left++] = p;
+            if (has_p == has_q || (primitive == LINES && i == 1)) continue;
+            kept[left++] = has_p ? cut(p, q, at_p, at_q) : cut(q, p, at_q, at_p);
+        }
+        count = left;
+        for (int i = 0; i < count; ++i) corners[i] = kept[i];
+    }
+    if (count < primitive || !(corners[0].w > 0.0f)) return 0;
+    if (primitive == TRIANGLES) {
+        for (int i = 0; i < count; ++i) {
+            if (!(corners[i].w > 0.0f)) return 0;
+            points[i] = to_window(view, corners[i]);
+        }
+        return count;
+    }
+    int2 start = to_window(view, corners[0]);
+    if (primitive == POINTS) {
+        if (fabs(corners[0].x) > corners[0].w || fabs(corners[0].y) > corners[0].w) return 0;
+        points[0] = start + (int2)(-SUBTEXELS / 2, -SUBTEXELS / 2);
+        points[1] = start + (int2)(SUBTEXELS / 2, -SUBTEXELS / 2);
+        points[2] = start + (int2)(SUBTEXELS / 2, SUBTEXELS / 2);
+        points[3] = start + (int2)(-SUBTEXELS / 2, SUBTEXELS / 2);
+        return 4;
+    }
+    // A line is a parallelogram, one texel high or wide, that holds its start and not its end: the fill rule takes
+    // what lies on the left or top edge, so a line the other way round moves on by the smallest step.
+    if (!(corners[1].w > 0.0f)) return 0;
+    int2 end = to_window(view, corners[1]);
+    int2 step = end - start;
+    bool steep = abs(step.y) > abs(step.x);
+    bool backwards = steep ? step.y < 0 : step.x < 0;
+    if (!(steep ? step.y : step.x)) return 0;
+    int2 shift = steep ? (int2)(0, backwards) : (int2)(backwards, 0);
+    int2 half_width = steep ? (int2)(SUBTEXELS / 2, 0) : (int2)(0, SUBTEXELS / 2);
+    int2 first = (backwards ? end : start) + shift, last = (backwards ? start : end) + shift;
+    points[0] = first - half_width;
+    points[1] = steep ? first + half_width : last - half_width;
+    points[2] = last + half_width;
+    points[3] = steep ? last - half_width : first + half_width;
+    return 4;
+}

@@ -1,0 +1,394 @@
+// Records to fragments: a work-item per tile, which nobody else writes, record after record in order.
+//
+// - Within a tile a record's box is walked in blocks of 4 × 4 texels, lane = x + 4 y. A block's edges, depth and shading
+//   are each a vector of 16.
+// - Large primitives find their edges at the tile in 64 bits; an edge that all of the tile lies inside of is dropped, one
+//   that all lies outside of ends the record. What is left fits in 32 bits. A polygon is a fan of such triangles.
+// - Multi-sampled: four coverages, one shading.
+// - Before this text stand targets.cl, the fragment stage and what tables.py writes: OPEN_SURFACES, BINDINGS,
+//   VARYING_WORDS, FLAT_WORDS, VARYINGS.
+
+#define LANE_X (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
+#define LANE_Y (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
+#define LANE_FX (float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
+#define LANE_FY (float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
+#define AHEAD 12  // records: memory's latency over the time that one takes
+
+// Which records a tile has to do with: those of its list, or, without lists, those whose boxes hold it.
+typedef struct {
+    global const uint *list, *boxes, *survivors;
+    uint next, end, chunk, chunks, chunk_records, column, row;
+} Records;
+
+INLINE Records find_records(global const Batch *batch, int tile) {
+    Records records;
+    global const uint *starts = AT(const uint, batch->starts);
+    bool listed = batch->listed && starts[batch->tiles] <= batch->list_size;
+    records.list = listed ? AT(const uint, batch->list) : 0;
+    records.boxes = AT(const uint, batch->boxes);
+    records.survivors = AT(const uint, batch->survivors);
+    records.next = listed ? starts[tile] : 0;
+    records.end = listed ? starts[tile + 1] : 0;
+    records.chunk = 0;
+    records.chunks = listed ? 0 : batch->chunks;
+    records.chunk_records = batch->chunk_groups * GROUP;
+    records.column = tile % batch->tiles_x;
+    records.row = tile / batch->tiles_x;
+    return records;
+}
+
+// The next record's place; -1: there is none.
+INLINE int next_record(Records *records) {
+    for (;;) {
+        if (records->next < records->end) {
+            uint place = records->next++;
+            if (records->list) return records->list[place];
+            uint box = records->boxes[place];
+            if ((box & 255u) <= records->column && records->column <= (box >> 16 & 255u) &&
+                (box >> 8 & 255u) <= records->row && records->row <= box >> 24)
+                return place;
+        } else {
+            if (records->chunk == records->chunks) return -1;
+            records->next = records->chunk * records->chunk_records;
+            records->end = records->next + records->survivors[records->chunk++];
+        }
+    }
+}
+
+typedef struct {
+    int a[3], b[3];        // per texel
+    int c[SAMPLES][3];     // at the corner of the first block, rounded down to whole texels
+} Edges;
+
+#if SAMPLES == 4
+constant int sample_x[4] = {-32, 96, -96, 32}, sample_y[4] = {-96, -32, 32, 96};  // from the texel's centre
+#elif SAMPLES == 2
+constant int sample_x[2] = {-32, 32}, sample_y[2] = {-96, 96};  // off both diagonals, whose edges would have both or none
+#else
+constant int sample_x[1] = {0}, sample_y[1] = {0};
+#endif
+
+// The edges of a triangle of any size from texel x, y on; false if none of the tile behind it can be covered.
+INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
+    UNROLL for (int i = 0; i < 3; ++i) {
+        int2 from = points[i], to = points[i < 2 ? i + 1 : 0];
+        int a = from.y - to.y, b = to.x - from.x;
+        long start = (long)a * (x * SUBTEXELS - from.x) + (long)b * (y * SUBTEXELS - from.y) - 1 + OWNS(a, b);
+        // A tile more than needed: samples lie off the centres.
+        long across = (long)TILE * (max(a, 0) + max(b, 0)) + abs(a) + abs(b), back = (long)TILE * (min(a, 0) + min(b, 0));
+        if ((start >> 8) + across < 0) return false;
+        bool holds = (start >> 8) + back - abs(a) - abs(b) >= 0;
+        edges->a[i] = holds ? 0 : a;
+        edges->b[i] = holds ? 0 : b;
+        UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
+            edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * sample_x[sample] + (long)b * sample_y[sample]) >> 8);
+    }
+    return true;
+}
+
+#if SHADES
+// Weights of the corners at 16 places, and what they make of the varyings.
+typedef struct {
+    float16 near_w, weight1, weight2;  // in the world
+    float16 straight1, straight2;      // in the window
+} Weights;
+
+INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
+    Weights weights;
+    weights.near_w = planes[0] * x + planes[1] * y + planes[2];
+    float16 w = 1.0f / weights.near_w;
+    float16 part1 = planes[3] * x + planes[4] * y + planes[5], part2 = planes[6] * x + planes[7] * y + planes[8];
+    weights.weight1 = part1 * w;
+    weights.weight2 = part2 * w;
+    weights.straight1 = part1 * planes[CORNER_W];
+    weights.straight2 = part2 * planes[CORNER_W + 1];
+    return weights;
+}
+#define CORNER(k, word) as_float(corner##k[word])
+#define INTERPOLATE(word, weight1, weight2) \
+    inputs[word] = as_uint16(CORNER(0, word) + (CORNER(1, word) - CORNER(0, word)) * weight1 + \
+                             (CORNER(2, word) - CORNER(0, word)) * weight2);
+#define SMOOTH(word) INTERPOLATE(word, weights.weight1, weights.weight2)
+#define STRAIGHT(word) INTERPOLATE(word, weights.straight1, weights.straight2)
+#define FLAT(word) flat[word] = corner0[word];
+#endif
+
+#if STAGES_DEPTH
+// The tile's depths, block by block: a block is one vector, and in the first cache. The plane's rows are read and
+// written once per tile, 16 texels of 4 rows at a time.
+#define TILE_BLOCKS (TILE / 4)
+
+// Bounds: of each PART × PART texels, a depth that all stored ones lie nearer than. What lies behind the bounds of all
+// parts that its box touches is dropped before its edges are looked at. A bound is found anew after some writes.
+#define BOUNDS_DEPTH (DEPTH_PASSES == 1 || DEPTH_PASSES == 3 || DEPTH_PASSES == 4 || DEPTH_PASSES == 6) && \
+                     (TEST_ORDER != TEST_LATE || !SHADES)
+#define PART_BITS 4
+#define PARTS (TILE >> PART_BITS)
+#define WRITES_BEFORE_BOUND 16  // records
+#define NEAR_IS_LESS (DEPTH_PASSES < 4)
+#define FARTHER(a, b) (NEAR_IS_LESS ? fmax(a, b) : fmin(a, b))
+#define ROUNDING (DEPTH_BITS == 16 ? 1.0f / 65535.0f : DEPTH_BITS == 24 ? 1.0f / 16777215.0f : 0.0f)
+
+INLINE float find_bound(const float16 *blocks, int part) {
+    const float16 *block = blocks + (part / PARTS * TILE_BLOCKS + part % PARTS) * (1 << PART_BITS) / 4;
+    float16 farthest = *block;
+    UNROLL for (int i = 0; i < 4; ++i)
+        UNROLL for (int j = 0; j < 4; ++j) farthest = FARTHER(farthest, block[i * TILE_BLOCKS + j]);
+    float8 half_way = FARTHER(farthest.lo, farthest.hi);
+    float4 quarter = FARTHER(half_way.lo, half_way.hi);
+    float2 pair = FARTHER(quarter.lo, quarter.hi);
+    return FARTHER(pair.x, pair.y);
+}
+
+// Between the plane and a tile's blocks; `width` and `height` are what of the tile lies in the plane, whole blocks.
+INLINE void stage_depth(const Targets *targets, int x, int y, int width, int height, float16 *blocks, const bool back) {
+    const ulong pitch = targets->depth.pitch;
+    for (int row = 0; row < height; row += 4) {
+        global float *line = (global float *)locate(&targets->depth, x, y + row, 0, 4);
+        float16 *block = blocks + row / 4 * TILE_BLOCKS;
+        int column = 0;
+        for (; column + 16 <= width; column += 16, line += 16, block += 4) {
+            float16 rows[4], four[4];
+            if (back) {
+                UNROLL for (int i = 0; i < 4; ++i) four[i] = block[i];
+                exchange_quarters(four, rows);
+                UNROLL for (int i = 0; i < 4; ++i) vstore16(rows[i], 0, (global float *)((global uchar *)line + i * pitch));
+            } else {
+                UNROLL for (int i = 0; i < 4; ++i) rows[i] = vload16(0, (global float *)((global uchar *)line + i * pitch));
+                exchange_quarters(rows, four);
+                UNROLL for (int i = 0; i < 4; ++i) block[i] = four[i];
+            }
+        }
+        for (; column < width; column += 4, ++block) {
+            if (back) store_depth(targets, x + column, y + row, 0, *block);
+            else *block = load_depth(targets, x + column, y + row, 0);
+        }
+    }
+}
+#endif
+
+INLINE void count_samples(ulong address, uint count) {
+    if (!address || !count) return;
+    volatile global uint *counter = AT(volatile uint, address);
+    if (atomic_add(counter, count) + count < count) atomic_inc(counter + 1);
+}
+
+SINGLE raster(ulong address) {
+    global const Batch *batch = AT(const Batch, address);
+    const int tile = get_global_id(0);
+    Records records = find_records(batch, tile);
+    int place = next_record(&records);
+    if (place < 0) return;
+    const int tile_x = tile % batch->tiles_x * TILE, tile_y = tile / batch->tiles_x * TILE;
+    OPEN_SURFACES
+    const Targets targets = open_targets(TARGET_ARGUMENTS);
+#if STAGES_DEPTH
+    float16 blocks[TILE_BLOCKS * TILE_BLOCKS];
+    const int staged_width = min(TILE, ((batch->width + 3) & ~3) - tile_x);
+    const int staged_height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
+    stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, false);
+#if BOUNDS_DEPTH
+    float bounds[PARTS * PARTS];
+    uchar writes[PARTS * PARTS];
+    for (int part = 0; part < PARTS * PARTS; ++part) {
+        bounds[part] = find_bound(blocks, part);
+        writes[part] = 0;
+    }
+#endif
+#endif
+    global const int *record_memory = AT(const int, batch->records);
+    global const Draw *draws = AT(const Draw, batch->draws);
+    global const Draw *draw = 0;  // the one of the record at hand, and what it uses
+    global const View *view = 0;
+    global const uint *state = 0;
+    global const ulong *row = 0;
+    int number = -1;
+    ulong counter = 0;
+    uint counted = 0;
+    for (; place >= 0; place = next_record(&records)) {
+        global const int *record = record_memory + (long)place * 16;
+        if (records.list) {
+            uint later = records.list[min(records.next + AHEAD, records.end - 1)];
+            __builtin_prefetch((const void *)(ulong)(record_memory + (long)later * 16), 0, 3);
+        }
+        const int flags = record[FLAGS], first = record[BOX_FIRST], last = record[BOX_LAST];
+        const int kind = flags & 3, front = flags >> 2 & 1;
+        const int box_x = first & 0xFFFF, box_y = first >> 16, end_x = last & 0xFFFF, end_y = last >> 16;
+        const int x0 = max(box_x, tile_x) & ~3, y0 = max(box_y, tile_y) & ~3;
+        const int x1 = min(end_x, tile_x + TILE - 1), y1 = min(end_y, tile_y + TILE - 1);
+#if STAGES_DEPTH && BOUNDS_DEPTH
+        const int part_x0 = (x0 - tile_x) >> PART_BITS, part_x1 = (x1 - tile_x) >> PART_BITS;
+        const int part_y0 = (y0 - tile_y) >> PART_BITS, part_y1 = (y1 - tile_y) >> PART_BITS;
+        float bound = bounds[part_y0 * PARTS + part_x0];
+        for (int part_y = part_y0; part_y <= part_y1; ++part_y)
+            for (int part_x = part_x0; part_x <= part_x1; ++part_x) bound = FARTHER(bound, bounds[part_y * PARTS + part_x]);
+        const float nearest = as_float(record[NEAREST]);
+        if (NEAR_IS_LESS ? nearest - ROUNDING > bound : nearest + ROUNDING < bound) continue;
+#endif
+        if (flags >> 4 != number) {
+            number = flags >> 4;
+            draw = draws + number;
+            view = AT(const View, batch->views) + draw->view;
+            state = view->state;
+            row = AT(const ulong, batch->rows) + (long)draw->row * batch->row_words;
+            if (draw->samples != counter) {
+                count_samples(counter, counted);
+                counter = draw->samples;
+                counted = 0;
+            }
+        }
+        global const float *depth_plane = (global const float *)(record + DEPTH_PLANE);
+        const float depth_x = depth_plane[0], depth_y = depth_plane[1];
+        const float depth_start = depth_plane[2] + depth_x * (float)(x0 - box_x) + depth_y * (float)(y0 - box_y);
+#if SHADES
+        global const float *planes = AT(const float, batch->planes) + (long)place * 16;
+#if VARYING_WORDS
+        global const uint *varyings = AT(const uint, batch->varyings), *slots = (global const uint *)planes + SLOTS;
+        global const uint *corner0 = varyings + (long)slots[0] * VARYING_WORDS;
+        global const uint *corner1 = varyings + (long)slots[1] * VARYING_WORDS;
+        global const uint *corner2 = varyings + (long)slots[2] * VARYING_WORDS;
+#endif
+#endif
+
+        int2 points[MAX_CORNERS + 1];
+        int pieces = 1;
+        if (kind == POLYGON) {
+            float4 clips[3];
+            UNROLL for (int i = 0; i < 3; ++i) clips[i] = vload4(record[POLYGON_SLOTS + i], AT(const float, batch->clips));
+            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], points) - 2;
+        }
+        for (int piece = 0; piece < pieces; ++piece) {
+            Edges edges;
+            if (kind == SMALL) {
+                UNROLL for (int i = 0; i < 3; ++i) {
+                    edges.a[i] = record[EDGE_A + i];
+                    edges.b[i] = record[EDGE_B + i];
+                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
+                        edges.c[sample][i] =
+                            record[EDGE_C + i] + edges.a[i] * (x0 - box_x) + edges.b[i] * (y0 - box_y);
+                }
+            } else {
+                int2 triangle[3];
+                if (kind == BIG) {
+                    triangle[0] = (int2)(record[EDGE_C], record[EDGE_C + 1]);
+                    triangle[1] = triangle[0] + (int2)(record[EDGE_B], -record[EDGE_A]);
+                    triangle[2] = triangle[1] + (int2)(record[EDGE_B + 1], -record[EDGE_A + 1]);
+                } else {
+                    triangle[0] = points[0];
+                    triangle[1] = points[piece + 1];
+                    triangle[2] = points[piece + 2];
+                }
+                if (!find_edges(triangle, x0, y0, &edges)) continue;
+            }
+            int16 row0 = edges.c[0][0] + edges.a[0] * LANE_X + edges.b[0] * LANE_Y;
+            int16 row1 = edges.c[0][1] + edges.a[1] * LANE_X + edges.b[1] * LANE_Y;
+            int16 row2 = edges.c[0][2] + edges.a[2] * LANE_X + edges.b[2] * LANE_Y;
+            float16 row_depth = depth_start + depth_x * LANE_FX + depth_y * LANE_FY;
+            for (int y = y0; y <= y1; y += 4) {
+                int16 edge0 = row0, edge1 = row1, edge2 = row2;
+                float16 z = row_depth;
+                for (int x = x0; x <= x1; x += 4, edge0 += 4 * edges.a[0], edge1 += 4 * edges.a[1],
+                         edge2 += 4 * edges.a[2], z += 4.0f * depth_x) {
+                    int16 box = (int16)(-1);
+                    if (flags & 8)
+                        box = (x + LANE_X >= box_x) & (x + LANE_X <= end_x) & (y + LANE_Y >= box_y) & (y + LANE_Y <= end_y);
+                    int16 masks[SAMPLES], covered = (int16)(0);
+                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                        masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
+                                                (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
+                                                (edge2 + (edges.c[sample][2] - edges.c[0][2]))) >= 0);
+                        covered |= masks[sample];
+                    }
+#if STAGES_DEPTH
+                    // One sample and no stencil: what merge_depth_stencil does, on the staged block.
+                    float16 *block = blocks + ((y - tile_y) / 4 * TILE_BLOCKS + (x - tile_x) / 4);
+                    float16 stored = *block, fresh = quantize_depth(z);
+#if TEST_ORDER != TEST_LATE || !SHADES
+                    covered &= compare_depth(fresh, stored);
+                    masks[0] = covered;
+#if DEPTH_WRITES && (TEST_ORDER == TEST_EARLY || !SHADES)
+#if SHADES
+                    if (!bits_of(covered)) continue;
+#endif
+                    *block = covered ? fresh : stored;
+#endif
+#if TEST_ORDER == TEST_EARLY || !SHADES
+                    if (counter) counted += popcount(bits_of(covered));
+#endif
+#endif
+#endif
+#if SHADES || !STAGES_DEPTH
+                    if (!bits_of(covered)) continue;
+#endif
+#define SAMPLE_DEPTH (z + (depth_x * (sample_x[sample] / 256.0f) + depth_y * (sample_y[sample] / 256.0f)))
+#if !STAGES_DEPTH && (TEST_ORDER != TEST_LATE || !SHADES)
+                    covered = (int16)(0);
+                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+#if TEST_ORDER == TEST_EARLY || !SHADES
+                        masks[sample] =
+                            merge_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                        if (counter) counted += popcount(bits_of(masks[sample]));
+#else
+                        masks[sample] =
+                            test_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+#endif
+                        covered |= masks[sample];
+                    }
+#if SHADES
+                    if (!bits_of(covered)) continue;
+#endif
+#endif
+#if SHADES
+                    float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
+                    Weights weights = find_weights(planes, away_x, away_y);
+                    uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
+                    uint flat[VARYING_WORDS + 1];
+#if VARYING_WORDS
+                    VARYINGS(SMOOTH, FLAT, STRAIGHT)
+#endif
+                    UNROLL for (int i = 0; i < OUTPUT_WORDS; ++i) outputs[i] = (uint16)(0u);
+                    float16 depth = z;
+                    int16 kept = rhi_fragment(
+                        BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
+                        front, as_int(planes[NUMBER]), covered, outputs, &depth);
+                    kept = test_alpha(state, kept, outputs);
+                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                        int16 mask = masks[sample] & kept;
+                        if (SAMPLES > 1) mask = cover_by_alpha(mask, outputs, sample);
+#if STAGES_DEPTH && TEST_ORDER != TEST_EARLY
+                        fresh = quantize_depth(GIVES_DEPTH ? depth : z);
+                        mask &= compare_depth(fresh, stored);
+                        if (DEPTH_WRITES) *block = mask ? fresh : stored;
+                        if (counter) counted += popcount(bits_of(mask));
+#elif TEST_ORDER != TEST_EARLY
+                        mask = merge_depth_stencil(&targets, state, x, y, sample, front, mask,
+                                                   GIVES_DEPTH ? depth : SAMPLE_DEPTH);
+                        if (counter) counted += popcount(bits_of(mask));
+#endif
+#if COLOR_COUNT
+                        if (SAMPLES == 1 || bits_of(mask)) merge_colors(&targets, state, x, y, sample, mask, outputs);
+#endif
+                    }
+#endif
+                }
+                row0 += 4 * edges.b[0];
+                row1 += 4 * edges.b[1];
+                row2 += 4 * edges.b[2];
+                row_depth += 4.0f * depth_y;
+            }
+        }
+#if STAGES_DEPTH && BOUNDS_DEPTH && DEPTH_WRITES
+        for (int part_y = part_y0; part_y <= part_y1; ++part_y)
+            for (int part_x = part_x0; part_x <= part_x1; ++part_x) {
+                int part = part_y * PARTS + part_x;
+                if (++writes[part] < WRITES_BEFORE_BOUND) continue;
+                writes[part] = 0;
+                bounds[part] = find_bound(blocks, part);
+            }
+#endif
+    }
+    count_samples(counter, counted);
+#if STAGES_DEPTH && DEPTH_WRITES
+    stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, true);
+#endif
+}

@@ -1,0 +1,148 @@
+// Vertices: 16 at a time through the program's vertex stage, on to window positions.
+//
+// - Each work-item does some groups; a group's attributes are gathered as words and transposed.
+// - Stored for each vertex: its window position {x, y in subtexels, depth, 1/w} and its varyings. A vertex that can't
+//   have a window position (behind a plane of the view's depth, or too far aside) is marked by 1/w = -1, and its x are
+//   the planes it lies behind. Clip positions are kept of all, since a vertex can't know what it is clipped with; they
+//   can't be found from window positions, whose rounding tilts planes that reach to the horizon.
+// - Before this text stand the stage and what tables.py writes: INPUT_WORDS, VARYING_WORDS, FETCH, BINDINGS.
+
+FIND_DRAW(find_draw_of_vertices, vertex_group)
+
+// `count` words of 16 vertices, whose places in memory PLACE gives; up to 12 bytes beyond the last one are read.
+#define GATHER(PLACE) \
+    if (count == 1) { \
+        words[0] = (uint16)(WORD(PLACE, 0), WORD(PLACE, 1), WORD(PLACE, 2), WORD(PLACE, 3), WORD(PLACE, 4), \
+                            WORD(PLACE, 5), WORD(PLACE, 6), WORD(PLACE, 7), WORD(PLACE, 8), WORD(PLACE, 9), \
+                            WORD(PLACE, 10), WORD(PLACE, 11), WORD(PLACE, 12), WORD(PLACE, 13), WORD(PLACE, 14), \
+                            WORD(PLACE, 15)); \
+    } else { \
+        uint16 rows[4], columns[4]; \
+        UNROLL for (int i = 0; i < 4; ++i) \
+            rows[i] = (uint16)(FOUR(PLACE, i), FOUR(PLACE, i + 4), FOUR(PLACE, i + 8), FOUR(PLACE, i + 12)); \
+        transpose4(rows, columns); \
+        UNROLL for (int i = 0; i < count; ++i) words[i] = columns[i]; \
+    }
+#define WORD(PLACE, lane) *(global const uint *)(attribute + PLACE(lane) * stride)
+#define FOUR(PLACE, lane) vload4(0, (global const uint *)(attribute + PLACE(lane) * stride))
+
+INLINE void gather(global const uchar *attribute, const int *vertices, const long stride, const int count, uint16 *words) {
+#define NAMED(lane) vertices[lane]
+    GATHER(NAMED)
+}
+
+// The same of vertices that follow one another: their places are known when this is compiled.
+INLINE void gather_row(global const uchar *attribute, const long stride, const int count, uint16 *words) {
+#define IN_ROW(lane) (lane)
+    GATHER(IN_ROW)
+}
+
+// The same words for all lanes.
+INLINE void spread(global const uchar *attribute, const int count, uint16 *words) {
+    UNROLL for (int i = 0; i < count; ++i) words[i] = (uint16)(((global const uint *)attribute)[i]);
+}
+
+// Components of packed words.
+#define FIELD(word, shift, bits) ((word) >> (shift) & ((1u << (bits)) - 1u))
+#define SIGNED(word, shift, bits) (as_int16((word) << (32 - (shift) - (bits))) >> (32 - (bits)))
+#define UNORM(word, shift, bits) as_uint16(convert_float16(FIELD(word, shift, bits)) * (1.0f / ((1u << (bits)) - 1u)))
+#define SNORM(word, shift, bits) \
+    as_uint16(max(convert_float16(SIGNED(word, shift, bits)) * (1.0f / ((1u << ((bits) - 1)) - 1u)), -1.0f))
+
+INLINE uint16 read_half_bits(uint16 word, const int shift) {
+    uint16 stored = FIELD(word, shift, 16), size = (stored & 0x7FFFu) << 13, exponent = size & 0x0F800000u;
+    float16 tiny = as_float16(size + 0x38800000u) - 0x1p-14f;
+    uint16 value = exponent == 0x0F800000u ? size + 0x70000000u : size + 0x38000000u;
+    value = exponent == 0u ? as_uint16(tiny) : value;
+    return value | (stored & 0x8000u) << 16;
+}
+
+// Outputs are as the stage gives them: a vector for each word, 16 vertices in its lanes. `width` words are stored for
+// each vertex, a multiple of 4.
+INLINE void store_words(global uint *memory, const uint16 *words, const int width) {
+    UNROLL for (int i = 0; i < width; i += 4) {
+        uint16 rows[4];
+        transpose4(words + i, rows);
+        if (width == 4) {
+            uint16 whole[4];
+            exchange_quarters(rows, whole);
+            UNROLL for (int j = 0; j < 4; ++j) vstore16(whole[j], j, memory);
+            return;
+        }
+        UNROLL for (int j = 0; j < 4; ++j) {
+            vstore4(rows[j].s0123, 0, memory + j * width + i);
+            vstore4(rows[j].s4567, 0, memory + (j + 4) * width + i);
+            vstore4(rows[j].s89ab, 0, memory + (j + 8) * width + i);
+            vstore4(rows[j].scdef, 0, memory + (j + 12) * width + i);
+        }
+    }
+}
+
+// The vertices that a list names at 16 places.
+INLINE int16 look_up(global const Draw *draw, int16 places) {
+    int named[GROUP];
+    vstore16(places, 0, named);
+    for (int i = 0; i < GROUP; ++i)
+        named[i] = draw->vertex_index_bytes == 2 ? AT(const ushort, draw->vertex_indices)[named[i]]
+                                                 : AT(const uint, draw->vertex_indices)[named[i]];
+    return vload16(0, named);
+}
+
+SINGLE transform(ulong address) {
+    global const Batch *batch = AT(const Batch, address);
+    global const Draw *draws = AT(const Draw, batch->draws);
+    int group = get_global_id(0) * batch->vertex_chunk;
+    int end = min(group + batch->vertex_chunk, batch->vertex_groups);
+    int found = find_draw_of_vertices(draws, batch->draw_count, group);
+    while (group < end) {
+        while (group >= draws[found + 1].vertex_group) ++found;
+        global const Draw *draw = draws + found;
+        if (is_dropped(draw)) {
+            group = draws[found + 1].vertex_group;
+            continue;
+        }
+        global const View *view = AT(const View, batch->views) + draw->view;
+        global const ulong *row = AT(const ulong, batch->rows) + (long)draw->row * batch->row_words;
+        int instance = (group - draw->vertex_group) / draw->vertex_groups;
+        int part = (group - draw->vertex_group) - instance * draw->vertex_groups;
+        int parts = min(draw->vertex_groups, part + end - group);
+        int numbered = draw->base_instance + instance;
+        for (; part < parts; ++part, ++group) {
+            int last = draw->vertices - 1 - part * GROUP;
+            int16 vertex = part * GROUP + min(LANES, last);
+            if (draw->vertex_indices) vertex = look_up(draw, vertex);
+            vertex += draw->first_vertex;
+            const bool in_row = last >= GROUP - 1 && !draw->vertex_indices;
+            int vertices[GROUP];
+            vstore16(vertex, 0, vertices);
+            uint16 inputs[INPUT_WORDS + 1], outputs[4 + VARYING_WORDS];
+            FETCH
+            UNROLL for (int i = 0; i < 4 + VARYING_WORDS; ++i) outputs[i] = (uint16)(0u);
+            rhi_vertex(BINDINGS inputs, vertex, numbered, draw->number, LANES <= last, outputs);
+
+            float16 x = as_float16(outputs[0]), y = as_float16(outputs[1]), z = as_float16(outputs[2]);
+            float16 w = as_float16(outputs[3]), near_w = 1.0f / w;
+            float16 window_x = fma(x * near_w, (float16)(view->scale[0]), (float16)(view->shift[0]));
+            float16 window_y = fma(y * near_w, (float16)(view->scale[1]), (float16)(view->shift[1]));
+            float16 depth = fma(z * near_w, (float16)(view->scale[2]), (float16)(view->shift[2]));
+            float16 sub_x = (window_x - 0.5f) * SUBTEXELS, sub_y = (window_y - 0.5f) * SUBTEXELS;
+            int16 fits = (w > 0.0f) & (z >= 0.0f) & (z <= w) & (fabs(sub_x) < POSITION_LIMIT) &
+                         (fabs(sub_y) < POSITION_LIMIT);
+            int16 fixed_x = as_int16(sub_x + 12582912.0f) - 0x4B400000;
+            int16 fixed_y = as_int16(sub_y + 12582912.0f) - 0x4B400000;
+            long slot = (long)group * GROUP;
+            if (bits_of(~fits)) {
+                int16 behind = ((z < 0.0f) & 1) | ((z > w) & 2) | ((x < -w) & 4) | ((x > w) & 8) | ((y < -w) & 16) |
+                               ((y > w) & 32);
+                fixed_x = fits ? fixed_x : behind;
+                near_w = fits ? near_w : (float16)(-1.0f);
+            }
+            store_words(AT(uint, batch->clips) + slot * 4, outputs, 4);
+            uint16 position[4] = {as_uint16(fixed_x), as_uint16(fixed_y), as_uint16(depth), as_uint16(near_w)};
+            store_words(AT(uint, batch->positions) + slot * 4, position, 4);
+#if VARYING_WORDS
+            store_words(AT(uint, batch->varyings) + slot * VARYING_WORDS, outputs + 4, VARYING_WORDS);
+#endif
+        }
+    }
+}

@@ -1,0 +1,117 @@
+"""The kernels that draw: built when they are first needed, and kept.
+
+- `set_up`, `prefix` and `scatter` know nothing of programs: one build per device. A program has a vertex kernel for
+  each layout of its vertices, and a raster kernel for each `MergerKey`. All else is data, so few are built.
+- Each takes one argument, the address of a batch, and is launched by `launch`.
+- PoCL keeps what it compiled on disk, elsewhere pyopencl does, under a key of source, options, device and driver.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Final
+
+import numpy as np
+import pyopencl as cl
+
+from rhi.backends.cl import tables, targets
+from rhi.backends.cl.context import Context, build
+from rhi.backends.cl.memory import Addresses
+from rhi.backends.cl.programs import Faults, make_shader_error
+from rhi.descriptors import ProgramDescriptor, Stage, VertexStream
+
+__rhi_internal__ = True
+
+LANGUAGE: Final = "opencl16"
+
+Layout = tuple[tuple[int, bool, tuple[object, ...]], ...]
+
+
+class Kernel:
+    """A kernel of a draw."""
+
+    __slots__ = ("_kernel",)
+
+    def __init__(self, program: cl.Program, name: str) -> None:
+        self._kernel = cl.Kernel(program, name)
+
+    def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
+        """Enqueue `items` work-items on the batch at this address."""
+        self._kernel.set_arg(0, np.uint64(batch))
+        event: cl.Event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,))
+        return event
+
+
+class Geometry:
+    """The kernels that all draws share."""
+
+    def __init__(self, context: Context) -> None:
+        source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
+        program = build(context.context, source)
+        self.set_up, self.prefix, self.scatter = (
+            Kernel(program, name) for name in ("set_up", "prefix", "scatter")
+        )
+
+
+class Pipeline:
+    """The kernels of one program that draws.
+
+    Attributes:
+        starts: where each binding's words begin in a draw's row, and where they end.
+        faults: of a checked program, where each stage leaves what it finds. Their addresses stand in the kernels' text.
+    """
+
+    def __init__(self, context: Context, descriptor: ProgramDescriptor, addresses: Addresses) -> None:
+        self._context = context
+        self.descriptor = descriptor
+        self.starts = tables.row_starts(descriptor.bindings)
+        self._vertex_text = descriptor.emit(LANGUAGE, Stage.VERTEX)
+        self._fragment_text = ""
+        if Stage.FRAGMENT in descriptor.stages:
+            self._fragment_text = descriptor.emit(LANGUAGE, Stage.FRAGMENT)
+        self.faults: dict[Stage, Faults] = {}
+        self._fault_places = dict.fromkeys(Stage, 0)
+        for stage in descriptor.stages if descriptor.checked else ():
+            self.faults[stage] = Faults(context.context, descriptor.lines.get(stage, ()))
+            self._fault_places[stage] = addresses.find(self.faults[stage].memory)
+        self._vertex: dict[Layout, Kernel] = {}
+        self._raster: dict[targets.MergerKey, Kernel] = {}
+
+    def find_vertex(self, streams: Sequence[VertexStream]) -> Kernel:
+        """The kernel for vertices of this layout."""
+        layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
+        if layout not in self._vertex:
+            parts = [
+                tables.common_macros(), read_kernels("common"), self._vertex_text,
+                tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX]),
+                read_kernels("vertex"),
+            ]  # fmt: skip
+            self._vertex[layout] = self._build(Stage.VERTEX, "transform", parts)
+        return self._vertex[layout]
+
+    def find_raster(self, key: targets.MergerKey) -> Kernel:
+        """The kernel for targets and states of this key."""
+        if key not in self._raster:
+            parts = [
+                tables.common_macros(), read_kernels("common"), read_kernels("polygon"), key.defines(),
+                targets.read_source(), self._fragment_text if key.shades else "",
+                tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT]),
+                read_kernels("raster"),
+            ]  # fmt: skip
+            self._raster[key] = self._build(Stage.FRAGMENT, "raster", parts)
+        return self._raster[key]
+
+    def _build(self, stage: Stage, name: str, parts: list[str]) -> Kernel:
+        source = "\n".join(parts)
+        try:
+            return Kernel(build(self._context.context, source), name)
+        except cl.Error as error:
+            raise make_shader_error(self.descriptor, source, str(error)) from error
+
+
+@cache
+def read_kernels(name: str) -> str:
+    """The text of a file in kernels/."""
+    return files(__package__).joinpath("kernels", f"{name}.cl").read_text()

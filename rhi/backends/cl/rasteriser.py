@@ -1,0 +1,499 @@
+"""The rasteriser: takes draws as the contract has them and makes batches of them.
+
+- Draws gather while pass, pipeline and vertex layout stay (`rhi.backends.cl.draws`). What is bound, and states that are
+  data for kernels, are columns of a draw's row; a flat list holds the columns as they are now (`_bound`).
+- `stale` says that pass, program or states changed: the next draw looks up its pipeline and view, in a memo.
+- A draw's prepared part is kept with its caller (`prepare_draw`) until the indices that it names change.
+- Indirect draws are read back and become plain draws; so are counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, Final
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.cl.assembly import Assembler
+from rhi.backends.cl.context import Context
+from rhi.backends.cl.counters import Counters
+from rhi.backends.cl.draws import (
+    CONDITION,
+    FIXED_COLUMNS,
+    INSTANCES,
+    INVERTED,
+    PREPARED,
+    SAMPLES,
+    VIEW,
+    Batch,
+    Target,
+)
+from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.memory import Addresses, Retired
+from rhi.backends.cl.pipelines import Kernel, Pipeline
+from rhi.backends.cl.resources import Buffers, Plane, Textures
+from rhi.backends.cl.samplers import Samplers
+from rhi.backends.cl.tables import GROUP, MAX_STREAMS
+from rhi.backends.cl.targets import MergerKey, make_key
+from rhi.backends.cl.views import make_view
+from rhi.descriptors import (
+    Binding,
+    BindingKind,
+    Id,
+    PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
+    VertexArrayDescriptor,
+)
+from rhi.formats import Format
+from rhi.state_cache import StateChange
+from rhi.states import DEFAULTS, MAX_TARGETS, PER_TARGET
+
+__rhi_internal__ = True
+
+_SLOTS: Final = {
+    BindingKind.UNIFORM: 12,
+    BindingKind.STORAGE: 8,
+    BindingKind.TEXTURE: 16,
+    BindingKind.IMAGE: 8,
+}
+_MAX_MEMO: Final = 4096
+_MAX_LISTED: Final = 1 << 16
+_COMMAND_WORDS: Final = 5
+
+
+def _columns() -> dict[tuple[BindingKind, int], int]:
+    """Where each slot's two words lie in the list of what is bound."""
+    slots = [(kind, slot) for kind, count in _SLOTS.items() for slot in range(count)]
+    return {slot: FIXED_COLUMNS + 2 * place for place, slot in enumerate(slots)}
+
+
+COLUMNS: Final = _columns()
+
+
+class IndexList:
+    """Indices made on the host; their memory outlives the batch that reads them."""
+
+    __slots__ = ("_memory", "_retired", "address")
+
+    def __init__(self, memory: cl.Buffer, address: int, retired: Retired) -> None:
+        self._memory = memory
+        self._retired = retired
+        self.address = address
+
+    def __del__(self) -> None:
+        self._retired.add(self._memory)
+
+
+class _Array:
+    """A vertex array: its kernel, and whether its indices are what they were."""
+
+    __slots__ = ("descriptor", "kernel", "pipeline", "version")
+
+    def __init__(
+        self, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: Kernel, version: list[int]
+    ) -> None:
+        self.descriptor = descriptor
+        self.pipeline = pipeline
+        self.kernel = kernel
+        self.version = version
+
+
+class _Program:
+    """A program that draws: its pipeline, and which columns its draws' rows have."""
+
+    __slots__ = ("descriptor", "pick", "pipeline", "written")
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self.pipeline = pipeline
+        self.descriptor = pipeline.descriptor
+        columns = list(range(FIXED_COLUMNS))
+        for binding in self.descriptor.bindings:
+            start = COLUMNS[binding.kind, binding.slot]
+            columns += [start] if binding.kind is BindingKind.UNIFORM else [start, start + 1]
+        self.pick = itemgetter(*columns)
+        self.written = [binding for binding in self.descriptor.bindings if binding.writes]
+
+
+class _Place:
+    """A prepared draw's place in the table; given back with its holder."""
+
+    __slots__ = ("_leave", "memory", "number")
+
+    def __init__(self, batch: Batch) -> None:
+        self.number = batch.prepared.add()
+        self.memory: object = None  # the index list, while the table has its address
+        self._leave = batch.prepared.leave
+
+    def __del__(self) -> None:
+        self._leave(self.number)
+
+
+class Rasteriser:
+    """All that draws on one device.
+
+    Attributes:
+        works: whether the device can do it, see `rhi.backends.cl.memory`.
+        values: the state of each type that holds now.
+        stale: whether the next draw has to look up what it is drawn with.
+        retired: memory to be kept until the next fence value has passed.
+    """
+
+    def __init__(self, context: Context, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
+        self._context = context
+        self._buffers = buffers
+        self._textures = textures
+        self._samplers = samplers
+        self._addresses = Addresses(context)
+        self.works = self._addresses.work
+        self.retired = Retired()
+        self._batch = Batch(context, self._addresses, self.retired)
+        self._assembler: Assembler[IndexList] = Assembler(self._read, self._upload)
+        self._programs: dict[Id, _Program] = {}
+        self._arrays: dict[Id, _Array] = {}
+        self._versions: dict[Id, list[int]] = {}
+        self._found: dict[Id, dict[object, int]] = {}  # addresses, by resource and part
+        self._listed: dict[object, _Place] = {}
+        self._device_wrote: set[Id] = set()
+        self._bound: list[int] = [0] * (FIXED_COLUMNS + 2 * sum(_SLOTS.values()))
+        self._slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
+        self._memo: dict[object, tuple[MergerKey, Kernel, NDArray[Any]]] = {}
+        self._program: _Program | None = None
+        self._target: Target | None = None
+        self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
+        self.values: dict[type, Any] = {
+            state: (value,) * MAX_TARGETS if state in PER_TARGET else value
+            for state, value in DEFAULTS.items()
+        }
+        self.stale = True
+        self.counters = Counters(context, self._addresses, self._count_into, self.flush, self._is_gathering)
+
+    # -- programs and vertices -------------------------------------------------------------------------------
+
+    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+        """Emits its stages; kernels are built when they are needed."""
+        self._programs[program] = _Program(Pipeline(self._context, descriptor, self._addresses))
+
+    def destroy_program(self, program: Id) -> None:
+        self.flush()
+        gone = self._programs.pop(program)
+        if self._program is gone:
+            self._program = None
+        self._memo = {key: value for key, value in self._memo.items() if key[0] is not gone}  # type: ignore[index]
+
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        if len(descriptor.streams) > MAX_STREAMS:
+            raise AssertionError(f"{len(descriptor.streams)} vertex streams")
+        pipeline = self._programs[descriptor.program].pipeline
+        version = self._versions.setdefault(descriptor.index_buffer, [0])
+        if descriptor.index_buffer:
+            self._assembler.watch(descriptor.index_buffer, self._buffers[descriptor.index_buffer].size)
+        kernel = pipeline.find_vertex(descriptor.streams)
+        self._arrays[vertex_array] = _Array(descriptor, pipeline, kernel, version)
+
+    def destroy_vertex_array(self, vertex_array: Id) -> None:
+        del self._arrays[vertex_array]
+
+    # -- what happens to buffers -----------------------------------------------------------------------------
+
+    def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        """The CPU writes a buffer."""
+        self._assembler.write(buffer, offset, data)
+        self._change_version(buffer)
+
+    def change(self, buffer: Id) -> None:
+        """The device writes a buffer."""
+        self._device_wrote.add(buffer)
+        self._assembler.change(buffer)
+        self._change_version(buffer)
+
+    def forget(self, resource: Id) -> None:
+        """A buffer or texture is destroyed."""
+        self._found.pop(resource, None)
+        self._assembler.forget(resource)
+        self._change_version(resource)
+        self._versions.pop(resource, None)
+        self._device_wrote.discard(resource)
+
+    def change_stored(self, bindings: Sequence[Binding]) -> None:
+        """Shaders wrote what these have bound."""
+        for binding in bindings:
+            if binding.kind is BindingKind.STORAGE:
+                self.change(self._slots[binding.kind, binding.slot][0])
+
+    def _change_version(self, buffer: Id) -> None:
+        version = self._versions.get(buffer)
+        if version is not None:
+            version[0] += 1
+
+    def _read(self, buffer: Id, offset: int, size: int) -> bytes:
+        self.flush()
+        return self._buffers.read(buffer, offset, size)
+
+    def _upload(self, indices: NDArray[np.uint32]) -> IndexList:
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        padded = np.append(indices, np.zeros(3 * GROUP, np.uint32))  # room for a group's loads
+        memory = cl.Buffer(self._context.context, flags, hostbuf=padded)
+        return IndexList(memory, self._addresses.find(memory), self.retired)
+
+    # -- what holds ----------------------------------------------------------------------------------------
+
+    def begin_pass(self, descriptor: PassDescriptor) -> None:
+        textures = self._textures
+        colors, formats = [], []
+        for color in descriptor.colors:
+            texture = textures[color.texture]
+            colors.append(self._place_plane(color.texture, texture.levels[color.level], color.layer))
+            formats.append(texture.descriptor.format)
+        depth = stencil = None
+        depth_format = None
+        if descriptor.depth is not None:
+            attachment = descriptor.depth
+            texture = textures[attachment.texture]
+            depth_format = texture.descriptor.format
+            depth = self._place_plane(attachment.texture, texture.levels[attachment.level], attachment.layer)
+            if texture.stencil:
+                plane = texture.stencil[attachment.level]
+                stencil = self._place_plane(attachment.texture, plane, attachment.layer, True)
+        self._target = Target(descriptor.size, descriptor.samples, colors, depth, stencil)
+        self._formats = tuple(formats), depth_format
+        self.stale = True
+
+    def set_states(self, changes: Sequence[StateChange]) -> None:
+        self.values.update(changes)
+        self.stale = True
+
+    def bind_program(self, program: Id) -> None:
+        self._program = self._programs.get(program)
+        self.stale = True
+
+    def bind(self, kind: BindingKind, slot: int, what: tuple[int, ...]) -> None:
+        """What the binding commands are given, behind the slot."""
+        self._slots[kind, slot] = what
+        column = COLUMNS[kind, slot]
+        if kind in (BindingKind.UNIFORM, BindingKind.STORAGE):
+            buffer, offset, size = what
+            self._bound[column : column + 2] = self.find_buffer(buffer) + offset, size
+        else:
+            self._bound[column : column + 2] = self._find_texture(kind, what)
+
+    def prepare_uniform(self, buffer: Id, tell: dict[Any, Any]) -> Callable[[int, int, int], object]:
+        """A faster `bind` of a buffer's parts; `tell` is where they are noted, too."""
+        bound, start, mine = self._bound, self.find_buffer(buffer), self._slots
+        keys = [(BindingKind.UNIFORM, slot) for slot in range(_SLOTS[BindingKind.UNIFORM])]
+        columns = [COLUMNS[key] for key in keys]
+
+        def bind(slot: int, offset: int, size: int) -> None:
+            bound[columns[slot]] = start + offset
+            tell[keys[slot]] = mine[keys[slot]] = buffer, offset, size
+
+        return bind
+
+    def find_buffer(self, buffer: Id) -> int:
+        """A buffer's address."""
+        return self._find(buffer, None, lambda: self._buffers[buffer].cl)
+
+    def _find_texture(self, kind: BindingKind, what: tuple[int, ...]) -> tuple[int, int]:
+        """The addresses of a texture's memory, and of the words about how it is bound."""
+        texture = self._textures[what[0]]
+        describe = self._samplers.describe if kind is BindingKind.TEXTURE else self._samplers.describe_image
+        words = self._find(what[0], (kind, *what[1:]), lambda: describe(texture, *what[1:]))
+        return self._find(what[0], False, lambda: texture.levels[0].memory), words
+
+    def _find(self, resource: Id, part: object, get: Callable[[], cl.Buffer]) -> int:
+        found = self._found.setdefault(resource, {})
+        address = found.get(part)
+        if address is None:
+            address = found[part] = self._addresses.find(get())
+        return address
+
+    def _place_plane(
+        self, texture: Id, plane: Plane, layer: int, stencil: bool = False
+    ) -> tuple[int, int, int, int]:
+        start = plane.start + layer * plane.layer_bytes
+        return self._find(texture, stencil, lambda: plane.memory), start, plane.pitch, plane.layer_bytes
+
+    # -- draws -----------------------------------------------------------------------------------------------
+
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
+        base_instance: int,
+    ) -> None:  # fmt: skip
+        array = self._arrays[vertex_array]
+        place = _Place(self._batch)
+        self._assemble(place, array, primitive, first, count, base_vertex, base_instance, 0)
+        self._gather(array, place.number, instances)
+
+    def prepare_draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int, base_instance: int
+    ) -> Callable[[int], object]:  # fmt: skip
+        """A function of the number of instances that does what `draw` would."""
+        array = self._arrays[vertex_array]
+        program = self._programs[array.descriptor.program]
+        batch, bound, version = self._batch, self._bound, array.version
+        place = _Place(batch)
+        number, known = place.number, -1
+        extend, pick = batch.rows.extend, program.pick
+
+        def draw(instances: int) -> None:
+            nonlocal known
+            if version[0] != known:
+                self._assemble(place, array, primitive, first, count, base_vertex, base_instance, 0)
+                known = version[0]
+            if self.stale or batch.vertex is not array.kernel:
+                self._get_ready(array)
+            bound[PREPARED] = number
+            bound[INSTANCES] = instances
+            extend(pick(bound))
+
+        if program.descriptor.writes_memory:
+            return lambda instances: self.draw(
+                vertex_array, primitive, first, count, instances, base_vertex, base_instance
+            )
+        return draw
+
+    def draw_indirect(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        count_buffer: Id, count_offset: int,
+    ) -> None:  # fmt: skip
+        """Waits for the arguments, unless only the CPU wrote them."""
+        if count_buffer:
+            words = np.frombuffer(self._read_arguments(count_buffer, count_offset, 4), np.uint32)
+            draws = min(draws, int(words[0]))
+        if not draws:
+            return
+        stride = stride or 4 * _COMMAND_WORDS
+        data = np.frombuffer(
+            self._read_arguments(buffer, offset, (draws - 1) * stride + 4 * _COMMAND_WORDS), np.uint8
+        )
+        rows = np.lib.stride_tricks.as_strided(data, (draws, 4 * _COMMAND_WORDS), (stride, 1))
+        arguments = np.ascontiguousarray(rows).view(np.uint32)
+        array = self._arrays[vertex_array]
+        indexed = bool(array.descriptor.index_buffer)
+        count, instances, first, third, fourth = (arguments[:, column].tolist() for column in range(5))
+        base_vertices = arguments[:, 3].view(np.int32).tolist() if indexed else [0] * draws
+        base_instances = fourth if indexed else third
+        listed, version = self._listed, array.version[0]
+        if len(listed) + draws > _MAX_LISTED:
+            listed.clear()
+        places = []
+        numbered = zip(first, count, base_vertices, base_instances, range(draws), strict=True)
+        for key in numbered:
+            place = listed.get((vertex_array, primitive, version, *key))
+            if place is None:
+                place = listed[vertex_array, primitive, version, *key] = _Place(self._batch)
+                self._assemble(place, array, primitive, *key)
+            places.append(place.number)
+        self._gather(array, np.array(places), np.array(instances))
+
+    def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:
+        host = self._buffers[buffer].host
+        if host is not None and buffer not in self._device_wrote:
+            return host[offset : offset + size].tobytes()
+        return self._read(buffer, offset, size)
+
+    def _gather(self, array: _Array, places: Any, instances: Any) -> None:
+        """Add draws, one or many, to the batch."""
+        if self.stale or self._batch.vertex is not array.kernel:
+            self._get_ready(array)
+        program = self._program
+        assert program is not None
+        if program.descriptor.writes_memory:
+            self.flush()
+            self._get_ready(array)
+        bound = self._bound
+        if isinstance(places, int):
+            bound[PREPARED], bound[INSTANCES] = places, instances
+            self._batch.rows.extend(program.pick(bound))
+        else:
+            rows = np.tile(np.array(program.pick(bound), np.uint64), (len(places), 1))
+            rows[:, PREPARED], rows[:, INSTANCES] = places, instances
+            self._batch.rows.frombytes(rows.tobytes())
+        if program.descriptor.writes_memory:
+            self.flush()
+            self.change_stored(program.written)
+
+    def _get_ready(self, array: _Array) -> None:
+        """Look up what the next draws are drawn with; what was gathered otherwise is flushed."""
+        program, target, batch = self._program, self._target, self._batch
+        assert program is not None
+        assert target is not None
+        colors, depth = self._formats
+        key = program, target.size, target.samples, colors, depth, *self.values.values()
+        known = self._memo.get(key)
+        if known is None:
+            if len(self._memo) == _MAX_MEMO:
+                self._memo.clear()
+            merger = make_key(program.descriptor, self.values, colors, depth, target.samples)
+            view = make_view(self.values, target.size, colors, depth)
+            known = self._memo[key] = merger, program.pipeline.find_raster(merger), view
+        merger, raster, view = known
+        if batch.raster is not raster or batch.vertex is not array.kernel or batch.target is not target:
+            self.flush()
+            batch.begin(program.pipeline, target, array.kernel, len(array.descriptor.streams), raster, merger)
+        if not batch.views or batch.views[-1] is not view:
+            batch.views.append(view)
+        self._bound[VIEW] = len(batch.views) - 1
+        self.stale = False
+
+    def _assemble(
+        self, place: _Place, array: _Array, primitive: Primitive, first: int, count: int, base_vertex: int,
+        base_instance: int, number: int,
+    ) -> None:  # fmt: skip
+        """Fill in a prepared draw."""
+        made = array.descriptor
+        form = made.index_format
+        assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, form)
+        row = self._batch.prepared.draws[place.number]
+        place.memory = assembly.memory
+        primitives = assembly.count // assembly.corners
+        row["primitives"], row["primitive"] = primitives, assembly.corners
+        row["primitive_groups"] = -(-primitives // GROUP)
+        indices, index_bytes = 0, 0
+        if assembly.memory is not None:
+            indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
+        elif assembly.indexed:
+            indices = self.find_buffer(made.index_buffer) + form.size * assembly.start
+            index_bytes = form.size
+        base = assembly.base + (base_vertex if made.index_buffer else 0)
+        row["indices"], row["index_bytes"] = indices, index_bytes
+        row["vertex_indices"], row["vertex_index_bytes"] = 0, 0
+        if assembly.lowest is None or assembly.highest is None:  # one vertex per index
+            row["vertex_indices"], row["vertex_index_bytes"] = indices, index_bytes
+            row["indices"], row["index_bytes"] = 0, 0
+            row["lowest"], row["vertices"], row["first_vertex"] = 0, assembly.count, base
+        else:
+            row["lowest"], row["vertices"] = assembly.lowest, assembly.highest - assembly.lowest + 1
+            row["first_vertex"] = assembly.lowest + base
+        row["vertex_groups"] = -(-int(row["vertices"]) // GROUP)
+        row["base_instance"], row["number"] = base_instance, number
+        self._batch.prepared.streams[place.number, : len(made.streams)] = [
+            self.find_buffer(stream.buffer) + stream.offset for stream in made.streams
+        ]
+
+    def flush(self) -> None:
+        """Hand what was gathered to the device."""
+        if self._batch.rows:
+            self.stale = True
+            event = None
+            try:
+                with translate_errors("a draw"):
+                    event = self._batch.flush()
+            finally:
+                self.counters.finish_batch(event or cl.enqueue_marker(self._context.queue))
+
+    def _is_gathering(self) -> bool:
+        return bool(self._batch.rows)
+
+    def begin_conditional(self, query: Id, inverted: bool) -> None:
+        self._bound[CONDITION], self._bound[INVERTED] = self.counters.find_condition(query), inverted
+
+    def end_conditional(self) -> None:
+        self._bound[CONDITION] = self._bound[INVERTED] = 0
+
+    def _count_into(self, address: int) -> None:
+        self._bound[SAMPLES] = address

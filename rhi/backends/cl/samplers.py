@@ -1,0 +1,62 @@
+"""Samplers, and what kernels are told about a texture that is read through one: words in a small buffer of their own.
+
+`rhi.shading.texture_words` says what the words mean. They are made when a texture and a sampler first meet, or when a
+level is first an image, and kept with the texture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from rhi.backends.cl.resources import Plane, Texture
+from rhi.descriptors import Id, SamplerDescriptor, TextureKind
+from rhi.shading.texture_words import LevelPlace, describe_texture
+
+__rhi_internal__ = True
+
+
+class Samplers:
+    """All samplers of a device, by id."""
+
+    def __init__(self, context: cl.Context) -> None:
+        self._context = context
+        self._samplers: dict[Id, SamplerDescriptor] = {}
+
+    def create(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+        self._samplers[sampler] = descriptor
+
+    def destroy(self, sampler: Id) -> None:
+        del self._samplers[sampler]
+
+    def describe(self, texture: Texture, sampler: Id) -> cl.Buffer:
+        """The words of a texture's levels and layers, read through a sampler."""
+        known = texture.words.get(sampler)
+        if known is None:
+            made, descriptor = texture.descriptor, self._samplers[sampler]
+            levels = [_place(plane) for plane in texture.levels]
+            words = describe_texture(made.format, made.kind, levels, descriptor)
+            known = texture.words[sampler] = self._buffer(words)
+        return known
+
+    def describe_image(self, texture: Texture, level: int, layer: int) -> cl.Buffer:
+        """The words of one level for loads and stores: of one layer, or of all with -1."""
+        known = texture.words.get((level, layer))
+        if known is None:
+            made, place = texture.descriptor, _place(texture.levels[level])
+            kind = made.kind
+            if layer >= 0:
+                start = place.start + layer * place.layer_bytes
+                place, kind = place._replace(start=start, layers=1), TextureKind.D2
+            words = describe_texture(made.format, kind, [place])
+            known = texture.words[level, layer] = self._buffer(words)
+        return known
+
+    def _buffer(self, words: NDArray[np.int32]) -> cl.Buffer:
+        flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+        return cl.Buffer(self._context, flags, hostbuf=words)
+
+
+def _place(plane: Plane) -> LevelPlace:
+    return LevelPlace(plane.start, plane.width, plane.height, plane.layers, plane.pitch, plane.layer_bytes)

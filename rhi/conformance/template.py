@@ -1,0 +1,161 @@
+"""`python -m rhi new-backend NAME`: the package that a port starts from.
+
+It installs, registers itself and takes the kit from the first minute; every method of the contract is there and
+raises NotImplementedError, so that each test fails by the name of what it misses. The methods are written from
+`Backend` itself, in the order of `steps`.
+"""
+
+from __future__ import annotations
+
+import inspect
+import keyword
+import re
+import textwrap
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from rhi.backend import Backend
+from rhi.conformance.steps import STEPS
+from rhi.errors import refuse
+from rhi.registry import backend_names
+from rhi.rules import DEVICE_ARGUMENT
+
+LINE: Final = 110
+
+_PROJECT: Final = """\
+[build-system]
+requires = ["setuptools>=68"]
+build-backend = "setuptools.build_meta"
+
+[project]
+name = "rhi-{name}"
+version = "0.1.0"
+description = "A backend of rhi"
+requires-python = ">=3.11"
+dependencies = ["rhi"]
+
+[project.optional-dependencies]
+test = ["rhi[test]"]
+
+[project.entry-points."rhi.backends"]
+{name} = "rhi_{name}:create_backend"
+"""
+
+_README: Final = """\
+# rhi-{name}
+
+A backend of `rhi`. Install it, and let the kit say what to write next:
+
+```sh
+pip install --editable .[test]
+pytest --pyargs rhi.conformance --rhi-backend {name} --tb=line -q
+```
+
+`rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` says what each must do.
+"""
+
+_INIT: Final = '''\
+"""The {name} backend of rhi: `rhi.create_device("{name}")`."""
+
+from rhi import Backend
+
+from rhi_{name}.backend import {type}
+
+__rhi_internal__ = True  # call sites name the line that called rhi, not ours
+
+__all__ = ["{type}", "create_backend"]
+
+
+def create_backend(*, validation: bool = False) -> Backend:
+    """A new device. `validation` asks for the driver's own messages as exceptions.
+
+    Raises:
+        rhi.DeviceError: `device-driver` if the driver can't be used, with what to install.
+    """
+    return {type}()
+'''
+
+_BACKEND: Final = '''\
+"""The {name} backend: rhi's contract on …"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rhi import Capabilities, Primitive, ProgramDescriptor, Region, SamplerDescriptor, StateChange
+from rhi.descriptors import (
+    BufferDescriptor,
+    Id,
+    PassDescriptor,
+    QueryKind,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+)
+from typing_extensions import Buffer as BytesLike
+
+__rhi_internal__ = True  # call sites name the line that called rhi, not ours
+
+
+class {type}:
+    """One device; see `rhi.Backend`."""
+
+    def __init__(self) -> None:
+        self._capabilities = Capabilities(backend="{name}", device="unknown", driver="0.1.0")
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What this device can do. Set to False what the platform lacks: its tests are skipped then."""
+        return self._capabilities
+
+    def close(self) -> None:
+        """Let go of everything; no call follows."""
+'''
+
+
+def write_package(name: str, folder: Path) -> Path:
+    """Write the package `rhi-NAME` into a folder; returns its own.
+
+    Raises:
+        ValidationError: `device-argument` if the name can't be a backend's, or is taken.
+        FileExistsError: the package's folder is there.
+    """
+    call = f"python -m rhi new-backend {name}"
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
+        refuse(DEVICE_ARGUMENT, call, repr(name), "lower-case letters, digits and underscores")
+    if name in backend_names():
+        refuse(DEVICE_ARGUMENT, call, f"{name!r}, which is a backend here", "a name that no backend has")
+    names = {"name": name, "type": f"{''.join(part.capitalize() for part in name.split('_'))}Backend"}
+    root = folder / f"rhi-{name}"
+    package = root / f"rhi_{name}"
+    package.mkdir(parents=True)
+    (root / "pyproject.toml").write_text(_PROJECT.format(**names))
+    (root / "README.md").write_text(_README.format(**names))
+    (package / "__init__.py").write_text(_INIT.format(**names))
+    (package / "backend.py").write_text(_BACKEND.format(**names) + "\n".join(_methods()) + "\n")
+    return root
+
+
+def _methods() -> Iterator[str]:
+    """The methods but those that the template has written, each under the title of its step."""
+    for number, step in enumerate(STEPS, 1):
+        missing = [method for method in step.methods if method not in ("capabilities", "close")]
+        if missing:
+            heading = f"    # -- {number}: {step.title} "
+            yield f"\n{heading}{'-' * (LINE - 4 - len(heading))}"
+        for method in missing:
+            yield f"\n{_method(method)}"
+
+
+def _method(name: str) -> str:
+    function = getattr(Backend, name)
+    signature = inspect.signature(function)
+    head = f"    def {name}({', '.join(map(str, signature.parameters.values()))}) -> {signature.return_annotation}:"
+    head = head.replace("'", "")
+    if len(head) > LINE:
+        parameters = "".join(f"        {parameter},\n" for parameter in signature.parameters.values())
+        head = f"    def {name}(\n{parameters}    ) -> {signature.return_annotation}:".replace("'", "")
+    text = textwrap.indent(f'"""{inspect.cleandoc(function.__doc__)}"""', "        ")
+    return f'{head}\n{text}\n        raise NotImplementedError("{name}")'

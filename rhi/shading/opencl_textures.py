@@ -1,0 +1,147 @@
+"""Textures and images in OpenCL lane code: the functions of `opencl_textures.cl`, for a kernel's lanes.
+
+- What a texture is (sizes, format, filters, wraps) is words in memory (`rhi.shading.texture_words`), the same for all
+  lanes: branches on it are real, and a kernel's text doesn't depend on what will be bound.
+- Functions aren't inlined, so that a kernel holds each of them once however often it samples.
+- Two texels that lie side by side are one load; lanes that want different levels take turns, all others waiting.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import re
+from collections.abc import Iterable
+from functools import cache
+from typing import Final
+
+from rhi.descriptors import TextureKind
+from rhi.shading.opencl_prelude import HEX
+from rhi.shading.texture_words import enumerations
+
+__rhi_internal__ = True
+
+_HEAD: Final = """typedef global const uchar *rhi_texture;
+typedef global uchar *rhi_image;
+typedef global const int *rhi_description;
+typedef ulong rhi_wide __attribute__((aligned(4)));
+#define rhi_both(a, b) ((a) & (b))
+#define rhi_either(a, b) ((a) | (b))
+#define RHI_CALLED __attribute__((overloadable, noinline))
+#define RHI_INLINE __attribute__((overloadable, always_inline))
+#if __has_builtin(__builtin_elementwise_floor) && __has_builtin(__builtin_elementwise_roundeven)
+#define rhi_floor __builtin_elementwise_floor  // one instruction, where PoCL's own are fifteen
+#define rhi_round __builtin_elementwise_roundeven
+#else
+#define rhi_floor floor
+#define rhi_round rint
+#endif
+static RHI_INLINE rhi_texture rhi_start(rhi_texture t, rhi_description level) {
+    return t + (size_t)(uint)level[RHI_START] * RHI_GRAIN;
+}
+static RHI_INLINE int rhi_levels(rhi_description w) { return w[RHI_LEVEL_COUNT]; }
+static RHI_INLINE int rhi_size(rhi_description w, int number, int axis) {
+    return w[RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, w[RHI_LEVEL_COUNT] - 1) + RHI_WIDTH + axis];
+}"""
+
+# Minimax: sRGB's curve at the 256 stored values above its straight part, within 1.8e-6, 1 at 1; and log2 of 1…2,
+# within 1.2e-4, exact at both ends.
+_SRGB: Final = (
+    0.0008737221360206604, 0.034559786319732666, 0.4953084886074066, 0.7994788289070129, -0.6501849293708801,
+    0.5261836647987366, -0.264753520488739, 0.058533925563097,
+)  # fmt: skip
+_LOG2: Final = (-0.43872565031051636, 0.23905783891677856, -0.08213036507368088)
+
+
+def textures_text(width: int, shapes: Iterable[TextureKind]) -> str:
+    """The functions for so many lanes and what serves textures of these shapes."""
+    known = set(shapes)
+    has = f"enum {{ RHI_SOLIDS = {int(TextureKind.D3 in known)}, RHI_CUBES = {int(TextureKind.CUBE in known)} }};"
+    return "\n".join([enumerations(), has, _HEAD, _text(width)])
+
+
+@cache
+def _text(width: int) -> str:
+    template = importlib.resources.files(__package__).joinpath("opencl_textures.cl").read_text("utf-8")
+    template = template.replace("SRGB_CURVE", _polynomial(_SRGB, "c"))
+    curve = _polynomial(_LOG2, "m")
+    template = template.replace("LOG2_CURVE", f"m * fma(m - 1.0f, {curve}, (FLOAT)1.0f)")
+    return _sized("\n".join([_memory_text(width), template]), width)
+
+
+def _polynomial(coefficients: tuple[float, ...], name: str) -> str:
+    text = f"(FLOAT){coefficients[-1]!r}f"
+    for coefficient in coefficients[-2::-1]:
+        text = f"fma({name}, {text}, (FLOAT){coefficient!r}f)"
+    return text
+
+
+def _sized(text: str, width: int) -> str:
+    vector = width > 1
+    for name, wide, scalar in (
+        ("SELECT", "select", "rhi_select"),
+        ("ANY", "rhi_any", ""),
+        ("NOT", "~", "!"),
+        ("BOTH", "rhi_both", "rhi_both"),
+        ("EITHER", "rhi_either", "rhi_either"),
+    ):
+        text = re.sub(rf"\b{name}\(", f"{wide if vector else scalar}(", text)
+    suffix = str(width) if vector else ""
+    names = {"FLOAT": "float", "INT": "int", "UINT": "uint"}
+    return re.sub(r"(?<![A-Z])(UINT|INT|FLOAT)(?![A-Z])", lambda found: names[found[1]] + suffix, text)
+
+
+def _memory_text(width: int) -> str:
+    """What differs from lane to lane: loads and stores, written out."""
+    lanes = [f"i.s{HEX[lane]}" for lane in range(width)] if width > 1 else ["i"]
+    texts = []
+    for bits, type in ((8, "uchar"), (16, "ushort"), (32, "uint")):
+        parts = ", ".join(f"q[{lane}]" for lane in lanes)
+        stores = " ".join(f"if (mask{lane[1:]}) q[{lane}] = ({type})v{lane[1:]};" for lane in lanes)
+        texts.append(
+            f"static RHI_INLINE UINT rhi_gather{bits}(rhi_texture p, INT i) {{\n"
+            f"    global const {type} *q = (global const {type} *)p;\n    return (UINT)({parts});\n}}\n"
+            f"static RHI_INLINE void rhi_scatter{bits}(rhi_image p, INT i, INT mask, UINT v) {{\n"
+            f"    global {type} *q = (global {type} *)p;\n    {stores}\n}}"
+        )
+    texts += [_pair_text(lanes), _least_text(width)]
+    return "\n".join(texts)
+
+
+def _pair_text(lanes: list[str]) -> str:
+    """The two words at each lane's word number."""
+    head = "static RHI_INLINE void rhi_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
+    half = len(lanes) // 2
+    if not half:
+        lines = [
+            "    ulong both = *(global const rhi_wide *)((global const uint *)p + i);",
+            "    *left = (uint)both, *right = (uint)(both >> 32);",
+        ]
+        return "\n".join([head, *lines, "}"])
+    lines = ["    global const uint *q = (global const uint *)p;"]
+    for name, part in (("low", lanes[:half]), ("high", lanes[half:])):
+        parts = ", ".join(f"*(global const rhi_wide *)(q + {lane})" for lane in part)
+        lines.append(f"    ulong{half} {name} = (ulong{half})({parts});")
+    for name, which in (("left", "even"), ("right", "odd")):
+        lines.append(f"    *{name} = (UINT)(as_UINT(low).{which}, as_UINT(high).{which});")
+    return "\n".join([head, *lines, "}"])
+
+
+def _least_text(width: int) -> str:
+    """The least of all lanes."""
+    head = "static RHI_INLINE int rhi_least(INT x) {"
+    if width == 1:
+        return f"{head} return x; }}"
+    least = "x.s0"
+    for lane in range(1, width):
+        least = f"min({least}, x.s{HEX[lane]})"
+    return "\n".join(
+        [
+            head,
+            "#if __has_builtin(__builtin_reduce_min)",
+            "    return __builtin_reduce_min(x);",
+            "#else",
+            f"    return {least};",
+            "#endif",
+            "}",
+        ]
+    )

@@ -1,0 +1,168 @@
+"""What a uniform or storage binding holds at a command, as far as the commands before it say.
+
+Bytes are followed through creations (which give zeros), writes, copies and clears. What a program wrote isn't known,
+nor what lies in a buffer from before the stream: that is said, never guessed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.commands import Command, CommandStream
+from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor
+from rhi.layout import Layout, element_dtype
+from rhi.ops import DRAWS, Context, Op
+from rhi.shading import Struct, value_type_of
+
+_EXECUTE = DRAWS | {Op.DISPATCH, Op.DISPATCH_INDIRECT}
+_RANGES = (BindingKind.UNIFORM, BindingKind.STORAGE)
+
+
+class UnknownContentsError(Exception):
+    """The stream doesn't say what is there; the text says why."""
+
+
+@dataclass(slots=True)
+class _Bytes:
+    """A buffer's bytes, and which of them are known."""
+
+    data: NDArray[np.uint8]
+    known: NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class Follower:
+    """Follows a stream's buffers, from command to command."""
+
+    stream: CommandStream
+    done: int = 0
+    context: Context = field(default_factory=Context)
+    buffers: dict[Id, _Bytes] = field(default_factory=dict)
+
+    def advance(self, index: int) -> None:
+        """To where the commands before `index` are done."""
+        if index < self.done:
+            self.done, self.context, self.buffers = 0, Context(), {}
+        for each in range(self.done, index):
+            if each not in self.stream.failures:
+                op, values, _, _ = self.stream.entry(each)
+                self._follow(op, values)
+                self.context.follow(op, values)
+        self.done = index
+
+    def _follow(self, op: Op, values: tuple[Any, ...]) -> None:
+        buffers = self.buffers
+        if op is Op.CREATE_BUFFER:
+            size = values[1].size
+            buffers[values[0]] = _Bytes(np.zeros(size, np.uint8), np.ones(size, np.bool_))
+        elif op is Op.WRITE_BUFFER and values[0] in buffers:
+            buffer, offset, data = values
+            self._set(buffer, offset, np.frombuffer(data, np.uint8), True)
+        elif op is Op.CLEAR_BUFFER and values[0] in buffers:
+            buffer, offset, size, value = values
+            pattern = np.full(size // 4, value & 0xFFFFFFFF, "<u4").view(np.uint8)
+            self._set(buffer, offset, pattern, True)
+        elif op is Op.COPY_BUFFER and values[2] in buffers:
+            source, start, target, place, size = values
+            taken = buffers.get(source)
+            if taken is None:
+                self._set(target, place, np.zeros(size, np.uint8), False)
+            else:
+                part = slice(start, start + size)
+                self._set(target, place, taken.data[part].copy(), taken.known[part].copy())
+        elif op in _EXECUTE:
+            for binding in _bindings(self.context):
+                bound = self.context.slots.get((binding.kind, binding.slot))
+                if binding.kind is BindingKind.STORAGE and binding.writes and bound and bound[0] in buffers:
+                    buffers[bound[0]].known[bound[1] : bound[1] + bound[2]] = False
+
+    def _set(self, buffer: Id, offset: int, data: NDArray[np.uint8], known: Any) -> None:
+        part = slice(offset, offset + len(data))
+        self.buffers[buffer].data[part] = data
+        self.buffers[buffer].known[part] = known
+
+    def read(self, command: Command, name: str) -> NDArray[Any]:
+        """As `contents`."""
+        self.advance(command.index)
+        program = command.resource(command.program)
+        bindings = program.bindings if isinstance(program, ProgramDescriptor) else ()
+        binding = next((each for each in bindings if each.name == name and each.kind in _RANGES), None)
+        if binding is None:
+            names = ", ".join(each.name for each in bindings if each.kind in _RANGES) or "none"
+            raise UnknownContentsError(f"the program has no uniform or storage {name!r} (it has: {names})")
+        if name not in command.bindings:
+            raise UnknownContentsError(f"nothing is bound as {name!r}")
+        buffer, offset, size = command.bindings[name]
+        if buffer not in self.buffers:
+            raise UnknownContentsError(f"{name!r} lies in buffer {buffer}, which is older than the stream")
+        held, dtype = self.buffers[buffer], _dtype(binding)
+        size = dtype.itemsize if binding.kind is BindingKind.UNIFORM else size - size % dtype.itemsize
+        part = slice(offset, offset + size)
+        if not held.known[part].all():
+            first = int(np.flatnonzero(~held.known[part])[0])
+            raise UnknownContentsError(f"byte {first} of {name!r} was written on the device")
+        base, shape = dtype.subdtype or (dtype, ())
+        values = held.data[part].copy().view(base).reshape(-1, *shape)
+        return values[0] if binding.kind is BindingKind.UNIFORM else values
+
+
+def contents(command: Command, name: str) -> Any:
+    """What the program of a draw or dispatch reads as its uniform or storage binding `name`.
+
+    Returns:
+        Of a uniform one value, of storage (n,) elements, of the struct's std140 or std430 dtype.
+
+    Raises:
+        UnknownContentsError: there is no such binding, or the stream doesn't say what it holds.
+    """
+    return Follower(command.stream).read(command, name)
+
+
+def compare(values: Any, wanted: Mapping[str, object], tolerance: float) -> str:
+    """How parts of a value differ from what is wanted by more than `tolerance`; empty if they don't.
+
+    Parts are named by a path of fields and indices: "color", "lights.0.color".
+    """
+    wrong = []
+    for path, value in wanted.items():
+        try:
+            found = np.asarray(_part(values, path))
+        except (ValueError, KeyError, IndexError):
+            wrong.append(f"there is no {path!r}")
+            continue
+        expected = np.asarray(value, np.float64)
+        found = found[tuple(slice(0, n) for n in expected.shape)]  # without padding
+        fits = found.shape == expected.shape and bool((np.abs(found - expected) <= tolerance).all())
+        if not fits:
+            wrong.append(f"{path} is {np.array2string(found, separator=', ', threshold=16)}")
+    return ", ".join(wrong)
+
+
+def as_fields(wanted: Mapping[str, object] | Struct) -> Mapping[str, object]:
+    """The fields of a struct's value by name, or the mapping itself."""
+    if isinstance(wanted, Struct):
+        return {each.name: getattr(wanted, each.name) for each in type(wanted).shading_type.fields}
+    return wanted
+
+
+def _part(values: Any, path: str) -> Any:
+    for step in path.split("."):
+        values = values[int(step) if step.isdigit() else step]
+    return values
+
+
+def _bindings(context: Context) -> tuple[Binding, ...]:
+    program = context.resources.get(context.program)
+    return program.bindings if isinstance(program, ProgramDescriptor) else ()
+
+
+def _dtype(binding: Binding) -> np.dtype[Any]:
+    if isinstance(binding.type, str):
+        raise UnknownContentsError(f"a loaded trace doesn't have the layout of {binding.type}")
+    layout = Layout.STD140 if binding.kind is BindingKind.UNIFORM else Layout.STD430
+    return element_dtype(value_type_of(binding.type), layout)

@@ -1,0 +1,200 @@
+"""Simulations: stepped where they are seen, skipped where not, and none the worse for it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renderer.scene import BUILT_IN, VERTEX, Scene, SceneBuilder, Simulator, load_scene
+from renderer.scene.fountains import BOUNDS, DROPS, Fountains, make_drops
+from rhi.errors import ValidationError
+
+
+class Clock:
+    """Counts each member's steps; its one vertex's height is their number."""
+
+    interval = 0.5
+
+    def __init__(self, count: int, memory: int | None = None) -> None:
+        self.memory = memory
+        self.taken: list[list[int]] = [[] for _ in range(count)]
+
+    def step(self, members, numbers):
+        for member, number in zip(members.tolist(), numbers.tolist(), strict=True):
+            self.taken[member].append(number)
+
+    def vertices(self, member):
+        vertices = np.zeros(1, VERTEX)
+        vertices["position"][0, 1] = len(self.taken[member])
+        return vertices
+
+
+def make_scene(count: int = 3, memory: int | None = None) -> Scene:
+    builder = SceneBuilder("clocks")
+    bounds = (np.full(3, -9.0), np.full(3, 9.0))
+    meshes = [builder.add_mesh(BUILT_IN["box"](), bounds=bounds) for _ in range(count)]
+    still = builder.add_mesh(BUILT_IN["sphere"]())
+    material = builder.add_material()
+    builder.add_objects(builder.add_node(), still, material)  # row 0 isn't simulated
+    objects = builder.add_objects(builder.add_nodes(np.tile(np.eye(4), (count, 1, 1))), meshes, material)
+    builder.simulate(objects, Clock(count, memory))
+    return builder.build()
+
+
+def make_simulator(scene: Scene) -> tuple[Simulator, Clock]:
+    simulator = Simulator(scene.simulated, len(scene.objects))
+    return simulator, simulator._simulations[0]
+
+
+def taken(simulator: Simulator) -> list[list[int]]:
+    return simulator._simulations[0].taken
+
+
+def show(simulator: Simulator, seconds: float, rows: list[int]) -> list[tuple[int, int]]:
+    simulator.begin_frame(seconds)
+    return [(one.row, one.number) for one in simulator.advance(np.array(rows, np.int64))]
+
+
+def test_what_is_drawn_is_stepped_and_what_is_not_is_not() -> None:
+    simulator, clock = make_simulator(make_scene())
+    assert show(simulator, 1.0, [0, 1, 3]) == [(1, 2), (3, 2)]
+    assert clock.taken == [[1, 2], [], [1, 2]]
+    assert (simulator.steps, simulator.seen, len(simulator)) == (4, 2, 3)
+
+
+def test_what_returns_catches_up() -> None:
+    simulator, clock = make_simulator(make_scene())
+    show(simulator, 0.5, [1, 2])
+    show(simulator, 1.5, [1])
+    assert show(simulator, 2.0, [1, 2]) == [(1, 4), (2, 4)]
+    assert clock.taken[0] == clock.taken[1] == [1, 2, 3, 4]
+    assert simulator.steps == 1 + 3
+
+
+def test_catching_up_takes_as_many_steps_as_anything_is_remembered_for() -> None:
+    simulator, clock = make_simulator(make_scene(memory=3))
+    show(simulator, 1.0, [1])
+    assert show(simulator, 50.0, [1, 2]) == [(1, 100), (2, 100)]
+    assert clock.taken[:2] == [[1, 2, 98, 99, 100], [98, 99, 100]]
+
+
+@pytest.mark.parametrize(("seconds", "steps"), [(0.0, 0), (0.49, 0), (0.5, 1), (0.999, 1), (1.0, 2)])
+def test_a_step_is_taken_when_its_time_has_come(seconds: float, steps: int) -> None:
+    simulator, clock = make_simulator(make_scene())
+    show(simulator, seconds, [1])
+    assert len(clock.taken[0]) == steps
+
+
+def test_times_of_frames_are_on_their_steps() -> None:
+    fountains = Simulator(load_scene("hall:columns=6,flags=0,fountains=1").simulated, 10_000)
+    for frame in range(0, 3000, 7):
+        fountains.begin_frame(frame / 60)
+        assert [one.number for one in fountains.advance(fountains.objects)] == [frame]
+
+
+def test_within_a_frame_a_step_is_taken_once() -> None:
+    simulator, clock = make_simulator(make_scene())
+    simulator.begin_frame(1.0)
+    for rows in ([1], [1, 2], [2]):
+        simulator.advance(np.array(rows))
+    assert clock.taken == [[1, 2], [1, 2], []]
+    assert (simulator.steps, simulator.seen) == (4, 2)
+
+
+def test_a_time_before_the_last_one_starts_again() -> None:
+    simulator, clock = make_simulator(make_scene())
+    show(simulator, 5.0, [1])
+    assert show(simulator, 1.0, [1]) == [(1, 2)]
+    assert taken(simulator)[0] == [1, 2]
+    assert len(clock.taken[0]) == 10  # the one before is left alone
+
+
+def test_simulators_of_one_scene_go_their_own_ways() -> None:
+    scene = make_scene()
+    one, other = (make_simulator(scene)[0] for _ in range(2))
+    show(one, 1.0, [1])
+    show(other, 2.0, [2])
+    assert (taken(one), taken(other)) == ([[1, 2], [], []], [[], [1, 2, 3, 4], []])
+
+
+@given(st.lists(st.tuples(st.integers(0, 400), st.sets(st.integers(0, 2))), max_size=12), st.integers(0, 400))
+def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(
+    glances: list[tuple[int, set[int]]], last: int
+) -> None:
+    always, now_and_then = Fountains(3, 7), Fountains(3, 7)
+    everyone = np.arange(3)
+    frames = sorted(frame for frame, _ in glances)
+    last = max([last, *frames])
+    for number in range(1, last + 1):
+        always.step(everyone, np.full(3, number))
+    scene = load_scene("hall:columns=6,flags=0,fountains=3")
+    simulator = Simulator(scene.simulated, len(scene.objects))
+    simulator._simulations[0] = now_and_then
+    rows = simulator.objects
+    for frame, (_, seen) in zip(frames, glances, strict=True):
+        simulator.begin_frame(frame / 60)
+        simulator.advance(rows[sorted(seen)])
+    simulator.begin_frame(last / 60)
+    simulator.advance(rows)
+    assert np.array_equal(now_and_then.position, always.position)
+    assert (now_and_then.vertices(2) == always.vertices(2)).all()
+
+
+def test_a_fountain_s_memory_is_no_longer_than_it_must_be() -> None:
+    # The control: one step less, and a drop is where it was.
+    always, late = Fountains(1, 7), Fountains(1, 7)
+    for number in range(1, 301):
+        always.step(np.zeros(1, np.int64), np.array([number]))
+    for number in range(302 - DROPS, 301):
+        late.step(np.zeros(1, np.int64), np.array([number]))
+    assert (always.position != late.position).any(axis=2).sum() == 1
+
+
+def test_drops_stay_within_their_bounds_rise_and_fall() -> None:
+    fountains = Fountains(4, 1)
+    highest = 0.0
+    for number in range(1, 4 * DROPS):
+        fountains.step(np.arange(4), np.full(4, number))
+        points = np.concatenate([fountains.vertices(member)["position"] for member in range(4)])
+        assert (points >= BOUNDS[0]).all()
+        assert (points <= BOUNDS[1]).all()
+        highest = max(highest, float(points[:, 1].max()))
+    assert highest > 0.9 * BOUNDS[1][1]  # and the bounds are no larger than they must be
+    assert len(np.unique(fountains.position[0].round(6), axis=0)) > 0.6 * DROPS
+    assert not np.array_equal(fountains.position[0], fountains.position[1])
+
+
+def test_a_fountain_begins_as_its_mesh() -> None:
+    assert (make_drops().vertices == Fountains(1, 0).vertices(0)).all()
+    assert np.linalg.norm(make_drops().vertices["normal"], axis=1) == pytest.approx(1.0)
+
+
+def refusal(change: object) -> str:
+    builder = SceneBuilder("bad")
+    bounds = (np.full(3, -9.0), np.full(3, 9.0))
+    bound, free = builder.add_mesh(BUILT_IN["box"](), bounds=bounds), builder.add_mesh(BUILT_IN["box"]())
+    nodes = builder.add_nodes(np.tile(np.eye(4), (3, 1, 1)))
+    with pytest.raises(ValidationError) as refused:
+        change(builder, nodes, bound, free, builder.add_material())
+        builder.build()
+    return refused.value.rule.id
+
+
+@pytest.mark.parametrize(("change", "rule"), [
+    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], free, m), Clock(1)), "scene-unbound-mesh"),
+    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[:2], bound, m), Clock(2)), "scene-shared-mesh"),
+    (lambda b, n, bound, free, m: b.simulate(b.add_objects(n[0], bound, m).repeat(2), Clock(2)), "scene-shared-mesh"),
+    (lambda b, n, bound, free, m: b.simulate([4], Clock(1)), "scene-bad-index"),
+    (lambda b, n, bound, free, m: b.add_mesh(BUILT_IN["box"](), bounds=(np.zeros(3), np.ones(3))), "scene-bad-mesh"),
+])  # fmt: skip
+def test_what_can_not_be_simulated_is_refused(change: object, rule: str) -> None:
+    assert refusal(change) == rule
+
+
+def test_declared_bounds_are_those_of_the_object() -> None:
+    scene = make_scene()
+    assert scene.objects.lower[1] == pytest.approx([-9.0] * 3)
+    assert scene.objects.upper[0] == pytest.approx([0.5] * 3)
+    assert scene.meshes.radius[0] == pytest.approx(9.0 * np.sqrt(3.0))

@@ -1,0 +1,163 @@
+"""The pyramid of farthest depths, and boxes against it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from occlusion_scenes import draw_with, look, make_boxes
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Depth
+from renderer.shaders import View
+from renderer.visibility import DepthPyramidCulling
+from renderer.visibility.depth_pyramid import CompareBoxes, CompareBoxesStandard, make_levels
+from renderer.visibility.farthest_depth import FarthestDepth
+from renderer.visibility.occludees import Occludee
+from rhi import CullMode, DepthFunction, Format
+from rhi.shading import (
+    FragmentDepth,
+    Shader,
+    Storage,
+    Struct,
+    fragment_coordinate,
+    ivec2,
+    uint,
+    vec4,
+    vertex_index,
+)
+
+
+class Given(Struct):
+    depth: FragmentDepth
+
+
+class Put(Shader):
+    """Writes depths from memory; the width is the first of them."""
+
+    depths: Storage[float]
+
+    def vertex(self) -> vec4:
+        corner = vertex_index()
+        return vec4(float(corner % 2) * 4.0 - 1.0, float(corner // 2) * 4.0 - 1.0, 0.5, 1.0)
+
+    def fragment(self) -> Given:
+        at = ivec2(fragment_coordinate().xy)
+        return Given(depth=self.depths[1 + at.y * int(self.depths[0]) + at.x])
+
+
+def put(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
+    """A depth texture of these (h, w)."""
+    height, width = depths.shape
+    texture = device.texture((width, height), Format.D32F)
+    with (
+        device.storage(float, np.append(np.float32(width), depths).astype(np.float32)) as memory,
+        device.mesh(3) as triangle,
+        device.render_pass(depth=texture, clear_depth=0.5),
+        device.states(CullMode.NONE, DepthFunction.ALWAYS),
+    ):
+        device.draw(device.program(Put), triangle, depths=memory)
+    assert (texture.read() == depths).all()
+    return texture
+
+
+def reduce_once(depths: np.ndarray, direction: Depth) -> np.ndarray:
+    """The farthest of each 4 x 4, by hand: what is missing at the edges is as near as can be."""
+    far = np.minimum if direction is Depth.REVERSED else np.maximum
+    height, width = depths.shape
+    padded = np.full((-(-height // 4) * 4, -(-width // 4) * 4), 1.0 if direction is Depth.REVERSED else 0.0)
+    padded[:height, :width] = depths
+    return far.reduce(far.reduce(padded.reshape(len(padded) // 4, 4, -1, 4), axis=3), axis=1)
+
+
+@pytest.mark.parametrize("direction", Depth)
+@pytest.mark.parametrize("size", [(1, 1), (3, 2), (4, 4), (5, 4), (16, 17), (65, 3), (255, 131), (1023, 767)])
+def test_each_level_holds_the_farthest_of_its_pixels(
+    device: rhi.Device, size: tuple[int, int], direction: Depth
+) -> None:
+    depths = np.random.default_rng(sum(size)).random(size[::-1], np.float32)
+    pyramid = FarthestDepth(device, size)
+    pyramid.build(put(device, depths), direction)
+    held, expected = pyramid.farthest.read(), depths
+    for (width, height), begin in zip(pyramid.sizes[1:], pyramid.begins[1:], strict=True):
+        expected = reduce_once(expected, direction)
+        assert expected.shape == (height, width)
+        assert (held[begin : begin + width * height].reshape(height, width) == expected).all()
+    assert pyramid.sizes[-1] == (1, 1)
+    pyramid.destroy()
+
+
+def test_a_pixel_of_sky_is_sky_on_every_level(device: rhi.Device) -> None:
+    depths = np.full((23, 41), 0.7, np.float32)
+    depths[22, 40] = 0.0
+    pyramid = FarthestDepth(device, (41, 23))
+    pyramid.build(put(device, depths), Depth.REVERSED)
+    held = pyramid.farthest.read()
+    ends = [*pyramid.begins[2:], len(held)]
+    assert [held[end - 1] for end in ends] == [0.0] * len(ends)
+    assert (held == 0.0).sum() == len(ends)
+    pyramid.destroy()
+
+
+def test_a_level_alone_is_made_where_one_is_wanted(null: rhi.Device) -> None:
+    assert FarthestDepth(null, (960, 540), levels=1).sizes == [(960, 540), (240, 135)]
+    assert FarthestDepth(null, (3, 3)).sizes == [(3, 3), (1, 1)]
+    assert FarthestDepth(null, (1, 1)).sizes == [(1, 1), (1, 1)]
+
+
+@pytest.mark.parametrize("direction", Depth)
+@pytest.mark.parametrize("size", [(1, 1), (63, 34), (1023, 767)])
+def test_a_box_shows_if_it_shows_at_full_resolution(
+    device: rhi.Device, size: tuple[int, int], direction: Depth
+) -> None:
+    rng, count = np.random.default_rng(5), 400
+    width, height = size
+    coarse = rng.random((height // 30 + 1, width // 30 + 1), np.float32)
+    depths = np.kron(coarse, np.ones((30, 30), np.float32))[:height, :width]
+    boxes = np.zeros(count, Occludee.dtype)
+    boxes["centre"] = np.column_stack([rng.uniform(-1.1, 1.1, (count, 2)), rng.random(count)])
+    for axis, name in enumerate("xyz"):
+        boxes[name][:, axis] = rng.choice([0.0, 0.001, 0.01, 0.3], count) * rng.random(count)
+    view = View(relative_view_projection=np.eye(4), eye_high=(0, 0, 0), eye_low=(0, 0, 0))
+    pyramid = FarthestDepth(device, size)
+    texture = put(device, depths)
+    pyramid.build(texture, direction)
+    hidden, seen = device.storage(uint, np.zeros(count, np.uint32)), device.storage(uint, count)
+    device.dispatch(
+        device.program(CompareBoxes if direction is Depth.REVERSED else CompareBoxesStandard), -(-count // 64),
+        view=device.uniform(view), pyramid=device.uniform(make_levels(pyramid)), depth=texture,
+        farthest=pyramid.farthest, boxes=device.storage(Occludee, boxes), marks=hidden, seen=seen,
+    )  # fmt: skip
+    found = seen.read().astype(bool)
+    assert (hidden.read() == found).all()
+
+    half = np.abs(boxes["x"]) + np.abs(boxes["y"]) + np.abs(boxes["z"])
+    low, high = boxes["centre"] - half, boxes["centre"] + half
+    left, right = ((edge[:, 0] + 1.0) * 0.5 * width for edge in (low, high))
+    top, bottom = ((1.0 - edge[:, 1]) * 0.5 * height for edge in (high, low))
+    small = exact = 0
+    for row in range(count):
+        area = depths[
+            max(int(np.floor(top[row])), 0) : max(int(np.floor(bottom[row])) + 1, 0),
+            max(int(np.floor(left[row])), 0) : max(int(np.floor(right[row])) + 1, 0),
+        ]
+        shows = (high[row, 2] > area) if direction is Depth.REVERSED else (low[row, 2] < area)
+        assert found[row] or not shows.any()
+        if area.size and max(area.shape) < 8 and (left[row] % 1 > 0.02 and right[row] % 1 < 0.98):
+            small += 1
+            exact += found[row] == shows.any()
+    assert size == (1, 1) or (small > 50 and exact > 0.95 * small)
+    assert size == (1, 1) or 0.1 < found.mean() < 0.9
+    for resource in (pyramid, texture):
+        resource.destroy()
+
+
+def test_what_is_seen_again_and_again_is_on_the_first_list(device: rhi.Device) -> None:
+    scene = make_boxes([(0.0, 0.0, -5.0), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0), (6.0, 6.0, 1.0)])
+    algorithm, camera = DepthPyramidCulling(scene, device), look((0.0, 0.0, 0.0), (0.0, 0.0, -5.0))
+    lists = []
+    with Renderer(device, scene, size=(64, 36)) as renderer:
+        for _ in range(2):
+            draw_with(renderer, algorithm, camera)
+            lists.append([sorted(part.read_rows().tolist()) for part in (algorithm.first, algorithm.second)])
+    assert lists == [[[], [0, 1]], [[0, 1], []]]

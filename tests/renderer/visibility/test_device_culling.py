@@ -1,0 +1,318 @@
+"""Culling on the device (`depth_pyramid`, `two_pass`): the images are those of no culling, to the last pixel.
+
+The hard cases, which all algorithms share, are in `test_hard_cases`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from occlusion_scenes import (
+    SIZE,
+    WALL,
+    cameras,
+    count_wrong_pixels,
+    draw_with,
+    look,
+    make_boxes,
+    scenes,
+    visible,
+    walk,
+)
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, load_scene
+from renderer.scene.scene import SceneBuilder
+from renderer.scene.shapes import box
+from renderer.visibility import (
+    AutoCulling,
+    DeviceCulling,
+    FrustumCulling,
+    NoCulling,
+    find_visible_objects,
+    list_algorithms,
+    make_visibility,
+)
+from rhi import Op, ValidationError
+
+DEVICE = ("depth_pyramid", "two_pass")
+STANDARD = Perspective(near=0.2, far=2000.0, depth=Depth.STANDARD)
+
+
+def make(name: str, scene: Scene, device: rhi.Device) -> DeviceCulling:
+    algorithm = make_visibility(name, scene, device)
+    assert isinstance(algorithm, DeviceCulling)
+    return algorithm
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=8,detail=2")
+
+
+@pytest.mark.parametrize("path", ["ground", "sky"])
+@pytest.mark.parametrize("name", DEVICE)
+def test_a_walk_looks_as_without_culling(device: rhi.Device, city: Scene, name: str, path: str) -> None:
+    shots = walk(city, path, range(600, 648, 4))
+    assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 12
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", ["ground", "sky"])
+@pytest.mark.parametrize("name", DEVICE)
+def test_a_walk_through_the_whole_city_loses_no_depth(gl: rhi.Device, name: str, path: str) -> None:
+    # Its pixels of exactly equal depth show the surface drawn first, so it is the depth that is compared.
+    whole = load_scene("city")
+    algorithm, none = make(name, whole, gl), NoCulling(whole)
+    with Renderer(gl, whole, size=(480, 270)) as renderer:
+        for frame in range(640, 660, 2):
+            camera = whole.paths[path].camera(frame)
+            expected = draw_with(renderer, none, camera).depth.read()
+            assert (draw_with(renderer, algorithm, camera).depth.read() == expected).all()
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_moving_objects_are_seen_where_they_are(device: rhi.Device, name: str) -> None:
+    hall = load_scene("hall:columns=8,rows=2,flags=12")
+    shots = [(hall.paths["ground"].camera(frame), frame / 6) for frame in range(300, 900, 60)]
+    assert count_wrong_pixels(device, hall, make(name, hall, device), shots) == [0] * 10
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_standard_depth_hides_the_same(device: rhi.Device, city: Scene, name: str) -> None:
+    shots = [(camera.with_projection(STANDARD), s) for camera, s in walk(city, "ground", range(700, 724, 4))]
+    assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 6
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_depth_that_turns_round_between_frames_leaves_no_trace(
+    device: rhi.Device, city: Scene, name: str
+) -> None:
+    shots = walk(city, "ground", range(700, 724, 4))
+    turned = [(eye.with_projection(STANDARD), s) if i % 2 else (eye, s) for i, (eye, s) in enumerate(shots)]
+    assert count_wrong_pixels(device, city, make(name, city, device), turned) == [0] * 6
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_another_lens_between_frames_leaves_no_trace(device: rhi.Device, city: Scene, name: str) -> None:
+    lenses = [
+        Perspective(near=0.1),
+        Perspective(fov=0.3),
+        Orthographic(60.0, far=900.0),
+        Perspective(fov=2.2, far=500.0),
+    ]
+    shots = [
+        (camera.with_projection(lens), s)
+        for (camera, s), lens in zip(walk(city, "sky", range(700, 708)), lenses * 2, strict=True)
+    ]
+    assert count_wrong_pixels(device, city, make(name, city, device), shots) == [0] * 8
+
+
+@pytest.mark.parametrize("size", [(2, 3), (63, 34), (257, 31)])
+@pytest.mark.parametrize("name", DEVICE)
+def test_any_size_of_image_will_do(device: rhi.Device, city: Scene, name: str, size: tuple[int, int]) -> None:
+    shots = walk(city, "ground", range(600, 632, 8))
+    assert count_wrong_pixels(device, city, make(name, city, device), shots, size) == [0] * 4
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_an_image_of_another_size_leaves_no_trace(device: rhi.Device, city: Scene, name: str) -> None:
+    algorithm, none = make(name, city, device), NoCulling(city)
+    with Renderer(device, city, size=(64, 36)) as renderer:
+        for size in ((64, 36), (97, 55), (33, 70), (64, 36)):
+            renderer.size = size
+            for camera, seconds in walk(city, "ground", range(600, 604, 2)):
+                expected = draw_with(renderer, none, camera, seconds).image.read()
+                assert (draw_with(renderer, algorithm, camera, seconds).image.read() == expected).all()
+
+
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(scenes(), cameras(), st.integers(0, 2**32 - 1))
+def test_random_walks_among_random_boxes_look_as_without_culling(
+    device: rhi.Device, scene: Scene, eye: Camera, seed: int
+) -> None:
+    # Steps as small as a frame's: the last frame's depth is worth something.
+    rng, shots = np.random.default_rng(seed), []
+    place, aim, step = eye.position, eye.position + 5.0 * eye.forward, rng.normal(0.0, 0.2, (2, 3))
+    for _ in range(6):
+        shots.append((Camera.look_at(place, aim, projection=eye.projection), 0.0))
+        place, aim = place + step[0], aim + step[1]
+    for name in DEVICE:
+        algorithm = make(name, scene, device)
+        assert count_wrong_pixels(device, scene, algorithm, shots) == [0] * len(shots), name
+        algorithm.destroy()
+
+
+def mirrored_boxes() -> Scene:
+    """Boxes of which every other one is mirrored, and one is skewed flat."""
+    builder = SceneBuilder("mirrored")
+    mesh, rng = builder.add_mesh(box()), np.random.default_rng(4)
+    local = np.tile(np.eye(4), (30, 1, 1))
+    local[:, :3, :3] = rng.normal(size=(30, 3, 3))
+    local[:, :3, 3] = rng.uniform(-6.0, 6.0, (30, 3))
+    local[0, :3, 2] = 0.3 * local[0, :3, 0] + 0.2 * local[0, :3, 1]
+    turned = np.linalg.det(local[:, :3, :3]) < 0.0
+    assert 5 < turned.sum() < 25
+    nodes = builder.add_nodes(local)
+    for row, color in enumerate(rng.uniform(0.2, 1.0, (30, 4))):
+        builder.add_objects(nodes[row], mesh, builder.add_material(base_color=tuple(color)))
+    builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
+    return builder.build()
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_mirrored_and_skewed_objects_are_drawn_right_side_out(device: rhi.Device, name: str) -> None:
+    scene = mirrored_boxes()
+    eyes = [(12.0, 3.0, 4.0), (-9.0, -8.0, 2.0), (0.0, 0.0, 1.0)]
+    shots = [(look(eye, (0.0, 0.0, 0.0)), 0.0) for eye in eyes for _ in range(2)]
+    assert count_wrong_pixels(device, scene, make(name, scene, device), shots) == [0] * 6
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_what_a_wall_hides_is_not_drawn(device: rhi.Device, name: str) -> None:
+    places = [WALL, *((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, 9.0)]
+    scene = make_boxes(places, [(30.0, 30.0, 0.1)] + [(0.5, 0.5, 0.5)] * 10)
+    algorithm = make(name, scene, device)
+    with Renderer(device, scene, size=SIZE) as renderer:
+        drawn = [visible(draw_with(renderer, algorithm, look((0.0, 0.0, 0.0), WALL))) for _ in range(3)]
+    assert drawn[2] == {0}
+    assert drawn[0] > {0}, "at first nothing is known"
+    assert 10 not in drawn[0], "behind the eye"
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_what_the_first_list_misses_is_on_the_second(device: rhi.Device, name: str) -> None:
+    near, far = (0.0, 0.0, -5.0), (0.0, 0.0, -9.0)
+    scene = make_boxes([near, far], [(30.0, 30.0, 0.1), (0.5, 0.5, 0.5)])
+    algorithm = make(name, scene, device)
+    behind = look((0.0, 0.0, -20.0), far)
+    with Renderer(device, scene, size=SIZE) as renderer:
+        for _ in range(3):
+            draw_with(renderer, algorithm, look((0.0, 0.0, 0.0), near)).visible  # noqa: B018
+        assert algorithm.second.read_rows().tolist() == []
+        assert visible(draw_with(renderer, algorithm, behind)) == {0, 1}
+        lists = [drawn.read_rows().tolist() for drawn in (algorithm.first, algorithm.second)]
+    assert 1 in lists[1]
+    assert sorted(lists[0] + lists[1]) == [0, 1]
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Device, name: str) -> None:
+    def commands(count: int) -> list[Op]:
+        rng = np.random.default_rng(count)
+        scene = make_boxes(rng.uniform(-8.0, 8.0, (count, 3)), rng.uniform(0.1, 2.0, (count, 3)))
+        algorithm = make(name, scene, null)
+        with Renderer(null, scene, size=SIZE) as renderer:
+            for eye in (5.0, 6.0, 7.0):  # the first ones make programs
+                null.stream.clear()
+                null.reset_statistics()
+                draw_with(renderer, algorithm, look((0.0, 0.0, eye), (0.0, 0.0, 0.0)))
+        uploads.append(null.statistics.upload_bytes)
+        return [command.op for command in null.stream]
+
+    uploads: list[int] = []
+    assert commands(10) == commands(3000)
+    assert uploads[0] == uploads[1] < 2000
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_a_mere_function_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
+    with pytest.raises(ValidationError) as error:
+        find_visible_objects(make(name, city, null), city.views["overview"])
+    assert error.value.rule.id == "visibility-no-scene-pass"
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_what_was_drawn_is_known_until_the_next_frame(device: rhi.Device, city: Scene, name: str) -> None:
+    algorithm, camera = make(name, city, device), city.paths["ground"].camera(700)
+    with Renderer(device, city, size=SIZE) as renderer:
+        first = draw_with(renderer, algorithm, camera)
+        kept = draw_with(renderer, algorithm, camera)
+        rows = kept.visible
+        assert kept.statistics.draws == len(rows) > 0
+        assert kept.statistics.triangles == city.count_triangles(rows)
+        draw_with(renderer, algorithm, camera)
+        assert kept.visible is rows
+        with pytest.raises(ValidationError) as error:
+            first.statistics  # noqa: B018
+    assert error.value.rule.id == "visibility-stale-list"
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_a_device_without_compute_is_refused(monkeypatch: pytest.MonkeyPatch, name: str, city: Scene) -> None:
+    with rhi.create_device("null", profile="gl-3.3") as old:
+        assert not old.capabilities.compute
+        with pytest.raises(ValidationError) as error:
+            make(name, city, old)
+    assert error.value.rule.id == "visibility-no-compute"
+
+
+def test_devices_that_draw_and_compute_list_them(gl: rhi.Device, null: rhi.Device) -> None:
+    assert set(DEVICE) <= set(list_algorithms(gl))
+    assert not set(DEVICE) & set(list_algorithms(null))
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_everything_is_given_back(null: rhi.Device, city: Scene, name: str) -> None:
+    with Renderer(null, city, size=SIZE) as renderer:
+        null.stream.clear()
+        algorithm = make(name, city, null)
+        for size in (SIZE, (40, 30)):
+            renderer.size = size
+            draw_with(renderer, algorithm, city.views["overview"])
+        made = {
+            command.values[0]
+            for command in null.stream.filter((Op.CREATE_TEXTURE, Op.CREATE_BUFFER))
+            if "ring" not in str(command) and "transient" not in str(command)
+        }
+        algorithm.destroy()
+    null.finish()
+    gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
+    assert len(made) > 8
+    assert made <= gone
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_without_a_counted_indirect_draw_the_others_are_of_no_instance(
+    gl: rhi.Device, city: Scene, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gl._core, "capabilities", replace(gl.capabilities, indirect_count=False))
+    shots = walk(city, "ground", range(600, 612, 4))
+    algorithm = make(name, city, gl)
+    assert count_wrong_pixels(gl, city, algorithm, shots) == [0] * 3
+    for drawn in (algorithm.first, algorithm.second):
+        assert drawn.draws.read()["instances"].sum() == len(drawn.read_rows())
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_it_can_be_a_candidate_of_auto(device: rhi.Device, city: Scene, name: str) -> None:
+    makers = {"frustum": lambda: FrustumCulling(city), name: lambda: make(name, city, device)}
+    auto = AutoCulling(city, device, makers, frames=3, rest=1)
+    assert count_wrong_pixels(device, city, auto, walk(city, "ground", range(600, 616, 2))) == [0] * 8
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_what_is_simulated_is_seen_as_it_is(gl: rhi.Device, name: str) -> None:
+    hall = load_scene("hall:columns=8,rows=2,flags=2,fountains=4")
+    shots = [(hall.paths["ground"].camera(frame), frame / 60) for frame in range(300, 900, 100)]
+    assert count_wrong_pixels(gl, hall, make(name, hall, gl), shots) == [0] * 6
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_a_frame_that_was_broken_off_does_not_disturb_the_next(
+    device: rhi.Device, city: Scene, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    algorithm, (shot, *shots) = make(name, city, device), walk(city, "ground", range(600, 612, 4))
+
+    def fail(arrays: object) -> None:
+        raise RuntimeError("no")
+
+    with Renderer(device, city, size=SIZE) as renderer, monkeypatch.context() as broken:
+        broken.setattr(algorithm.second, "list_draws", fail)
+        with pytest.raises(RuntimeError):
+            draw_with(renderer, algorithm, shot[0])
+    assert count_wrong_pixels(device, city, algorithm, shots) == [0] * 2

@@ -1,0 +1,136 @@
+"""Lists of draws that the device makes: which draws, in which order, and which rows are hidden."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+import rhi
+from renderer.frame import SceneResources
+from renderer.scene import Camera, load_scene
+from renderer.shaders import MeshPart, Place
+from renderer.visibility.draw_lists import (
+    AddCounts,
+    CountKeys,
+    DrawArguments,
+    DrawLists,
+    ListCounts,
+    WriteDraws,
+)
+from renderer.visibility.occludees import DRAWN, HIDDEN, OUTSIDE, VISIBLE, Occludee, Occludees
+from rhi.shading import run_compute
+
+BUCKETS = 31
+
+
+def buckets(depth: np.ndarray) -> np.ndarray:
+    """Half octaves from 1/8 m on."""
+    return np.clip(np.floor(2.0 * np.log2(np.maximum(depth, 0.125))).astype(int) + 6, 0, BUCKETS - 1)
+
+
+def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    marks = rng.choice([HIDDEN, VISIBLE, OUTSIDE, DRAWN], count).astype(np.uint32)
+    places, boxes, parts = (
+        np.zeros(n, s.dtype) for n, s in ((count, Place), (count, Occludee), (5, MeshPart))
+    )
+    places["mesh"], places["mirrored"] = rng.integers(0, 5, count), rng.random(count) < 0.3
+    # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
+    boxes["depth"] = rng.choice([-3.0, 0.0, 0.1, 1.1, 1.3, 5.0, 77.0, 5000.0, 1e20], count)
+    parts["first"], parts["count"], parts["base_vertex"] = rng.integers(0, 999, (3, 5))
+    return marks, places, boxes, parts
+
+
+def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, mirrored: bool) -> np.ndarray:
+    """The rows of one winding in the order of their draws."""
+    rows = np.flatnonzero((marks == VISIBLE) & (places["mirrored"] == mirrored))
+    return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
+
+
+def check(
+    marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, parts: np.ndarray, after: dict[str, np.ndarray]
+) -> None:
+    count, totals, draws = len(marks), after["totals"][0], after["listed"]
+    for begin, mirrored, name in ((0, False, "plain"), (count, True, "mirrored")):
+        rows = expect(marks, places, boxes, mirrored)
+        assert totals[name] == len(rows)
+        listed, mesh = draws[begin : begin + len(rows)], parts[places["mesh"][rows]]
+        assert listed["base_instance"].tolist() == rows.tolist()
+        assert (listed["instances"] == 1).all()
+        for field in ("count", "first", "base_vertex"):
+            assert listed[field].tolist() == mesh[field].tolist()
+    hidden = np.flatnonzero(marks == HIDDEN)
+    assert totals["hidden"] == after["boxes"][0]["instances"] == len(hidden)
+    assert after["hidden"][: len(hidden)].tolist() == hidden.tolist()
+    assert after["marks"].tolist() == np.where(marks == VISIBLE, DRAWN, marks).tolist()
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(1, 300), st.integers(0, 999))
+@example(64, 0)
+@example(65, 1)
+def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
+    marks, places, boxes, parts = make_rows(count, seed)
+    groups = -(-count // 64)
+    counted = run_compute(
+        CountKeys, groups, places=places, occludees=boxes, marks=marks, keys=count, counts=64 * groups
+    )
+    sums = run_compute(AddCounts, 1, counts=counted["counts"])["counts"]
+    assert sums.tolist() == np.append(0, np.cumsum(counted["counts"]))[:-1].tolist()
+    written = run_compute(
+        WriteDraws, groups, places=places, parts=parts, keys=counted["keys"], sums=sums, listed=2 * count,
+        hidden=count, totals=np.zeros(1, ListCounts.dtype), boxes=np.zeros(1, DrawArguments.dtype),
+    )  # fmt: skip
+    check(marks, places, boxes, parts, counted | written)
+
+
+@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.integers(1, 3000), st.integers(0, 999))
+@example(20_000, 2)
+def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int) -> None:
+    marks, places, boxes, parts = make_rows(count, seed)
+    occludees = Occludees(device, count)
+    occludees.marks.write(marks)
+    occludees.boxes.write(boxes)
+    lists = DrawLists(device, occludees)
+    scene = load_scene("grid:mesh=box,count=1")
+    resources = SceneResources(device, scene)
+    resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
+    arrays = resources.arrays
+    given_arrays = type(arrays)(
+        arrays.view, arrays.objects, device.storage(Place, places), device.storage(MeshPart, parts)
+    )
+    for _ in range(2):  # the second time nothing is VISIBLE any more
+        lists.list_draws(given_arrays)
+        after = {
+            "marks": occludees.marks.read(), "listed": lists.draws.read(), "totals": lists.totals.read(),
+            "hidden": lists.hidden.read(), "boxes": lists.box_draw.read(),
+        }  # fmt: skip
+        check(marks, places, boxes, parts, after)
+        rows = [expect(marks, places, boxes, mirrored) for mirrored in (False, True)]
+        assert lists.read_rows().tolist() == np.concatenate(rows).tolist()
+        marks = after["marks"]
+    for resource in (occludees, lists, resources, given_arrays.places.owner, given_arrays.parts.owner):
+        resource.destroy()
+
+
+def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> None:
+    lists = DrawLists(null, Occludees(null, 10))
+    plain, mirrored = lists.arguments(mirrored=False), lists.arguments(mirrored=True)
+    assert DrawArguments.dtype.itemsize == rhi.DRAW.itemsize == plain.stride
+    assert [DrawArguments.dtype.fields[name][1] for name in rhi.DRAW.names or ()] == [0, 4, 8, 12, 16]
+    assert (plain.offset, mirrored.offset) == (0, 10 * rhi.DRAW.itemsize)
+    fields = ListCounts.dtype.fields
+    assert (plain.count_offset, mirrored.count_offset) == (fields["plain"][1], fields["mirrored"][1])
+
+
+@pytest.mark.parametrize("count", [1, 64, 65])
+def test_each_list_is_another_generation(null: rhi.Device, count: int) -> None:
+    scene = load_scene(f"grid:mesh=box,count={count}")
+    lists, resources = DrawLists(null, Occludees(null, count)), SceneResources(null, scene)
+    resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
+    before = lists.generation
+    lists.list_draws(resources.arrays)
+    assert lists.generation == before + 1

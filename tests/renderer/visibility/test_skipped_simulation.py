@@ -1,0 +1,104 @@
+"""What a visibility algorithm doesn't draw isn't simulated; and no image shows it."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from occlusion_scenes import WAITING, Oracle, draw_with
+
+import rhi
+from renderer.cli import main
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Scene, load_scene
+from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, list_algorithms, make_visibility
+
+HALL = "hall:columns=18,rows=2,flags=0,fountains=12"
+
+
+@pytest.fixture(scope="module")
+def hall() -> Scene:
+    return load_scene(HALL)
+
+
+@pytest.mark.parametrize("name", [name for name in ALGORITHMS if name != "none"])
+def test_skipped_fountains_come_back_as_if_they_had_been_simulated(
+    drawing_device: rhi.Device, hall: Scene, name: str
+) -> None:
+    if name not in list_algorithms(drawing_device):
+        pytest.skip(f"{name} doesn't run here")
+    path = hall.paths["ground"]
+    algorithm, none = make_visibility(name, hall, drawing_device), NoCulling(hall)
+    skipped = steps = 0
+    with (
+        Renderer(drawing_device, hall, size=(97, 55)) as everything,
+        Renderer(drawing_device, hall, size=(97, 55)) as renderer,
+    ):
+        for frame in (0, 3, 6, 400, 403, 1600, 900, 903, 0, 1):  # forth, on, and back to the beginning
+            camera, seconds = path.camera(frame), (frame % 1000) / 60
+            expected = draw_with(everything, none, camera, seconds)
+            given = draw_with(renderer, algorithm, camera, seconds)
+            assert (given.image.read() == expected.image.read()).all(), frame
+            skipped += given.statistics.skipped_simulations
+            steps += given.statistics.simulation_steps
+            assert expected.statistics.skipped_simulations == 0
+        assert (expected.image.read() != draw_with(everything, none, camera, 3.0).image.read()).any()
+    assert skipped > 0
+    assert steps > 0
+
+
+@pytest.mark.parametrize("name", [*WAITING, "conditional"])
+def test_what_an_algorithm_does_not_draw_takes_no_step(null: rhi.Device, hall: Scene, name: str) -> None:
+    oracle = Oracle(null, hall, name)
+    algorithm = make_visibility(name, hall, null)
+    camera = hall.views["overview"]
+    with Renderer(null, hall, size=(64, 36)) as renderer:
+        sprays = renderer.simulator.objects.tolist()
+        oracle.seen = set(sprays[:2])
+        for frame in range(1, 8):
+            result = draw_with(renderer, algorithm, camera, frame / 60)
+            drawn = set(sprays) & set(result.visible.tolist())
+            assert result.statistics.skipped_simulations == len(sprays) - len(drawn)
+        if name != "conditional":  # which can't know
+            assert drawn == oracle.seen
+            assert result.statistics.simulation_steps == 2
+        oracle.seen = set(sprays)
+        returned = draw_with(renderer, algorithm, camera, 8 / 60).statistics
+        if name != "conditional":
+            assert returned.skipped_simulations == 0
+            assert returned.simulation_steps == 2 + (len(sprays) - 2) * 8
+
+
+def test_uploads_are_those_of_what_is_seen(null: rhi.Device, hall: Scene) -> None:
+    away = Camera.look_at((0.0, 500.0, 0.0), (0.0, 1000.0, 0.0))
+    with Renderer(null, hall, visibility=FrustumCulling(hall), size=(64, 36)) as renderer:
+        renderer.render(away, 0.0)
+        result = renderer.render(away, 1.0)
+        assert result.statistics.upload_bytes == 0
+        assert result.statistics.skipped_simulations == len(renderer.simulator) == 12
+        seen = renderer.render(hall.views["overview"], 1.0).statistics
+        again = renderer.render(hall.views["overview"], 1.0).statistics
+    spray = hall.meshes.vertices.itemsize * 1080
+    assert seen.upload_bytes - again.upload_bytes >= (12 - seen.skipped_simulations) * spray
+    assert again.simulation_steps == 0
+
+
+def test_a_scene_without_simulations_counts_none(null: rhi.Device) -> None:
+    scene = load_scene("grid:count=4")
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 36)) as renderer:
+        counted = renderer.render(scene.views["overview"], 5.0).statistics
+    assert (counted.simulation_steps, counted.skipped_simulations) == (0, 0)
+
+
+@pytest.mark.usefixtures("gl")
+def test_compare_counts_them_for_each_algorithm_by_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    command = ["compare", "visibility", HALL, "--size", "64x36", "--frames", "4", "--backend", "gl"]
+    assert main([*command, "--algorithms", "none,frustum,stop_and_wait", "--json"]) == 0
+    rows = {row["algorithm"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert rows["none"]["skipped_simulations"] == 0
+    assert rows["none"]["simulation_steps"] == 12  # one of each fountain, each frame
+    assert 0 < rows["frustum"]["skipped_simulations"] < rows["stop_and_wait"]["skipped_simulations"]
+    assert rows["stop_and_wait"]["simulation_steps"] < rows["frustum"]["simulation_steps"] < 12
+    assert all(row["wrong_pixels"] == 0 for row in rows.values())
+    assert main([*command, "--algorithms", "none"]) == 0
+    assert "skipped simulations" in capsys.readouterr().out.splitlines()[0]

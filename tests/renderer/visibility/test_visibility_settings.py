@@ -1,0 +1,62 @@
+"""Settings of visibility algorithms, and their file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from occlusion_scenes import make_boxes
+
+import rhi
+from renderer.visibility import Settings, make_visibility
+from rhi.errors import ValidationError
+
+
+def test_settings_come_back_from_their_file(tmp_path: Path) -> None:
+    settings = Settings(batch=7, persistence=3, threshold=2)
+    settings.save(tmp_path / "s.json", device="a device")
+    assert Settings.load(tmp_path / "s.json") == settings
+    assert json.loads((tmp_path / "s.json").read_text())["device"] == "a device"
+
+
+def test_a_number_that_is_missing_is_the_default(tmp_path: Path) -> None:
+    (tmp_path / "s.json").write_text('{"visibility": {"batch": 9}}')
+    assert Settings.load(tmp_path / "s.json") == Settings(batch=9)
+
+
+@pytest.mark.parametrize("text", [
+    "", "[]", "{}", '{"visibility": 3}', '{"visibility": {"bach": 3}}',
+])  # fmt: skip
+def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "s.json").write_text(text)
+    with pytest.raises(ValidationError) as refused:
+        Settings.load(tmp_path / "s.json")
+    assert refused.value.rule.id == "visibility-bad-settings"
+
+
+@pytest.mark.parametrize(
+    "value", [{"batch": 0}, {"persistence": 0}, {"threshold": -1}, {"batch": 2.5}, {"batch": "2"}]
+)
+def test_a_number_out_of_its_range_is_refused(value: dict[str, int]) -> None:
+    with pytest.raises(ValidationError) as refused:
+        Settings(**value)
+    assert refused.value.rule.id == "visibility-bad-parameter"
+    Settings(batch=1, persistence=1, threshold=0)
+
+
+def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
+    scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
+    settings = Settings(batch=7, persistence=3, threshold=2)
+    made = make_visibility("chc_plus_plus", scene, null, settings)
+    assert (made._batch, made._persistence, made._queries.threshold) == (7, 3, 2)
+    assert make_visibility("chc_plus_plus", scene, null)._batch == Settings().batch
+    assert make_visibility("conditional", scene, null, settings)._persistence == 3
+    for name in ("stop_and_wait", "chc"):
+        assert make_visibility(name, scene, null, settings)._queries.threshold == 2
+
+
+def test_auto_hands_settings_on(gl: rhi.Device) -> None:
+    scene = make_boxes([(0.0, 0.0, 0.0)], [(1.0, 1.0, 1.0)])
+    auto = make_visibility("auto", scene, gl, Settings(batch=7))
+    assert auto._find("chc_plus_plus")._batch == 7

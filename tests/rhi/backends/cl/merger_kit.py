@@ -1,0 +1,260 @@
+"""The output merger on its own: a kernel that merges given fragments, and the same in NumPy.
+
+Images are of whole blocks. Fragments are (samples, height, width) arrays: outputs as 32-bit words, depth, coverage.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from rhi.backends.cl.context import build, open_context
+from rhi.backends.cl.targets import MergerKey, make_key, make_state, read_source
+from rhi.conformance import reference
+from rhi.descriptors import FragmentOutput, ProgramDescriptor, Stage
+from rhi.formats import Format, Kind
+from rhi.states import (
+    DEFAULTS,
+    MAX_TARGETS,
+    PER_TARGET,
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    AlphaToCoverage,
+    BlendColor,
+    BlendFunction,
+    ColorWrite,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    State,
+    StencilBack,
+    StencilFront,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+)
+from rhi.texels import encode
+
+_KERNEL = """
+kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns, TARGET_PARAMETERS) {
+    Targets targets = open_targets(TARGET_ARGUMENTS);
+    int block = get_global_id(0), x = block % columns * 4, y = block / columns * 4;
+    for (int sample = 0; sample < SAMPLES; ++sample) {
+        global const uint16 *fragment = fragments + (block * SAMPLES + sample) * (OUTPUT_WORDS + 2);
+        uint16 outputs[OUTPUT_WORDS];
+        for (int word = 0; word < OUTPUT_WORDS; ++word) outputs[word] = fragment[word];
+        int16 mask = as_int16(fragment[OUTPUT_WORDS]);
+        mask = cover_by_alpha(test_alpha(state, mask, outputs), outputs, sample);
+        float16 z = as_float16(fragment[OUTPUT_WORDS + 1]);
+#if TEST_ORDER == TEST_SPLIT
+        mask = test_depth_stencil(&targets, state, x, y, sample, front, mask, z);
+#endif
+        mask = merge_depth_stencil(&targets, state, x, y, sample, front, mask, z);
+        merge_colors(&targets, state, x, y, sample, mask, outputs);
+    }
+}
+"""
+_context = cache(open_context)
+
+
+@cache
+def _build(key: MergerKey) -> cl.Kernel:
+    return cl.Kernel(build(_context().context, key.defines() + read_source() + _KERNEL), "merge")
+
+
+@dataclass
+class Planes:
+    """Targets' contents: (samples, height, width, channels) each, depth and stencil (samples, height, width)."""
+
+    colors: list[NDArray[Any]]
+    depth: NDArray[np.float32] | None = None
+    stencil: NDArray[np.uint8] | None = None
+
+    def copy(self) -> Planes:
+        return Planes(
+            [color.copy() for color in self.colors],
+            None if self.depth is None else self.depth.copy(),
+            None if self.stencil is None else self.stencil.copy(),
+        )
+
+
+def state_values(*states: State) -> dict[type, Any]:
+    """All states: the defaults and these."""
+    values: dict[type, Any] = {t: (v,) * MAX_TARGETS if t in PER_TARGET else v for t, v in DEFAULTS.items()}
+    for state in states:
+        target = getattr(state, "target", None)
+        if type(state) in PER_TARGET:
+            kept = list(values[type(state)])
+            kept[slice(None) if target is None else slice(target, target + 1)] = [state] * (
+                MAX_TARGETS if target is None else 1
+            )
+            values[type(state)] = tuple(kept)
+        else:
+            values[type(state)] = state
+    return values
+
+
+def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> ProgramDescriptor:
+    """A program with an output per format."""
+    kinds = {Kind.UINT: "uint", Kind.INT: "int"}
+    outputs = tuple(
+        FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats)
+    )
+    return ProgramDescriptor(
+        "Merged", frozenset({Stage.VERTEX, Stage.FRAGMENT}), (), (), outputs, (1, 1, 1),
+        lambda language, stage: "", **more,
+    )  # fmt: skip
+
+
+def merge(
+    key: MergerKey, state: NDArray[np.uint32], planes: Planes, outputs: NDArray[Any], z: NDArray[np.float32],
+    covered: NDArray[np.bool_], front: bool = True,
+) -> Planes:  # fmt: skip
+    """What the kernel makes of the planes; `outputs` is (samples, height, width, words) of 4 bytes."""
+    kernel, queue = _build(key), _context().queue
+    samples, height, width = covered.shape
+    words = np.concatenate(
+        [
+            np.ascontiguousarray(outputs).view(np.uint32)[..., : key.output_words],
+            (-covered.astype(np.int32))[..., None].view(np.uint32),
+            np.ascontiguousarray(z, np.float32)[..., None].view(np.uint32),
+        ],
+        axis=-1,
+    )
+    blocks = words.reshape(samples, height // 4, 4, width // 4, 4, -1).transpose(1, 3, 0, 5, 2, 4)
+    kept = [planes.colors[color.location] for color in key.colors]
+    if key.has_depth:
+        assert planes.depth is not None
+        kept.append(planes.depth[..., None])
+    if key.has_stencil:
+        assert planes.stencil is not None
+        kept.append(planes.stencil[..., None])
+    buffers, places = [], []
+    for number, plane in enumerate(kept):  # each begins elsewhere, has longer rows and room around
+        texel = plane.shape[-1] * plane.itemsize
+        start, pitch = 128 * (number + 1), (width + 4 * number) * texel
+        layer = pitch * height
+        memory = np.full(start + samples * layer + 128, 0xA5, np.uint8)
+        rows = memory[start:][: samples * layer].reshape(samples, height, pitch)
+        rows[:, :, : width * texel] = np.ascontiguousarray(plane).view(np.uint8).reshape(samples, height, -1)
+        buffers.append((upload(memory), memory, rows, plane))
+        places.append((start, pitch, layer))
+    given = upload(state), upload(np.ascontiguousarray(blocks)), upload(np.array(places or [(0, 0, 0)], "u8"))
+    kernel.set_args(  # which doesn't keep them alive
+        *given[:2], np.int32(front), np.int32(width // 4), *(buffer for buffer, *_ in buffers), given[2]
+    )
+    cl.enqueue_nd_range_kernel(queue, kernel, (width * height // 16,), (1,))
+    queue.finish()
+    after = planes.copy()
+    results = []
+    for buffer, memory, rows, plane in buffers:
+        before = memory.copy()
+        inside = np.zeros(len(memory), bool)
+        width_bytes = width * plane.shape[-1] * plane.itemsize
+        offset = rows.ctypes.data - memory.ctypes.data
+        inside[offset:][: rows.size].reshape(rows.shape)[:, :, :width_bytes] = True
+        cl.enqueue_copy(queue, memory, buffer)
+        assert (memory == before)[~inside].all(), "written outside of a target"
+        results.append(np.ascontiguousarray(rows[:, :, :width_bytes]).view(plane.dtype).reshape(plane.shape))
+    for color, result in zip(key.colors, results, strict=False):
+        after.colors[color.location] = result
+    if key.has_depth:
+        after.depth = results[len(key.colors)][..., 0].view(np.float32)
+    if key.has_stencil:
+        after.stencil = results[-1][..., 0]
+    return after
+
+
+def upload(data: NDArray[Any]) -> cl.Buffer:
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    return cl.Buffer(_context().context, flags, hostbuf=data)
+
+
+def run(
+    formats: Sequence[Format], depth: Format | None, states: Sequence[State], planes: Planes, outputs: NDArray[Any],
+    z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, **program: Any,
+) -> Planes:  # fmt: skip
+    """`merge` by states and formats."""
+    values = state_values(*states)
+    key = make_key(describe(formats, **program), values, formats, depth, len(covered))
+    return merge(key, make_state(values, formats), planes, outputs, z, covered, front)
+
+
+# -- the same in NumPy ---------------------------------------------------------------------------------------
+
+
+def expected(
+    formats: Sequence[Format], depth: Format | None, states: Sequence[State], planes: Planes, outputs: NDArray[Any],
+    z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, components: int = 4,
+) -> tuple[Planes, list[NDArray[np.float64]]]:  # fmt: skip
+    """What the planes must become; colors also unrounded, in stored numbers, where they are written."""
+    values, after = state_values(*states), planes.copy()
+    mask, exact = covered.copy(), []
+    if formats and not formats[0].is_integer and components == 4:
+        alpha = outputs.view(np.float32)[..., 3]
+        if values[AlphaTest] is AlphaTest.ON:
+            mask &= reference.compare(values[AlphaFunction], alpha, np.float32(values[AlphaReference].value))
+        if values[AlphaToCoverage] is AlphaToCoverage.ON and len(covered) > 1:
+            count = np.floor(alpha.astype(np.float64) * len(covered) + 0.5)
+            mask &= np.arange(len(covered))[:, None, None] < count
+    mask = _expected_depth_stencil(depth, values, after, z, mask, front)
+    for location, format in enumerate(formats):
+        words = outputs[..., 4 * location : 4 * location + 4].copy()
+        if components < 4:
+            one = np.array([1], np.uint32 if format.is_integer else np.float32).view(np.uint32)[0]
+            words[..., components:] = (0, 0, 0, one)[components:]
+        color = words.view({Kind.UINT: np.uint32, Kind.INT: np.int32}.get(format.kind, np.float32))
+        color = color.astype(np.float64)
+        function: BlendFunction = values[BlendFunction][location]
+        if not function.is_off and not format.is_integer:
+            stored = reference.decode(format, planes.colors[location])
+            constant = values[BlendColor]
+            constants = np.array([constant.red, constant.green, constant.blue, constant.alpha])
+            if format.kind is not Kind.FLOAT:
+                low = -1.0 if format.kind is Kind.SNORM else 0.0
+                color, constants = np.clip(color, low, 1.0), np.clip(constants, low, 1.0)
+            color = reference.blend(function, color, stored, constants)
+        stored_numbers = encode(format, color[..., : format.channels])
+        write: ColorWrite = values[ColorWrite][location]
+        channels = np.array([write.red, write.green, write.blue, write.alpha])[: format.channels]
+        where = mask[..., None] & channels
+        after.colors[location] = np.where(where, stored_numbers, planes.colors[location])
+        exact.append(np.where(where, reference.encode(format, color), planes.colors[location]))
+    return after, exact
+
+
+def _expected_depth_stencil(
+    depth: Format | None, values: Mapping[type, Any], after: Planes, z: NDArray[np.float32],
+    covered: NDArray[np.bool_], front: bool,
+) -> NDArray[np.bool_]:  # fmt: skip
+    if depth is None or after.depth is None:
+        return covered
+    stored = encode(depth, z.astype(np.float64)).astype(np.float32)
+    near = np.ones_like(covered)
+    if values[DepthTest] is DepthTest.ON:
+        near = reference.compare(values[DepthFunction], stored, after.depth)
+    equal = np.ones_like(covered)
+    if depth.has_stencil and values[StencilTest] is StencilTest.ON:
+        assert after.stencil is not None
+        side = values[StencilFront if front else StencilBack]
+        masks = [values[t] for t in (StencilReference, StencilReadMask, StencilWriteMask)]
+        ref, read, write = [m.front if front else m.back for m in masks]
+        equal = reference.compare(side.function, np.full(covered.shape, ref & read), after.stencil & read)
+        table = np.array(
+            [[reference.stencil(op, old, ref, write) for old in range(256)]
+             for op in (side.stencil_fail, side.depth_fail, side.both_pass)], np.uint8,
+        )  # fmt: skip
+        outcome = np.where(equal, np.where(near, 2, 1), 0)
+        after.stencil = np.where(covered, table[outcome, after.stencil], after.stencil)
+    passed = covered & near & equal
+    if values[DepthWrite] is DepthWrite.ON:
+        after.depth = np.where(passed, stored, after.depth)
+    return passed

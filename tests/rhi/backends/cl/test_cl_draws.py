@@ -1,0 +1,424 @@
+"""How draws gather, and that neither pieces, slices nor lists of tiles show in the picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthFunction,
+    DepthWrite,
+    Device,
+    Format,
+    PolygonOffset,
+    Primitive,
+    StencilTest,
+    Viewport,
+)
+from rhi.backends.cl import context, draws, memory, pipelines
+from rhi.backends.cl.backend import ClBackend
+from rhi.conformance.compare import assert_mask
+from rhi.conformance.reference import SUBTEXELS, rasterise
+from rhi.conformance.shaders import Colored, Corner
+from rhi.conformance.shapes import corners, rectangle, window_to_clip
+from rhi.errors import DeviceError
+from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, uint, vec4
+
+SIZE = (200, 150)
+
+
+class Tint(Struct):
+    color: vec4
+
+
+class Bare(Struct):
+    clip: vec4
+
+
+class Tinted(Shader):
+    tint: Uniform[Tint]
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self, v: Bare) -> vec4:
+        return self.tint.color
+
+
+class Start(Struct):
+    first: uint
+
+
+class Indices(Shader):
+    """Counts from a number on."""
+
+    work_group = (1,)
+    start: Uniform[Start]
+    indices: StorageRW[uint]
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.indices[i] = self.start.first + uint(i)
+
+
+@pytest.fixture
+def device() -> Iterator[Device]:
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+@pytest.fixture
+def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
+    """A device that doesn't read the host's memory in place, as far as the backend knows."""
+    probe = context.probe
+    monkeypatch.setattr(context, "probe", lambda made, queue: (probe(made, queue)[0], False))
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+@pytest.fixture
+def launches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the kernels that draws launch."""
+    names: list[str] = []
+    launch = pipelines.Kernel.launch
+
+    def note(kernel: Any, queue: Any, batch: int, items: int) -> Any:
+        names.append(kernel._kernel.function_name)
+        return launch(kernel, queue, batch, items)
+
+    monkeypatch.setattr(pipelines.Kernel, "launch", note)
+    return names
+
+
+def random_corners(count: int, seed: int = 0) -> NDArray[Any]:
+    """Triangles of all sizes whose order shows: each covers with a color of its own."""
+    rng = np.random.default_rng(seed)
+    middle, size = rng.uniform(-1, 1, (count, 1, 2)), 2.0 ** rng.uniform(-6, 1, (count, 1, 1))
+    places = middle + size * rng.uniform(-1, 1, (count, 3, 2))
+    colors = np.repeat(rng.uniform(0, 1, (count, 4)), 3, axis=0)
+    return corners(places.reshape(-1, 2), colors)
+
+
+def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
+    """Of all triangles in one draw, or in so many."""
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh:
+        ends = np.linspace(0, len(rows) // 3, parts + 1).astype(int) * 3
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, DepthWrite.OFF):
+            for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+                device.draw(device.program(Colored), mesh.view(first=begin, count=end - begin))
+        return image.read()
+
+
+# -- what ends a batch ---------------------------------------------------------------------------------------
+
+
+def test_draws_of_one_program_are_one_batch(device: Device, launches: list[str]) -> None:
+    picture(device, random_corners(60), parts=20)
+    assert launches.count("raster") == 1
+
+
+def test_what_draws_bind_does_not_end_a_batch(device: Device, launches: list[str]) -> None:
+    """Nor do their meshes, viewports and culling; each draw keeps its own."""
+    tints = [device.uniform(Tint(color=(i / 255, 0, 0, 1))) for i in range(1, 9)]
+    meshes = [device.mesh(rectangle()[:: 1 if i % 2 else -1]) for i in range(8)]
+    with device.texture((64, 4), Format.RGBA8) as image:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            for i in range(8):
+                culled = CullMode.BACK if i % 2 else CullMode.FRONT
+                with device.states(Viewport(8 * i, 0, 8, 4), culled):
+                    device.draw(device.program(Tinted), meshes[i], tint=tints[i])
+        assert image.read()[0, :, 0].tolist() == np.repeat(np.arange(1, 9), 8).tolist()
+    assert launches.count("raster") == 1
+
+
+def test_states_that_are_compiled_end_a_batch(device: Device, launches: list[str]) -> None:
+    rows = random_corners(6)
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh, device.render_pass(image):
+        device.draw(device.program(Colored), mesh)
+        with device.states(BlendFunction.ADDITIVE):
+            device.draw(device.program(Colored), mesh)
+    assert launches.count("raster") == 2
+
+
+def test_a_write_between_draws_is_seen_by_the_later_one_alone(device: Device) -> None:
+    with (
+        device.texture((2, 1), Format.RGBA8) as image,
+        device.mesh(rectangle()) as mesh,
+        device.uniform(Tint(color=(0, 0, 0, 1))) as tint,
+    ):
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            for i, red in enumerate((1.0, 0.2)):
+                tint.write(Tint(color=(red, 0, 0, 1)))
+                with device.states(Viewport(i, 0, 1, 1)):
+                    device.draw(device.program(Tinted), mesh, tint=tint)
+        assert image.read()[0, :, 0].tolist() == [255, 51]
+
+
+def test_indices_that_change_between_draws_name_other_vertices(device: Device) -> None:
+    rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
+    with (
+        device.texture((2, 1), Format.RGBA8) as image,
+        device.mesh(rows, np.arange(6, dtype="u4")) as mesh,
+    ):
+        for first, expected in ((0, [255, 0]), (6, [0, 255])):
+            mesh.data.index_buffer.write(np.arange(first, first + 6, dtype="u4"))
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+                device.draw(device.program(Colored), mesh)
+            assert image.read()[0, :, 0].tolist() == expected
+
+
+@pytest.mark.parametrize("first", [0, 6])
+def test_indices_that_the_device_wrote_are_drawn(device: Device, first: int) -> None:
+    """The host can't know them: it transforms a vertex for each."""
+    rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
+    buffer = device.buffer(6, np.dtype("u4"))
+    with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, buffer) as mesh:
+        device.dispatch(
+            device.program(Indices),
+            6,
+            indices=device.storage(uint, buffer),
+            start=device.uniform(Start(first=uint(first))),
+        )
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(DepthWrite.OFF):
+            device.draw(device.program(Colored), mesh)
+        assert image.read()[0, :, 0].tolist() == [255 * (first == 0), 255 * (first == 6)]
+
+
+# -- pieces, slices, lists -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "limits",
+    [
+        {"_SLICE_GROUPS": 16},
+        {"_PIECE_GROUPS": 16},
+        {"_LIST_WORDS": 16, "_LISTED_PER_PRIMITIVE": 0},
+        {"_FEW_GROUPS": 1 << 20},
+        {"_CHUNKS": 2},
+        {"_MIN_CHUNK": 1, "_VERTEX_CHUNK": 1},
+    ],
+    ids=lambda limits: next(iter(limits)),
+)
+def test_limits_of_memory_do_not_show(
+    device: Device, monkeypatch: pytest.MonkeyPatch, launches: list[str], limits: dict[str, int]
+) -> None:
+    rows = random_corners(900)
+    usual = picture(device, rows, parts=3)
+    before = len(launches)
+    for name, value in limits.items():
+        monkeypatch.setattr(draws, name, value)
+    assert (picture(device, rows, parts=3) == usual).all()
+    assert (usual[..., 3] > 0).mean() > 0.9
+    if set(limits) & {"_SLICE_GROUPS", "_PIECE_GROUPS"}:
+        assert len(launches) - before > before
+    if "_FEW_GROUPS" in limits:
+        assert "scatter" in launches[:before]
+        assert "scatter" not in launches[before:]
+
+
+def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
+    """Beyond a slice's worth memory doesn't grow with the triangles; what does are their vertices."""
+    grid = 500
+    y, x = np.mgrid[0:grid, 0:grid] / (grid - 1) * 2 - 1
+    rows = corners(np.stack([x.ravel(), y.ravel()], axis=1))
+    a = (np.arange(grid - 1)[:, None] * grid + np.arange(grid - 1)).ravel()
+    indices = np.stack([a, a + 1, a + grid, a + 1, a + grid + 1, a + grid], axis=1).astype("u4")
+    with device.texture((64, 64), Format.RGBA8) as image, device.mesh(rows, indices.ravel()) as mesh:
+        with device.render_pass(image), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), mesh)
+        assert (image.read() > 0).any()
+    pools = device.backend_as(ClBackend)._rasteriser._batch._pools
+    assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
+
+
+def test_a_device_with_memory_of_its_own_draws_the_same(
+    device: Device, distant_device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "_PAGE", 1 << 12)  # tables need several pages
+    rows = random_corners(200)
+    for parts in (1, 40):
+        assert (picture(device, rows, parts) == picture(distant_device, rows, parts)).all()
+    query = distant_device.occlusion_query()
+    with distant_device.texture((4, 4), Format.R8) as image, distant_device.mesh(rectangle()) as mesh:
+        with distant_device.render_pass(image), query:
+            distant_device.draw(distant_device.program(Colored), mesh)
+        assert query.wait() == 16
+
+
+def test_a_device_without_addresses_has_no_draws(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(memory.Addresses, "_probe", lambda *_: False)
+    with rhi.create_device("cl") as made:
+        assert not made.capabilities.draws
+        with pytest.raises(rhi.ValidationError) as caught:
+            made.program(Colored)
+    assert caught.value.rule.id == "device-capability"
+
+
+# -- errors --------------------------------------------------------------------------------------------------
+
+
+def test_out_of_memory_names_the_draw_and_the_device_goes_on(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = random_corners(50)
+    usual = picture(device, rows)
+
+    def fail(*_: object) -> None:
+        raise MemoryError
+
+    with monkeypatch.context() as patch:
+        patch.setattr(draws.Pool, "reserve", fail)
+        with pytest.raises(DeviceError) as caught:
+            picture(device, rows)
+    assert caught.value.rule.id == "device-out-of-memory"
+    assert (picture(device, rows) == usual).all()
+
+
+# -- queries -------------------------------------------------------------------------------------------------
+
+
+def test_each_draw_of_a_batch_counts_for_its_own_query(device: Device, launches: list[str]) -> None:
+    queries = [device.occlusion_query() for _ in range(600)]  # more than a page of counters
+    meshes = [device.mesh(rectangle(-1, -1, -1 + (i + 1) / 8, 1)) for i in range(16)]
+    with device.texture((16, 4), Format.R8) as image:
+        with device.render_pass(image), device.states(CullMode.NONE, ColorWrite.OFF, DepthWrite.OFF):
+            for i, query in enumerate(queries):
+                with query:
+                    device.draw(device.program(Colored), meshes[i % 16])
+        assert [query.wait() for query in queries] == [4 * (i % 16 + 1) for i in range(600)]
+    assert launches.count("raster") == 1
+
+
+def test_counters_are_used_again(device: Device) -> None:
+    """Pages are, once nobody needs their answers, and count from zero."""
+    counters = device.backend_as(ClBackend)._rasteriser.counters
+    with device.texture((4, 4), Format.R8) as image, device.mesh(rectangle()) as mesh:
+        query = device.occlusion_query()
+        for _ in range(4):
+            for _ in range(500):
+                with device.render_pass(image), query:
+                    device.draw(device.program(Colored), mesh)
+            assert query.wait() == 16
+    assert len(counters._pages) <= 3
+
+
+def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:
+    query = device.occlusion_query()
+    with device.texture((4, 4), Format.R8) as image, device.render_pass(image), query:
+        pass
+    assert query.wait() == 0
+
+
+# -- lines and points ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("primitive", [Primitive.LINES, Primitive.POINTS], ids=lambda p: p.name)
+def test_lines_and_points_keep_their_place_among_triangles(device: Device, primitive: Primitive) -> None:
+    """They are drawn after what was drawn before them, and under what comes later."""
+    rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
+    below, above = rectangle(-1, -1, 1, 1), rectangle(0.5, -1, 1, 1)
+    below["color"], above["color"] = (1, 0, 0, 1), (0, 0, 1, 1)
+    program = device.program(Colored)
+    with (
+        device.texture((16, 16), Format.RGBA8) as image,
+        device.mesh(below) as first,
+        device.mesh(rows, primitive=primitive) as thin,
+        device.mesh(above) as last,
+    ):
+        with device.render_pass(image), device.states(DepthWrite.OFF, CullMode.NONE):
+            for mesh in (first, thin, last):
+                device.draw(program, mesh)
+        pixels = image.read()
+    assert pixels[7, 8].tolist() == [0, 255, 0, 255]
+    assert (pixels[:, 12:] == (0, 0, 255, 255)).all()
+    assert pixels[3, 3].tolist() == [255, 0, 0, 255]
+
+
+# -- clipping ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("nearest", [10.0, -5.0], ids=["behind_the_eye", "before_it"])
+def test_a_plane_to_the_horizon_has_its_depth(device: Device, nearest: float) -> None:
+    """Its far corners lie a fraction of a pixel below the horizon: their rounding must not tilt the plane."""
+    width, height, below, near, scale = 256, 144, 2.3, 0.2, 1.7320508
+    x, z = (
+        np.array([-900.0, 900, 900, -900, 900, -900]),
+        np.array([nearest, nearest, -3000, nearest, -3000, -3000]),
+    )
+    if nearest < 0:
+        x[z == nearest] /= 300  # no guard band cuts it
+    clip = np.stack([x * scale * height / width, np.full(6, -below * scale), np.full(6, near), -z], axis=1)
+    with device.texture((width, height), Format.D32F) as depth, device.mesh(corners(clip)) as mesh:
+        with device.render_pass(depth=depth, clear_depth=0.0), device.states(CullMode.NONE, ColorWrite.OFF):
+            device.draw(device.program(Colored), mesh)
+        drawn = depth.read().astype(np.float64)
+    assert (drawn[: height // 2] == 0).all()
+    rows, columns = np.nonzero(drawn)
+    assert len(rows) > (width * height / 3 if nearest > 0 else 1000)
+    expected = near * (rows + 0.5 - height / 2) / (height / 2) / scale / below
+    np.testing.assert_allclose(drawn[rows, columns], expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [(8192, 16), (16, 8192), (8192, 1024)], ids=str)
+def test_edges_across_the_largest_targets_are_exact(device: Device, size: tuple[int, int]) -> None:
+    rng = np.random.default_rng(4)
+    extent = np.array(size) * SUBTEXELS
+    for _ in range(3):
+        triangle = rng.integers(-extent // 2, extent * 3 // 2, (3, 2))
+        clip = window_to_clip(triangle / SUBTEXELS, size)
+        with device.texture(size, Format.R8) as image, device.mesh(corners(clip)) as mesh:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), mesh)
+            assert_mask(image.read(), rasterise(triangle, *size))
+
+
+# -- depth bounds --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "depth_format", [(Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)], ids=["float", "24"]
+)
+@pytest.mark.parametrize("function", list(DepthFunction), ids=lambda f: f.name)
+def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
+    device: Device, function: DepthFunction, depth_format: tuple[Format, Format]
+) -> None:
+    """With a stencil test depth isn't staged and has no bounds."""
+    rows = random_corners(6000)
+    rng = np.random.default_rng(5)
+    # Most depths are near their triangle's, some slopes are steep, some triangles face the eye and meet others.
+    depths = rng.uniform(0, 1, (6000, 1)) + rng.choice([0, 0.01, 0.5], (6000, 1)) * rng.uniform(
+        -1, 1, (6000, 3)
+    )
+    depths[::7] = np.round(depths[::7, :1] * 8) / 8
+    rows["position"][:, 2] = np.clip(depths, 0, 1).ravel()
+    pictures = []
+    for stencil, form in enumerate(depth_format):
+        with (
+            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, form) as depth,
+            device.mesh(rows) as mesh,
+        ):
+            states = (
+                CullMode.NONE,
+                function,
+                StencilTest.ON if stencil else StencilTest.OFF,
+                PolygonOffset(0.5),
+            )
+            with (
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+                device.states(*states),
+            ):
+                device.draw(device.program(Colored), mesh)
+            pictures.append((image.read(), depth.read()))
+    (image, depth_values), (plain_image, plain_depths) = pictures
+    assert (depth_values == plain_depths).all()
+    assert (image == plain_image).all()
+    assert (image > 0).any() or function in (DepthFunction.NEVER, DepthFunction.EQUAL)

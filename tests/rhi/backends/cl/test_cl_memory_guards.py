@@ -1,0 +1,124 @@
+"""Nothing is written outside of a buffer: draws, compute, copies and queries between guards."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import memory_guards
+import numpy as np
+import pytest
+from cl_kit import FILL, ClKit, describe_program
+
+import rhi
+from rhi import (
+    BlendFunction,
+    CullMode,
+    Format,
+    Primitive,
+    StencilFront,
+    StencilOperation,
+    StencilTest,
+)
+from rhi.backends.cl import create_backend
+from rhi.conformance.shaders import Colored, DepthFromColor
+from rhi.conformance.shapes import corners
+from rhi.descriptors import BufferUsage
+
+
+@pytest.fixture(autouse=True)
+def guards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    memory_guards.install(monkeypatch.setattr)
+    yield
+    assert not memory_guards.find_writes()
+
+
+@pytest.mark.parametrize("usage", BufferUsage)
+@pytest.mark.parametrize("count", [32, 64, 100])
+def test_a_write_behind_a_buffer_is_found(usage: BufferUsage, count: int) -> None:
+    """The control case first: a kernel that stays within its 128 bytes."""
+    kit = ClKit(create_backend())
+    buffer = kit.buffer(bytes(128), usage)
+    kit.backend.bind_storage(0, buffer, 0, 128)
+    program = kit.program(describe_program(FILL))
+    kit.dispatch(program, 32)
+    kit.backend.read_buffer(buffer, 0, 4)
+    assert not memory_guards.find_writes()
+    kit.dispatch(program, count)
+    kit.backend.read_buffer(buffer, 0, 4)
+    found = memory_guards.find_writes()
+    reach = 128 if usage is BufferUsage.STATIC else 256  # a stream's own margin isn't watched
+    assert bool(found) == (4 * count > reach)
+    if found:
+        assert f"to {4 * count - 1} of a buffer of {reach}" in found[0]
+
+
+def test_a_write_before_a_buffer_is_found() -> None:
+    source = "__kernel void early(__global uint *words, int count) { words[-5] = 1; }"
+    kit = ClKit(create_backend())
+    buffer = kit.buffer(bytes(128))
+    kit.backend.bind_storage(0, buffer, 0, 128)
+    kit.dispatch(kit.program(describe_program(source)))
+    kit.backend.read_buffer(buffer, 0, 4)
+    assert memory_guards.find_writes() == ["4 bytes from -20 to -17 of a buffer of 128"]
+
+
+def test_a_write_is_found_when_its_buffer_is_gone() -> None:
+    kit = ClKit(create_backend())
+    buffer = kit.buffer(bytes(64))
+    kit.backend.bind_storage(0, buffer, 0, 64)
+    kit.dispatch(kit.program(describe_program(FILL)), 20)
+    kit.backend.read_buffer(buffer, 0, 4)
+    kit.backend.close()
+    assert len(memory_guards.find_writes()) == 1
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (64, 64), (130, 70)])
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize(
+    "primitive", [Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.LINES, Primitive.POINTS]
+)
+def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: Primitive) -> None:
+    """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries, tables."""
+    rng = np.random.default_rng(0)
+    places = rng.normal(0, 2, (600, 4))
+    places[:, 2:] = rng.uniform(-0.2, 1.2, (600, 2))
+    with rhi.create_device("cl") as device:
+        color = device.texture(size, Format.RGBA8, samples=samples)
+        depth = device.texture(size, Format.D24S8, samples=samples)
+        query = device.occlusion_query()
+        mesh = device.mesh(
+            corners(places, rng.random((600, 4))),
+            rng.integers(0, 600, 1500).astype("u2"),
+            primitive=primitive,
+        )
+        with (
+            device.render_pass(color, depth, clear=(0, 0, 0, 0), clear_depth=0.5, clear_stencil=1),
+            device.states(
+                CullMode.NONE,
+                BlendFunction.ALPHA,
+                StencilTest.ON,
+                StencilFront(both_pass=StencilOperation.INVERT),
+            ),
+        ):
+            with query:
+                device.draw(device.program(Colored), mesh, 3)
+            device.draw(device.program(DepthFromColor), mesh.view(3, 700))
+        assert query.wait() > 0
+        device.finish()
+        assert memory_guards.count_guarded() > 10
+
+
+@pytest.mark.nightly
+def test_the_conformance_kit_writes_inside_its_buffers() -> None:
+    here = Path(__file__).parent
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "memory_guards", "-p", "no:cacheprovider"]
+    path = os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")])
+    done = subprocess.run(
+        [*command, "--pyargs", "rhi.conformance", "--rhi-backend", "cl"], capture_output=True, text=True,
+        env=os.environ | {"PYTHONPATH": path},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-4000:]

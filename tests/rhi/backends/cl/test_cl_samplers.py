@@ -1,0 +1,92 @@
+"""What kernels are told about textures: when it is made, and that padding never shows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from cl_kit import ClKit, describe_program
+
+from rhi.descriptors import Binding, BindingKind, Region, SamplerDescriptor, TextureDescriptor, TextureKind
+from rhi.formats import Format
+from rhi.shading.texture_words import LEVEL_WORDS, LevelWord, Stored, Word, describe_texture
+
+SHOW = """
+kernel void show(global const uchar *texels, global const int *description, global int *words, int count) {
+    for (int i = 0; i < count; ++i) words[i] = description[i];
+}
+"""
+SHOWN = (
+    Binding("source", BindingKind.TEXTURE, 0),
+    Binding("words", BindingKind.STORAGE, 0, True, None, 4),
+)
+IMAGE = SHOW.replace("const uchar", "uchar")
+IMAGES = (Binding("source", BindingKind.IMAGE, 0, True), SHOWN[1])
+
+
+def shown(cl_kit: ClKit, source: str, bindings: tuple[Binding, ...], count: int) -> list[int]:
+    words = cl_kit.buffer(np.zeros(count, "i4"))
+    cl_kit.backend.bind_storage(0, words, 0, 4 * count)
+    cl_kit.dispatch(cl_kit.program(describe_program(source, bindings)))
+    return np.frombuffer(cl_kit.backend.read_buffer(words, 0, 4 * count), np.int32).tolist()
+
+
+def sampler(cl_kit: ClKit, descriptor: SamplerDescriptor) -> int:
+    made = cl_kit.new_id()
+    cl_kit.backend.create_sampler(made, descriptor)
+    return made
+
+
+def test_a_kernel_is_told_sizes_levels_and_sampler(cl_kit: ClKit) -> None:
+    texture = cl_kit.texture(TextureDescriptor((13, 7), Format.RG8, levels=3))
+    cl_kit.backend.bind_texture(0, texture, sampler(cl_kit, SamplerDescriptor()))
+    count = Word.LEVELS + 3 * LEVEL_WORDS
+    words = shown(cl_kit, SHOW, SHOWN, count)
+    assert words[Word.STORED] == Stored.UNORM8
+    assert (words[Word.CHANNELS], words[Word.TEXEL], words[Word.LEVEL_COUNT]) == (2, 2, 3)
+    level = words[Word.LEVELS + LEVEL_WORDS :]
+    assert [level[LevelWord.WIDTH], level[LevelWord.HEIGHT], level[LevelWord.ROW]] == [6, 3, 8]
+
+
+def test_an_image_of_one_layer_is_flat_and_begins_there(cl_kit: ClKit) -> None:
+    texture = cl_kit.texture(TextureDescriptor((5, 3), Format.R32F, TextureKind.D2_ARRAY, layers=4))
+    words = {}
+    for layer in (-1, 2):
+        cl_kit.backend.bind_image(0, texture, 0, layer)
+        words[layer] = shown(cl_kit, IMAGE, IMAGES, Word.LEVELS + LEVEL_WORDS)
+    whole, one = (words[layer][Word.LEVELS :] for layer in (-1, 2))
+    assert (whole[LevelWord.DEPTH], one[LevelWord.DEPTH]) == (4, 1)
+    assert (one[LevelWord.START] - whole[LevelWord.START]) * 16 == 2 * whole[LevelWord.LAYER] * 4
+
+
+def test_words_are_made_once_for_a_texture_and_a_sampler(cl_kit: ClKit) -> None:
+    backend = cl_kit.backend
+    texture = cl_kit.texture(TextureDescriptor((4, 4), Format.R8))
+    first, second = (sampler(cl_kit, SamplerDescriptor(mip=None)) for _ in range(2))
+    made = backend._textures[texture]
+    assert backend._samplers.describe(made, first) is backend._samplers.describe(made, first)
+    assert backend._samplers.describe(made, first) is not backend._samplers.describe(made, second)
+    assert len(made.words) == 2
+
+
+@pytest.mark.parametrize("size", [(1, 1), (3, 5), (4, 4), (5, 3)])
+@pytest.mark.parametrize("format", [Format.R8, Format.RGBA16F])
+def test_padding_is_neither_read_nor_kept_from_copies(
+    cl_kit: ClKit, size: tuple[int, int], format: Format
+) -> None:
+    """Layers of odd sizes, written, copied and read whole."""
+    width, height = size
+    descriptor = TextureDescriptor(size, format, TextureKind.D2_ARRAY, layers=3)
+    source, target = cl_kit.texture(descriptor), cl_kit.texture(descriptor)
+    texels = np.arange(3 * height * width * format.channels).astype(format.dtype)
+    region = Region(0, 0, width, height, 0, 3)
+    cl_kit.backend.write_texture(source, 0, region, texels)
+    cl_kit.backend.copy_texture(source, 0, region, target, 0, 0, 0, 0)
+    read = cl_kit.backend.read_texture(target, 0, region, False)
+    np.testing.assert_array_equal(read.reshape(-1), texels)
+
+
+def test_integers_are_never_filtered() -> None:
+    words = describe_texture(Format.R8UI, TextureKind.D2, [], SamplerDescriptor())
+    assert (words[Word.MINIFY], words[Word.MAGNIFY]) == (0, 0)
+    words = describe_texture(Format.R8, TextureKind.D2, [], SamplerDescriptor())
+    assert (words[Word.MINIFY], words[Word.MAGNIFY]) == (1, 1)

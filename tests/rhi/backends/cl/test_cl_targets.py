@@ -1,0 +1,378 @@
+"""The output merger against NumPy: formats, blending, masks, depth, stencil, alpha, samples."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from merger_kit import Planes, describe, expected, run, state_values
+from numpy.typing import NDArray
+
+from rhi.backends.cl.targets import MergerKey, TestOrder, make_key
+from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, Kind
+from rhi.states import (
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    AlphaToCoverage,
+    BlendColor,
+    BlendFactor,
+    BlendFunction,
+    BlendOperation,
+    ColorWrite,
+    Comparison,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    State,
+    StencilBack,
+    StencilFront,
+    StencilOperation,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+)
+from rhi.texels import encode
+
+SIZE = (8, 12)  # height, width
+STENCILS = np.array([0, 1, 2, 77, 100, 128, 254, 255], np.uint8)
+FLOATS = [f for f in COLOR_FORMATS if not f.is_integer]
+name = lambda f: f.name  # noqa: E731
+
+
+def texels(format: Format, samples: int = 1, seed: int = 0) -> NDArray[Any]:
+    """Random contents of a target."""
+    rng = np.random.default_rng(seed)
+    shape = (samples, *SIZE, format.channels)
+    if format.kind is Kind.FLOAT:
+        return rng.normal(0, 2, shape).astype(format.dtype)
+    limits = np.iinfo(format.dtype)  # type: ignore[type-var]
+    low = -limits.max if format.kind is Kind.SNORM else limits.min
+    return rng.integers(low, limits.max, shape, endpoint=True).astype(format.dtype)
+
+
+def fragments(formats: list[Format], samples: int = 1, seed: int = 1) -> NDArray[np.uint32]:
+    """Random outputs, some of them out of range, as words."""
+    rng = np.random.default_rng(seed)
+    words = np.empty((samples, *SIZE, 4 * len(formats)), np.uint32)
+    for i, format in enumerate(formats):
+        part = words[..., 4 * i : 4 * i + 4]
+        if format.kind is Kind.UINT:
+            part[...] = rng.integers(0, 1 << 32, part.shape) >> rng.integers(0, 32, part.shape)
+        elif format.kind is Kind.INT:
+            part[...] = rng.integers(-(1 << 31), 1 << 31, part.shape).astype(np.int32).view(np.uint32)
+        else:
+            part[...] = rng.uniform(-0.3, 1.3, part.shape).astype(np.float32).view(np.uint32)
+    return words
+
+
+def coverage(samples: int = 1, seed: int = 2) -> NDArray[np.bool_]:
+    return np.random.default_rng(seed).random((samples, *SIZE)) < 0.7
+
+
+def depths(format: Format | None, samples: int = 1, seed: int = 3) -> NDArray[np.float32]:
+    """Few distinct ones, so that equal ones meet."""
+    values = np.random.default_rng(seed).integers(0, 5, (samples, *SIZE)) / 4 * 0.7 + 0.1
+    return values.astype(np.float32) if format is None else encode(format, values).astype(np.float32)
+
+
+def assert_merges(
+    formats: list[Format], depth: Format | None, states: list[State], samples: int = 1, tolerance: float = 0.5,
+    **more: Any,
+) -> None:  # fmt: skip
+    """The kernel gives what NumPy gives, rounded to nearest but for ties in float32."""
+    planes = Planes(
+        [texels(f, samples, seed) for seed, f in enumerate(formats)],
+        None if depth is None else depths(depth, samples),
+        None if depth is None else np.random.default_rng(4).choice(STENCILS, (samples, *SIZE)),
+    )
+    given = fragments(formats, samples), depths(None, samples, 5), coverage(samples)
+    got = run(formats, depth, states, planes, *given, **more)
+    wanted, exact = expected(formats, depth, states, planes, *given, **more)
+    for format, color, values in zip(formats, got.colors, exact, strict=True):
+        if format.kind is Kind.FLOAT:
+            limit = 2e-5 + np.abs(values) * (2.0**-11 if format.dtype.itemsize == 2 else 2.0**-22)
+        else:
+            # Rounding of sums of numbers up to 1 in float32, and the sRGB polynomials.
+            rounding = limits(format)[1] * 2.0**-21 + (2e-3 if format.kind is Kind.SRGB else 0)
+            limit = np.full(values.shape, tolerance + rounding)
+        assert (np.abs(color.astype(np.float64) - np.clip(values, *limits(format))) <= limit).all(), format
+    if depth is not None:
+        np.testing.assert_array_equal(got.depth, wanted.depth)
+        np.testing.assert_array_equal(got.stencil, wanted.stencil)
+
+
+def limits(format: Format) -> tuple[float, float]:
+    if format.kind is Kind.FLOAT:
+        return -np.inf, np.inf
+    info = np.iinfo(format.dtype)  # type: ignore[type-var]
+    return info.min, info.max
+
+
+# -- formats -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", COLOR_FORMATS, ids=name)
+def test_merged_colors_are_stored_as_texels_stores_them(format: Format) -> None:
+    """Bit by bit, but for sRGB, whose curve is a polynomial: there a tie within 1/1000 may go either way."""
+    planes, words, covered = Planes([texels(format)]), fragments([format]), coverage()
+    got = run([format], None, [], planes, words, depths(None), covered)
+    wanted, exact = expected([format], None, [], planes, words, depths(None), covered)
+    if format.kind is Kind.SRGB:
+        assert np.abs(got.colors[0] - exact[0]).max() <= 0.501
+    else:
+        np.testing.assert_array_equal(got.colors[0], wanted.colors[0])
+
+
+SPECIAL = [
+    0.0, -0.0, 1.0, -1.0, 0.5, np.nan, np.inf, -np.inf, 1e-8, 5.9e-8, 2.98e-8, 2.9802322e-8, 2.9802326e-8, 6.1e-5,
+    6.103515625e-05, 6.0975e-5, 65504.0, 65519.996, 65520.0, 65536.0, 1e30, -65504.0, -65520.0, -3e-8, 1e-40, 3.4e38,
+    1.00048828125, 1.00048840046, 1.0014648, 2049.0, 2051.0, 0.33333334, 1e-5,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("format", FLOATS, ids=name)
+def test_special_numbers_are_stored_as_texels_stores_them(format: Format) -> None:
+    values = np.resize(np.array(SPECIAL, np.float32), (1, *SIZE, 4))
+    everywhere = np.ones((1, *SIZE), bool)
+    got = run([format], None, [], Planes([texels(format)]), values.view(np.uint32), depths(None), everywhere)
+    stored = encode(format, values[..., : format.channels].astype(np.float64))
+    np.testing.assert_array_equal(got.colors[0], stored)
+
+
+def test_every_half_float_is_read_and_stored_as_numpy_does() -> None:
+    """Blending x + 0 reads and stores each of the 65,536 patterns."""
+    halves = np.arange(1 << 16, dtype=np.uint16).view(np.float16)
+    image = halves.reshape(1, 256, 64, 4)
+    words = np.zeros((1, 256, 64, 4), np.uint32)
+    states = [BlendFunction(BlendFactor.ONE, BlendFactor.ONE)]
+    everywhere = np.ones((1, 256, 64), bool)
+    got = run(
+        [Format.RGBA16F], None, states, Planes([image]), words, np.zeros((1, 256, 64), "f4"), everywhere
+    )
+    np.testing.assert_array_equal(got.colors[0], image)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_any_float_becomes_the_half_that_numpy_makes(seed: int) -> None:
+    words = np.random.default_rng(seed).integers(0, 1 << 32, (1, 64, 64, 4), dtype=np.uint32)
+    words[..., 2:] = words[..., 2:] & 0x8FFFFFFF | 0x30000000  # near the range of halves
+    with np.errstate(over="ignore", invalid="ignore"):
+        halves = words.view(np.float32).astype(np.float16)
+    got = run([Format.RGBA16F], None, [], Planes([np.zeros_like(halves)]), words, np.zeros((1, 64, 64), "f4"),
+              np.ones((1, 64, 64), bool))  # fmt: skip
+    np.testing.assert_array_equal(got.colors[0], halves)
+
+
+def test_every_srgb_number_survives_blending() -> None:
+    image = np.resize(np.arange(256, dtype=np.uint8), (1, 16, 64, 4))
+    states = [BlendFunction(BlendFactor.ONE, BlendFactor.ONE)]
+    got = run([Format.RGBA8_SRGB], None, states, Planes([image]), np.zeros((1, 16, 64, 4), "u4"),
+              np.zeros((1, 16, 64), "f4"), np.ones((1, 16, 64), bool))  # fmt: skip
+    np.testing.assert_array_equal(got.colors[0], image)
+
+
+def test_srgb_rounds_within_a_thousandth_of_a_step() -> None:
+    linear = np.linspace(0, 1, 1 << 16, dtype=np.float32).reshape(1, 256, 64, 4)
+    got = run([Format.RGBA8_SRGB], None, [], Planes([np.zeros((1, 256, 64, 4), "u1")]), linear.view(np.uint32),
+              np.zeros((1, 256, 64), "f4"), np.ones((1, 256, 64), bool))  # fmt: skip
+    wide = linear.astype(np.float64)
+    curve = np.where(
+        wide <= 0.0031308, wide * 12.92, 1.055 * np.maximum(wide, 0.0031308) ** (1 / 2.4) - 0.055
+    )
+    assert np.abs(got.colors[0] - 255 * curve)[..., :3].max() <= 0.501
+
+
+@pytest.mark.parametrize("components", [1, 2, 3])
+@pytest.mark.parametrize("format", [Format.RGBA8, Format.RGBA16UI, Format.RGBA32F], ids=name)
+def test_components_that_a_program_does_not_give_are_0_and_alpha_1(format: Format, components: int) -> None:
+    assert_merges([format], None, [], components=components)
+
+
+# -- blending and masks --------------------------------------------------------------------------------------
+
+FUNCTIONS = st.builds(
+    BlendFunction,
+    st.sampled_from(BlendFactor),
+    st.sampled_from(BlendFactor),
+    st.sampled_from(BlendOperation),
+    st.none() | st.sampled_from(BlendFactor),
+    st.none() | st.sampled_from(BlendFactor),
+    st.none() | st.sampled_from(BlendOperation),
+)
+COLORS = st.builds(BlendColor, *[st.floats(-0.5, 1.5, width=32)] * 4)
+MASKS = st.builds(ColorWrite, *[st.booleans()] * 4)
+TRIES = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+@pytest.mark.parametrize("format", [f for f in FLOATS if f.kind is not Kind.SNORM], ids=name)
+@TRIES
+@given(function=FUNCTIONS, color=COLORS)
+def test_any_blend_function_merges_as_numpy_does(
+    format: Format, function: BlendFunction, color: BlendColor
+) -> None:
+    assert_merges([format], None, [function, color])
+
+
+@pytest.mark.parametrize("factor", list(BlendFactor), ids=name)
+def test_blend_factors_of_signed_targets_are_kept_within_1(factor: BlendFactor) -> None:
+    """1 − (−1) would be 2; OpenGL 4.5, 17.3.8, clamps the factor, which NumPy's reference leaves to the caller."""
+    stored, source = -127, -1.0
+    image = np.full((1, *SIZE, 1), stored, np.int8)
+    words = np.full((1, *SIZE, 4), np.float32(source)).view(np.uint32)
+    states = [BlendFunction(factor, BlendFactor.ZERO), BlendColor(-1, -1, -1, -1)]
+    got = run(
+        [Format.R8_SNORM], None, states, Planes([image]), words, depths(None), np.ones((1, *SIZE), bool)
+    )
+    # R8 has no alpha of its own: 1
+    scale = {BlendFactor.ZERO: 0, BlendFactor.ONE: 1, BlendFactor.DESTINATION_ALPHA: 1,
+             BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 0, BlendFactor.SOURCE_COLOR: -1,
+             BlendFactor.SOURCE_ALPHA: -1, BlendFactor.DESTINATION_COLOR: -1, BlendFactor.CONSTANT: -1,
+             BlendFactor.SOURCE_ALPHA_SATURATE: -1}.get(factor, 1)  # fmt: skip
+    assert (got.colors[0] == round(127 * source * scale)).all()
+
+
+@TRIES
+@given(mask=MASKS, format=st.sampled_from(COLOR_FORMATS))
+def test_a_color_mask_keeps_the_other_channels(mask: ColorWrite, format: Format) -> None:
+    assert_merges([format], None, [mask])
+
+
+@TRIES
+@given(
+    formats=st.sampled_from([
+        [Format.RGBA8, Format.RGBA32F], [Format.R16F, Format.RGBA32UI, Format.RGBA8_SRGB], [Format.RG16, Format.R8UI],
+    ]),
+    functions=st.lists(FUNCTIONS, min_size=3, max_size=3), masks=st.lists(MASKS, min_size=3, max_size=3),
+)  # fmt: skip
+def test_each_target_merges_by_its_own_states(
+    formats: list[Format], functions: list[BlendFunction], masks: list[ColorWrite]
+) -> None:
+    states: list[State] = [f.at(i) for i, f in enumerate(functions)] + [m.at(i) for i, m in enumerate(masks)]
+    assert_merges(formats, None, states)
+
+
+def test_eight_targets_merge_at_once() -> None:
+    assert_merges([Format.RGBA8, Format.R8, Format.RG16F, Format.RGBA16F, Format.R32I, Format.RGBA32F, Format.RG8UI,
+                   Format.RGBA8_SNORM], None, [])  # fmt: skip
+
+
+# -- depth and stencil ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", DEPTH_FORMATS, ids=name)
+def test_depth_is_rounded_as_texels_rounds_it(format: Format) -> None:
+    rng = np.random.default_rng(0)
+    z = rng.uniform(-0.1, 1.1, (1, 256, 256)).astype(np.float32)
+    z[0, :128] = 2.0 ** rng.uniform(-30, 0, (128, 256))
+    z[0, 0, :8] = 0.0, 1.0, 0.5, np.nan, np.float32(0.5) - np.float32(2.0**-25), 1 - 2.0**-24, 2.0**-24, 0.75
+    everywhere = np.ones(z.shape, bool)
+    planes = Planes([], np.full(z.shape, 0.5, np.float32), np.zeros(z.shape, np.uint8))
+    got = run([], format, [DepthFunction.ALWAYS], planes, np.zeros((*z.shape, 4), "u4"), z, everywhere)
+    np.testing.assert_array_equal(got.depth, encode(format, z.astype(np.float64)))
+
+
+@pytest.mark.parametrize("write", list(DepthWrite), ids=name)
+@pytest.mark.parametrize("test", list(DepthTest), ids=name)
+@pytest.mark.parametrize("function", list(DepthFunction), ids=name)
+def test_depth_functions_merge_as_numpy_does(
+    function: DepthFunction, test: DepthTest, write: DepthWrite
+) -> None:
+    assert_merges([Format.RGBA8], Format.D32F, [function, test, write])
+
+
+OPERATIONS = [st.sampled_from(Comparison), *[st.sampled_from(StencilOperation)] * 3]
+BYTES = st.integers(0, 255)
+STENCIL_STATES = st.tuples(
+    st.builds(StencilFront, *OPERATIONS), st.builds(StencilBack, *OPERATIONS),
+    st.builds(StencilReference, BYTES, BYTES), st.builds(StencilReadMask, BYTES, BYTES),
+    st.builds(StencilWriteMask, BYTES, BYTES),
+)  # fmt: skip
+
+
+@settings(max_examples=100, deadline=None)
+@given(stencil=STENCIL_STATES, front=st.booleans(), format=st.sampled_from([Format.D24S8, Format.D32FS8]))
+def test_any_stencil_states_merge_as_numpy_does(
+    stencil: tuple[State, ...], front: bool, format: Format
+) -> None:
+    assert_merges([Format.R8], format, [StencilTest.ON, *stencil], front=front)
+
+
+# -- alpha and samples ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("function", list(AlphaFunction), ids=name)
+def test_the_alpha_test_drops_fragments(function: AlphaFunction) -> None:
+    assert_merges([Format.RGBA8], Format.D32F, [AlphaTest.ON, function, AlphaReference(0.4)])
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+def test_alpha_to_coverage_covers_as_many_samples_as_alpha_says(samples: int) -> None:
+    assert_merges([Format.RGBA8], Format.D24S8, [AlphaToCoverage.ON], samples)
+
+
+def test_samples_have_planes_of_their_own() -> None:
+    states = [StencilTest.ON, StencilFront(both_pass=StencilOperation.INVERT), BlendFunction.ALPHA]
+    assert_merges([Format.RGBA8, Format.RG32F], Format.D24S8, states, 4)
+
+
+# -- keys ------------------------------------------------------------------------------------------------------
+
+
+def key_of(*states: State, formats: tuple[Format, ...] = (Format.RGBA8,), depth: Format | None = Format.D24S8,
+           samples: int = 1, **program: Any) -> MergerKey:  # fmt: skip
+    return make_key(describe(formats, **program), state_values(*states), formats, depth, samples)
+
+
+@pytest.mark.parametrize(
+    "states",
+    [
+        [BlendFunction.ALPHA, BlendColor(1, 2, 3, 4)],
+        [BlendFunction.ADDITIVE],
+        [BlendFunction.ALPHA, ColorWrite(alpha=False)],
+        [BlendFunction.ALPHA, StencilReference(3), StencilFront(Comparison.LESS)],
+        [BlendFunction.ALPHA, AlphaReference(0.3)],
+    ],
+)
+def test_numbers_and_factors_share_a_key(states: list[State]) -> None:
+    assert key_of(*states) == key_of(BlendFunction.ALPHA)
+
+
+def test_what_is_not_written_leaves_no_trace_in_a_key() -> None:
+    bare = key_of(ColorWrite.OFF, BlendFunction.ALPHA)
+    assert not bare.colors
+    assert bare == key_of(ColorWrite.OFF) == key_of(formats=())
+    assert not bare.shades
+    assert key_of(ColorWrite(False, False, False, True), formats=(Format.RG8,)).colors == ()
+    assert key_of(DepthTest.OFF, DepthWrite.OFF) == key_of(depth=None)
+    assert key_of(DepthFunction.LESS, depth=None) == key_of(depth=None)
+    assert key_of(StencilTest.ON, depth=Format.D32F) == key_of(depth=Format.D32F)
+    assert key_of(AlphaToCoverage.ON) == key_of()
+
+
+@pytest.mark.parametrize(
+    ("program", "states", "order", "shades"),
+    [
+        ({}, [], TestOrder.EARLY, True),
+        ({}, [ColorWrite.OFF], TestOrder.EARLY, False),
+        ({"discards": True}, [], TestOrder.SPLIT, True),
+        ({"discards": True}, [ColorWrite.OFF], TestOrder.SPLIT, True),
+        ({"discards": True}, [StencilTest.ON], TestOrder.LATE, True),
+        ({"discards": True, "early_depth": True}, [], TestOrder.EARLY, True),
+        ({"writes_depth": True}, [ColorWrite.OFF], TestOrder.LATE, True),
+        ({"writes_depth": True, "early_depth": True}, [ColorWrite.OFF], TestOrder.EARLY, False),
+        ({"writes_memory": True}, [ColorWrite.OFF], TestOrder.LATE, True),
+        ({"writes_memory": True, "early_depth": True}, [], TestOrder.EARLY, True),
+        ({}, [AlphaTest.ON], TestOrder.SPLIT, True),
+    ],
+)
+def test_the_order_of_tests_follows_the_program(
+    program: dict[str, bool], states: list[State], order: TestOrder, shades: bool
+) -> None:
+    key = key_of(*states, **program)
+    assert (key.order, key.shades) == (order, shades)

@@ -1,0 +1,399 @@
+"""gl and cl side by side: the same commands give the same pixels.
+
+Both snap window positions to 1/256 pixel, and round in different orders on the way there. What reaches beyond the
+target, llvmpipe cuts, at points that it rounds again; so there an edge may pass on the other side of a sample that lies
+within 1/256 pixel of it. Nothing else may differ in coverage.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+import rhi
+from rhi import (
+    BlendColor,
+    BlendFactor,
+    BlendFunction,
+    BlendOperation,
+    ColorWrite,
+    Comparison,
+    CullMode,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    FrontFace,
+    Primitive,
+    Scissor,
+    State,
+    StencilBack,
+    StencilFront,
+    StencilOperation,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+    Viewport,
+)
+from rhi.conformance.shaders import Colored, FlatColored
+from rhi.conformance.shapes import corners, window_to_clip
+from rhi.shading import Shader
+
+Devices = tuple[Device, Device]
+NUMBERS = itertools.count()
+SETTINGS = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+
+
+@pytest.fixture(scope="module")
+def devices() -> Iterator[Devices]:
+    with rhi.create_device("gl") as gl, rhi.create_device("cl") as cl:
+        yield gl, cl
+
+
+# -- random triangles ----------------------------------------------------------------------------------------
+
+SIZE = (512, 512)
+
+
+def random_triangles(count: int, seed: int, reach: float = 4.0) -> NDArray[np.float64]:
+    """(count, 3, 4) clip positions, of all sizes, as far as `reach` from the middle, half of them with perspective."""
+    rng = np.random.default_rng(seed)
+    middle = rng.uniform(-1.3, 1.3, (count, 1, 2))
+    size = 2.0 ** rng.uniform(-7, 1.5, (count, 1, 1))
+    places = np.zeros((count, 3, 4))
+    places[..., :2] = np.clip(middle + size * rng.uniform(-1, 1, (count, 3, 2)), -reach, reach)
+    places[..., 2] = rng.uniform(0.1, 0.9, (count, 3))
+    places[..., 3] = 1.0
+    places *= np.where(rng.random((count, 1, 1)) < 0.5, 2.0 ** rng.uniform(-2, 2, (count, 3, 1)), 1.0)
+    return places.astype(np.float32).astype(np.float64)  # as the device gets them
+
+
+def count_exactly(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same as `count_coverage`: positions to the nearest 1/256 pixel, then whole numbers and the top-left rule."""
+    window = (places[..., :2] / places[..., 3:] * (1, -1) + 1) * np.array(SIZE) / 2
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] * 256
+    counts = np.zeros(SIZE[::-1])
+    for triangle in np.rint((window - 0.5) * 256).astype(np.int64):
+        (ax, ay), (bx, by), (cx, cy) = triangle
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        inside = np.full(SIZE[::-1], area != 0)
+        for (sx, sy), (ex, ey) in zip(triangle, np.roll(triangle, -1, axis=0), strict=True):
+            dx, dy = (ex - sx, ey - sy) if area > 0 else (sx - ex, sy - ey)
+            edge = dx * (y - sy) - dy * (x - sx)
+            inside &= edge >= (0 if dy < 0 or (dy == 0 and dx > 0) else 1)
+        counts += inside
+    return counts
+
+
+def count_coverage(device: Device, places: NDArray[np.float64]) -> NDArray[np.float64]:
+    """How many of the triangles cover each pixel."""
+    rows = corners(places.reshape(-1, 4))
+    with device.texture(SIZE, Format.R32F) as image, device.mesh(rows) as mesh:
+        with device.render_pass(image), device.states(CullMode.NONE, BlendFunction.ADDITIVE):
+            device.draw(device.program(FlatColored), mesh)
+        return image.read().astype(np.float64)
+
+
+def edge_distances(places: NDArray[np.float64], x: float, y: float) -> float:
+    """Pixels from a window point to the nearest edge of all triangles."""
+    window = (places[..., :2] / places[..., 3:] * (1, -1) + 1) * np.array(SIZE) / 2
+    start, end = window, np.roll(window, -1, axis=1)
+    along = end - start
+    t = np.clip((((x, y) - start) * along).sum(-1) / np.maximum((along**2).sum(-1), 1e-30), 0, 1)
+    return float(np.hypot(*np.moveaxis(start + t[..., None] * along - (x, y), -1, 0)).min())
+
+
+def test_random_triangles_cover_the_same_pixels(devices: Devices) -> None:
+    """At most 1 pixel in 100,000 differs, and only where an edge passes within 1/256 pixel of its sample."""
+    pixels = different = 0
+    for seed in range(12):
+        places = random_triangles(60, seed, reach=1.0)
+        gl, cl = (count_coverage(device, places) for device in devices)
+        pixels += int(gl.sum())
+        for y, x in np.argwhere(gl != cl):
+            different += 1
+            assert edge_distances(places, x + 0.5, y + 0.5) <= 1 / 256, (seed, x, y, gl[y, x], cl[y, x])
+    assert pixels > 1_000_000
+    assert different <= pixels / 100_000, (different, pixels)
+
+
+def test_triangles_beyond_the_target_cover_what_whole_numbers_say(devices: Devices) -> None:
+    """cl cuts only what its fixed-point grid can't hold, so it is exact; gl differs, next to edges, for its cuts."""
+    pixels = wrong = different = 0
+    for seed in range(6):
+        places = random_triangles(60, seed)
+        gl, cl = (count_coverage(device, places) for device in devices)
+        exact = count_exactly(places)
+        pixels += int(exact.sum())
+        wrong += int((cl != exact).sum())
+        for y, x in np.argwhere(gl != cl):
+            different += 1
+            assert edge_distances(places, x + 0.5, y + 0.5) <= 1 / 256, (seed, x, y, gl[y, x], cl[y, x])
+    assert pixels > 1_000_000
+    assert wrong <= pixels / 500_000, (wrong, pixels)
+    assert different <= pixels / 50_000, (different, pixels)
+
+
+def test_triangles_that_reach_behind_the_eye_cover_the_same_pixels(devices: Devices) -> None:
+    """Clipping cuts edges at points that are rounded again, so an edge may move a little farther."""
+    pixels = different = 0
+    for seed in range(6):
+        places = random_triangles(60, seed)
+        places[:, 0, 3] -= 2.0 * places[:, 0, 3] * (np.arange(60) % 2)
+        places[:, 1, 2] += np.arange(60) % 3 - 1.0
+        gl, cl = (count_coverage(device, places) for device in devices)
+        pixels += int(gl.sum())
+        different += int((gl != cl).sum())
+    assert pixels > 500_000
+    assert different <= pixels / 20_000, (different, pixels)
+
+
+def test_depth_and_color_of_random_triangles_agree(devices: Devices) -> None:
+    """Triangles in layers of depth, so that which is nearest is no matter of rounding."""
+    for seed in range(4):
+        places = random_triangles(200, seed, reach=1.0)
+        layer = np.linspace(0.05, 0.95, 200)[:, None] * places[..., 3]
+        places[..., 2] = layer + places[..., 3] * np.random.default_rng(seed).uniform(0, 0.004, (200, 3))
+        color = np.random.default_rng(seed).random((600, 4))
+        rows = corners(places.reshape(-1, 4), color)
+        results = []
+        for device in devices:
+            with (
+                device.texture(SIZE, Format.RGBA8) as image,
+                device.texture(SIZE, Format.D32F) as depth,
+                device.mesh(rows) as mesh,
+            ):
+                with (
+                    device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.0),
+                    device.states(CullMode.NONE),
+                ):
+                    device.draw(device.program(Colored), mesh)
+                results.append((image.read().astype(int), depth.read()))
+        (gl_color, gl_depth), (cl_color, cl_depth) = results
+        same = np.abs(gl_depth - cl_depth) <= 1e-5
+        assert (~same).sum() <= gl_depth.size / 100_000
+        assert np.abs(gl_color - cl_color)[same].max() <= 2
+
+
+@pytest.mark.parametrize("samples", [4])
+def test_samples_of_random_triangles_agree(devices: Devices, samples: int) -> None:
+    """Both have the same sample positions: the share of each pixel that is covered is the same."""
+    pixels = different = 0
+    for seed in range(6):
+        rows = corners(random_triangles(60, seed).reshape(-1, 4))
+        images = []
+        for device in devices:
+            with (
+                device.texture(SIZE, Format.R32F, samples=samples) as image,
+                device.texture(SIZE, Format.R32F) as target,
+                device.mesh(rows) as mesh,
+            ):
+                with (
+                    device.render_pass(image, clear=(0, 0, 0, 0), resolve=target),
+                    device.states(CullMode.NONE),
+                ):
+                    device.draw(device.program(FlatColored), mesh)
+                images.append(target.read())
+        pixels += int((images[0] > 0).sum())
+        different += int((images[0] != images[1]).sum())
+    assert pixels > 100_000
+    assert different <= pixels / 25_000, (different, pixels)  # four samples a pixel, each within 1/256 pixel
+
+
+@pytest.mark.parametrize("primitive", [Primitive.LINES, Primitive.LINE_STRIP, Primitive.POINTS])
+def test_lines_and_points_cover_the_same_pixels(devices: Devices, primitive: Primitive) -> None:
+    """But for pixels in which a line ends, which are left to the device, and some between two of whose centres it
+    passes."""
+    points = np.random.default_rng(5).random((200, 2)) * 100
+    rows = corners(window_to_clip(points, (100, 100)))
+    images = []
+    for device in devices:
+        with (
+            device.texture((100, 100), Format.R32F) as image,
+            device.mesh(rows, primitive=primitive) as mesh,
+        ):
+            with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
+                device.draw(device.program(FlatColored), mesh)
+            images.append(image.read())
+    different = images[0] != images[1]
+    if primitive is not Primitive.POINTS:
+        x, y = np.floor(points).astype(int).T
+        different[y, x] = False
+    assert images[0].sum() > 190
+    assert different.sum() <= images[0].sum() / (1e9 if primitive is Primitive.POINTS else 400)
+
+
+# -- random states -------------------------------------------------------------------------------------------
+
+FACTORS, OPERATIONS = st.sampled_from(BlendFactor), st.sampled_from(BlendOperation)
+STENCIL = [st.sampled_from(Comparison), *[st.sampled_from(StencilOperation)] * 3]
+BYTE = st.integers(0, 255)
+UNIT = st.floats(0, 1, width=32)
+STATES: dict[type, st.SearchStrategy[Any]] = {
+    CullMode: st.sampled_from(CullMode),
+    FrontFace: st.sampled_from(FrontFace),
+    DepthTest: st.sampled_from(DepthTest),
+    DepthWrite: st.sampled_from(DepthWrite),
+    DepthFunction: st.sampled_from(DepthFunction),
+    ColorWrite: st.builds(ColorWrite, *[st.booleans()] * 4),
+    BlendFunction: st.builds(
+        BlendFunction, FACTORS, FACTORS, OPERATIONS, st.none() | FACTORS, st.none() | FACTORS, st.none() | OPERATIONS
+    ),
+    BlendColor: st.builds(BlendColor, UNIT, UNIT, UNIT, UNIT),
+    StencilTest: st.sampled_from(StencilTest),
+    StencilFront: st.builds(StencilFront, *STENCIL),
+    StencilBack: st.builds(StencilBack, *STENCIL),
+    StencilReference: st.builds(StencilReference, BYTE, BYTE),
+    StencilReadMask: st.builds(StencilReadMask, BYTE, BYTE),
+    StencilWriteMask: st.builds(StencilWriteMask, BYTE, BYTE),
+    Scissor: st.builds(Scissor, *[st.integers(-4, 20)] * 2, *[st.integers(0, 30)] * 2),
+    Viewport: st.builds(
+        Viewport, *[st.integers(-8, 16)] * 2, *[st.sampled_from([0, 8, 16, 32, 64])] * 2,
+        *[st.sampled_from([0.0, 0.25, 1.0])] * 2,
+    ),
+}  # fmt: skip
+
+
+@st.composite
+def draws(draw: st.DrawFn) -> list[tuple[tuple[State, ...], NDArray[Any]]]:
+    """Some draws, each with states of its own and two rectangles' worth of triangles on a grid of 1/16 pixel, at depths
+    that any device interpolates exactly."""
+    made = []
+    for _ in range(draw(st.integers(1, 4))):
+        chosen = draw(st.lists(st.sampled_from(list(STATES)), unique=True, max_size=8))
+        states = tuple(draw(STATES[state]) for state in chosen)
+        rng = np.random.default_rng(draw(st.integers(0, 999)))
+        points = rng.integers(0, 513, (12, 2)) / 16  # within the viewport: gl cuts what reaches beyond
+        depth = np.repeat(rng.choice([0.25, 0.5, 0.75], 4), 3)
+        color = np.repeat(rng.random((4, 4)), 3, axis=0)
+        made.append((states or (CullMode.BACK,), corners(window_to_clip(points, (32, 32)), color, depth)))
+    return made
+
+
+@SETTINGS
+@given(given_draws=draws())
+def test_random_states_give_the_same_targets(
+    devices: Devices, given_draws: list[tuple[tuple[State, ...], NDArray[Any]]]
+) -> None:
+    results = []
+    for device in devices:
+        with (
+            device.texture((32, 32), Format.RGBA8) as image,
+            device.texture((32, 32), Format.D24S8) as depth,
+        ):
+            with device.render_pass(
+                image, depth, clear=(0.2, 0.4, 0.6, 0.8), clear_depth=0.5, clear_stencil=100
+            ):
+                for states, rows in given_draws:
+                    with device.mesh(rows) as mesh, device.states(*states):
+                        device.draw(device.program(FlatColored), mesh)
+            results.append((image.read().astype(int), depth.read(), depth.read_stencil()))
+    (gl_color, gl_depth, gl_stencil), (cl_color, cl_depth, cl_stencil) = results
+    np.testing.assert_array_equal(gl_stencil, cl_stencil)
+    np.testing.assert_allclose(gl_depth, cl_depth, atol=1e-5)
+    assert np.abs(gl_color - cl_color).max() <= 2
+
+
+# -- random shaders ------------------------------------------------------------------------------------------
+
+SOURCE = """
+from rhi.shading import *
+
+class Corner(Struct):
+    position: vec4
+    color: vec4
+
+class Shade(Struct):
+    clip: vec4
+    color: vec4
+    straight: NoPerspective[vec4]
+    first: Flat[vec4]
+
+class Test(Shader):
+    def vertex(self, v: Corner) -> Shade:
+        return Shade(clip=v.position, color=v.color, straight=v.color, first=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        if {condition}:
+            {dropped}
+        return vec4({values})
+"""
+LEAVES = [f"v.{name}.{axis}" for name in ("color", "straight", "first") for axis in "xyzw"] + [
+    "0.5",
+    "-0.25",
+    "2.0",
+]
+
+
+@st.composite
+def expressions(draw: st.DrawFn, depth: int = 3) -> str:
+    if depth == 0 or draw(st.integers(0, 4)) == 0:
+        return draw(st.sampled_from(LEAVES))
+    left, right = draw(expressions(depth - 1)), draw(expressions(depth - 1))
+    form = draw(st.sampled_from([
+        "({0} + {1})", "({0} - {1})", "({0} * {1})", "min({0}, {1})", "max({0}, {1})", "abs({0} - {1})",
+        "mix({0}, {1}, 0.75)", "clamp({0}, 0.0, 1.0)", "sqrt(abs({0}))", "({0} if {1} < 0.5 else {1})",
+        "dot(vec2({0}, {1}), vec2(0.6, -0.8))", "sin({0} * 3.0)", "exp(-abs({1}))",
+    ]))  # fmt: skip
+    return str(form.format(left, right))
+
+
+@st.composite
+def sources(draw: st.DrawFn) -> str:
+    return SOURCE.format(
+        condition=f"{draw(expressions(1))} > {draw(expressions(1))}",
+        dropped=draw(st.sampled_from(["discard()", "return v.first", "return v.color * 0.5"])),
+        values=", ".join(draw(expressions()) for _ in range(4)),
+    )
+
+
+def load_shader(source: str, folder: Path) -> type[Shader]:
+    """The shading language reads a shader's source, so it needs a file."""
+    path = folder / f"made_up_{next(NUMBERS)}.py"
+    path.write_text(source)
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[path.stem] = module
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        del sys.modules[path.stem]
+    shader: type[Shader] = module.Test
+    return shader
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@given(source=sources())
+def test_random_shaders_give_the_same_colors(
+    devices: Devices, source: str, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    """But where a condition is decided by a rounding, or a slope is that of a fraction of a pixel: few pixels."""
+    shader = load_shader(source, tmp_path_factory.mktemp("shaders"))
+    places = random_triangles(12, 7, reach=1.0)
+    color = np.random.default_rng(1).random((36, 4))
+    images = []
+    for device in devices:
+        with (
+            device.texture((64, 64), Format.RGBA32F) as image,
+            device.mesh(corners(places.reshape(-1, 4), color)) as mesh,
+        ):
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(shader), mesh)
+            images.append(image.read().astype(np.float64))
+    gl, cl = images
+    apart = (np.abs(gl - cl) > 2 / 255 * np.maximum(1.0, np.abs(gl))).any(axis=2)
+    assert apart.sum() <= 0.02 * apart.size, source

@@ -1,0 +1,247 @@
+"""The porting kit: the table of steps, the template, the scoreboard, and the guide that goes with them."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import mute_backends
+import pytest
+
+import rhi.conformance
+from rhi.__main__ import main
+from rhi.conformance.plugin import MISSING, Board, describe_next
+from rhi.conformance.steps import METHODS, STEPS, find_missing, step_of
+from rhi.conformance.template import write_package
+from rhi.errors import ValidationError
+
+ROOT = Path(__file__).parents[3]
+KIT = Path(rhi.conformance.__file__).parent
+GUIDE = (ROOT / "docs" / "porting.md").read_text()
+
+
+def groups() -> Iterator[str]:
+    for path in sorted(KIT.glob("*/test_*.py")):
+        yield f"{path.parent.name} · {path.stem.removeprefix('test_').replace('_', ' ')}"
+
+
+# -- the table ---------------------------------------------------------------------------------------------
+
+
+def test_each_method_of_the_contract_is_written_in_one_step() -> None:
+    methods = [method for step in STEPS for method in step.methods]
+    assert sorted(methods) == sorted(METHODS)
+
+
+def test_each_group_of_the_kit_is_taken_in_one_step() -> None:
+    without_a_backend = ["validation · rules"]
+    assert sorted(group for step in STEPS for group in step.groups) == sorted(
+        set(groups()) - set(without_a_backend)
+    )
+
+
+def test_no_method_is_written_after_the_group_that_must_see_it() -> None:
+    written = {method: number for number, step in enumerate(STEPS, 1) for method in step.methods}
+    for method, group in mute_backends.GROUPS.items():
+        assert written[method] <= step_of(f"operation · {group}"), method
+
+
+def test_the_guide_goes_through_the_steps_with_their_methods_and_groups() -> None:
+    parts = re.split(r"^## (\d): ", GUIDE, flags=re.MULTILINE)[1:]
+    assert list(map(int, parts[::2])) == list(range(1, 1 + len(STEPS)))
+    for step, text in zip(STEPS, parts[1::2], strict=True):
+        assert text.startswith(step.title)
+        table = "\n".join(line.split("|")[1] for line in text.splitlines() if line.startswith("| `"))
+        assert set(re.findall(r"`(\w+)`", table)) == set(step.methods), step.title
+        listed = re.search(r"Groups: (.*?)\.\n", text, re.DOTALL)
+        assert listed is not None
+        assert tuple(re.findall(r"`(.*?)`", listed[1])) == step.groups, step.title
+
+
+# -- the template ------------------------------------------------------------------------------------------
+
+
+def take_the_kit(package: Path, name: str, *groups: str) -> str:
+    """What a run of groups of the kit prints for a backend in a folder."""
+    command = [
+        sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--tb=line", "--rhi-backend", name, "--pyargs",
+        *groups,
+    ]  # fmt: skip
+    paths = [str(package), *filter(None, [os.environ.get("PYTHONPATH")])]
+    run = subprocess.run(
+        command, capture_output=True, text=True, check=False, cwd=package,
+        env=os.environ | {"PYTHONPATH": os.pathsep.join(paths)},
+    )  # fmt: skip
+    assert run.returncode in (0, 1), run.stdout + run.stderr
+    return run.stdout
+
+
+def test_a_new_backend_fails_every_test_by_the_name_of_what_it_misses(tmp_path: Path) -> None:
+    root = write_package("half_done", tmp_path)
+    output = take_the_kit(root, "rhi_half_done:create_backend", "rhi.conformance.operation.test_buffers")
+    assert re.search(r"^ 1 operation · buffers +0 passed +63 failed$", output, re.MULTILINE), output
+    errors = re.findall(r"NotImplementedError: (\w+)", output)
+    assert len(errors) >= 63
+    assert set(errors) == {"create_buffer"}
+    assert output.rstrip().splitlines().count("next: step 1, buffers (docs/porting.md)") == 1
+    assert "  write create_buffer: 63 tests stop there" in output
+
+
+def test_a_method_that_was_written_is_not_asked_for_any_more(tmp_path: Path) -> None:
+    root = write_package("begun", tmp_path)
+    file = root / "rhi_begun" / "backend.py"
+    file.write_text(file.read_text().replace('        raise NotImplementedError("create_buffer")\n', ""))
+    output = take_the_kit(root, "rhi_begun:create_backend", "rhi.conformance.operation.test_buffers")
+    assert "write create_buffer" not in output
+    assert re.search(r"^  write write_buffer: \d+ tests stop there$", output, re.MULTILINE)
+
+
+def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> None:
+    root = write_package("fresh", tmp_path)
+    setup = [sys.executable, "-c", "import setuptools; setuptools.setup()", "--quiet", "egg_info"]
+    run = subprocess.run(setup, capture_output=True, text=True, check=False, cwd=root)
+    assert run.returncode == 0, run.stderr  # what an editable installation writes
+    output = take_the_kit(root, "fresh", "rhi.conformance.operation.test_buffers")
+    assert "rhi conformance: fresh" in output
+    assert "  write create_buffer: 63 tests stop there" in output
+
+
+@pytest.mark.slow
+def test_a_new_backend_passes_mypy_strict(tmp_path: Path) -> None:
+    api = pytest.importorskip("mypy.api")
+    right, wrong = (write_package(name, tmp_path) / f"rhi_{name}" for name in ("right", "wrong"))
+    out, _, _ = api.run(["--strict", "--no-error-summary", str(right)])
+    assert [line for line in out.splitlines() if "rhi_right" in line] == []
+    file = wrong / "backend.py"
+    file.write_text(file.read_text().replace("def signal(self, value: int)", "def signal(self, value: str)"))
+    out, _, _ = api.run(["--strict", "--no-error-summary", str(wrong)])
+    assert "Incompatible return value type" in out
+
+
+def test_the_command_writes_the_package_and_says_where(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new-backend", "metal", "--folder", str(tmp_path)]) == 0
+    out, err = capsys.readouterr()
+    assert out.strip() == str(tmp_path / "rhi-metal")
+    assert "--rhi-backend metal" in err
+    assert 'metal = "rhi_metal:create_backend"' in (tmp_path / "rhi-metal" / "pyproject.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["Metal", "9lives", "a-b", "class", "", "gl"])
+def test_a_name_must_be_free_and_a_module_s(
+    name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new-backend", name, "--folder", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith("error: ")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_package_is_not_written_over_another(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_package("twice", tmp_path)
+    assert main(["new-backend", "twice", "--folder", str(tmp_path)]) == 2
+    assert "exists" in capsys.readouterr().err
+
+
+# -- backends by their function ------------------------------------------------------------------------------
+
+
+def test_a_backend_that_is_not_installed_is_named_by_its_function() -> None:
+    with rhi.create_device("rhi.backends.null:create_backend", profile="gles-3") as device:
+        assert device.backend_name == "null"
+        assert not device.capabilities.compute
+
+
+@pytest.mark.parametrize("name", ["no_such_module:create_backend", "rhi.backends.null:no_such_function"])
+def test_a_function_that_is_not_there_is_an_unknown_backend(name: str) -> None:
+    with pytest.raises(rhi.DeviceError) as caught:
+        rhi.create_device(name)
+    assert caught.value.rule.id == "device-unknown"
+
+
+def test_a_function_takes_its_own_options_only() -> None:
+    with pytest.raises(ValidationError) as caught:
+        rhi.create_device("rhi.backends.null:create_backend", colour=3)
+    assert caught.value.rule.id == "device-argument"
+
+
+# -- the scoreboard ------------------------------------------------------------------------------------------
+
+
+def raised(function: object, *arguments: object) -> BaseException:
+    assert callable(function)
+    with pytest.raises(Exception) as caught:  # noqa: PT011
+        function(*arguments)
+    return caught.value
+
+
+class Unwritten:
+    def draw(self) -> None:
+        raise NotImplementedError("draw")
+
+    def helper(self) -> None:
+        raise NotImplementedError
+
+
+def test_a_method_that_is_not_written_or_not_there_is_missing() -> None:
+    backend = Unwritten()
+    assert find_missing(raised(backend.draw)) == "draw"
+    assert find_missing(raised(getattr, backend, "dispatch")) == "dispatch"
+
+    def draw_with_care() -> None:
+        try:
+            backend.draw()
+        finally:
+            raise ValueError("while cleaning up")
+
+    assert find_missing(raised(draw_with_care)) == "draw"
+
+
+def test_other_errors_are_no_missing_methods() -> None:
+    backend = Unwritten()
+    assert find_missing(raised(backend.helper)) == ""
+    assert find_missing(raised(getattr, backend, "colour")) == ""
+    assert find_missing(None) == ""
+
+
+def board(*failures: tuple[str, str, str]) -> Board:
+    """A board of failed tests: group, test, missing method."""
+    made = Board()
+    for group, test, method in failures:
+        report = SimpleNamespace(
+            failed=True, nodeid=f"file.py::{test}", user_properties=[(MISSING, method)], longrepr=""
+        )
+        made.add("failed", group, report)  # type: ignore[arg-type]
+    return made
+
+
+def test_the_earliest_step_is_next_with_the_methods_that_stop_most() -> None:
+    found = describe_next(board(
+        ("operation · depth", "test_a", "set_states"),
+        ("operation · time", "test_b", "signal"),
+        ("operation · time", "test_c", "write_query"),
+        ("operation · recording", "test_d", "write_query"),
+    ))  # fmt: skip
+    assert found == [
+        "next: step 3, time and labels (docs/porting.md)",
+        "  write write_query: 2 tests stop there",
+        "  write signal: 1 tests stop there",
+    ]
+
+
+def test_without_a_missing_method_the_failed_tests_are_next() -> None:
+    failures = [("operation · buffers", f"test_{i}", "") for i in range(7)]
+    found = describe_next(board(*failures, ("operation · time", "test_b", "signal")))
+    assert found[1] == "  operation · buffers: test_0"
+    assert found[-1] == "  … and 2 more"
+    assert len(found) == 7
+
+
+def test_without_a_failure_nothing_is_next() -> None:
+    assert describe_next(Board()) == []
+    assert describe_next(board(("validation · rules", "test_a", ""))) == []

@@ -1,0 +1,429 @@
+"""Stages mean the same as GLSL on the driver, on 16 lanes and with NumPy."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+import pytest
+from stage_runner import (
+    run_fragment_glsl,
+    run_fragment_lanes,
+    run_fragment_numpy,
+    run_vertex_glsl,
+    run_vertex_lanes,
+    run_vertex_numpy,
+)
+
+from rhi.shading import (
+    Flat,
+    FragmentDepth,
+    NoPerspective,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    array,
+    atomic_add,
+    atomic_max,
+    cross,
+    ddx,
+    ddy,
+    discard,
+    fragment_coordinate,
+    front_facing,
+    fwidth,
+    instance_index,
+    ivec2,
+    length,
+    mat3,
+    mat4,
+    normalize,
+    sin,
+    uint,
+    uvec3,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+
+SHAPE = (12, 16)
+ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
+LANGUAGES = ["glsl", "lanes", "numpy 32", "numpy 64"]
+
+
+@pytest.fixture(params=LANGUAGES)
+def vertex_stage(request, context):
+    """`vertex_stage(shader, attributes, count, …)` in each language."""
+    dtype = np.float64 if "64" in request.param else np.float32
+    return {
+        "glsl": partial(run_vertex_glsl, context),
+        "lanes": run_vertex_lanes,
+    }.get(request.param, partial(run_vertex_numpy, dtype=dtype))
+
+
+@pytest.fixture(params=LANGUAGES)
+def fragment_stage(request, context):
+    """`fragment_stage(shader, varyings, shape, …)` in each language."""
+    dtype = np.float64 if "64" in request.param else np.float32
+    return {
+        "glsl": partial(run_fragment_glsl, context),
+        "lanes": run_fragment_lanes,
+    }.get(request.param, partial(run_fragment_numpy, dtype=dtype))
+
+
+# -- vertices ----------------------------------------------------------------------------------------------
+
+
+class Corner(Struct):
+    position: vec3
+    normal: vec3
+    joint: ivec2
+    color: uint
+
+
+class Instance(Struct):
+    scale: float
+
+
+class Bone(Struct):
+    turn: mat3
+    offset: vec3
+
+
+class Skinned(Struct):
+    clip: vec4
+    normal: vec3
+    color: Flat[vec3]
+    bones: ivec2
+    unread: vec4
+
+
+class Skinning(Shader):
+    camera: Uniform[mat4]
+    bones: Storage[Bone]
+    uses: StorageRW[int]
+
+    def skin(self, p: vec3, joint: int) -> vec3:
+        if joint < 0:
+            return p
+        return self.bones[joint].turn @ p + self.bones[joint].offset
+
+    def vertex(self, v: Corner, n: Instance) -> Skinned:
+        place = vec3(0.0)
+        for k in range(2):
+            joint = v.joint[k]
+            if joint >= 0:
+                atomic_add(self.uses[joint], 1)
+            if joint == 3:
+                break
+            place += self.skin(v.position, joint) * 0.5
+        number = float(vertex_index() % 7 + 100 * instance_index())
+        color = uvec3(v.color & uint(255), (v.color >> uint(8)) & uint(255), v.color >> uint(16))
+        return Skinned(
+            clip=self.camera @ vec4(place * n.scale, 1.0),
+            normal=normalize(cross(v.normal, vec3(1.0, 2.0, 3.0))) + number,
+            color=vec3(color) / 255.0,
+            bones=v.joint,
+            unread=vec4(number),
+        )
+
+    def fragment(self, s: Skinned) -> vec4:
+        return vec4(s.normal + s.color, float(s.bones.x + s.bones.y))
+
+
+def test_vertex_stages_agree(vertex_stage):
+    rng, count = np.random.default_rng(1), 45
+    attributes = {
+        "position": rng.normal(size=(count, 3)).astype("f4"),
+        "normal": rng.normal(size=(count, 3)).astype("f4"),
+        "joint": rng.integers(-1, 5, (count, 2)).astype("i4"),
+        "color": rng.integers(0, 1 << 24, count).astype("u4"),
+        "scale": rng.random(count).astype("f4"),
+    }
+    bones = np.zeros(5, Bone.dtype)
+    bones["turn"][..., :3] = rng.normal(size=(5, 3, 3))
+    bones["offset"] = rng.normal(size=(5, 3))
+    camera = rng.normal(size=(4, 4)).astype("f4")
+    out = vertex_stage(Skinning, attributes, count, instance=0, camera=camera, bones=bones, uses=5)
+    place = np.zeros((count, 3))
+    uses, ended = np.zeros(5, int), np.zeros(count, bool)
+    for k in range(2):
+        joint = attributes["joint"][:, k]
+        np.add.at(uses, joint[(joint >= 0) & ~ended], 1)
+        ended |= joint == 3
+        p = attributes["position"]
+        moved = np.einsum("nij,nj->ni", bones["turn"][joint, :, :3], p) + bones["offset"][joint]
+        moved = np.where(joint[:, None] < 0, p, moved) * 0.5
+        place += np.where(ended[:, None], 0, moved)
+    place = np.c_[place * attributes["scale"][:, None], np.ones(count)]
+    np.testing.assert_allclose(out["position"], place @ camera.T.astype("f8"), rtol=1e-4, atol=1e-5)
+    side = np.cross(attributes["normal"], [1, 2, 3])
+    side /= np.linalg.norm(side, axis=1)[:, None]
+    np.testing.assert_allclose(out["normal"], side + (np.arange(count) % 7)[:, None], rtol=1e-5, atol=1e-6)
+    color = attributes["color"][:, None] >> np.array([0, 8, 16]) & 255
+    np.testing.assert_allclose(out["color"], color / 255, rtol=1e-6)
+    np.testing.assert_array_equal(out["bones"], attributes["joint"])
+    np.testing.assert_array_equal(out["uses"], uses)
+
+
+class Pulled(Shader):
+    places: Storage[vec3]
+    words: Storage[int]
+
+    def vertex(self) -> vec4:
+        i = vertex_index()
+        return vec4(self.places[i].xy, float(self.words[i * 2 + 1] + i), float(instance_index()))
+
+
+@pytest.mark.parametrize("consecutive", [True, False])
+def test_vertices_read_from_buffers_agree(vertex_stage, consecutive):
+    count, total = 40, 64
+    vertex = np.arange(count) + 5 if consecutive else np.random.default_rng(3).integers(0, total, count)
+    places = np.random.default_rng(4).random((total, 4), "f4")
+    words = np.arange(2 * total, dtype="i4") ** 2
+    out = vertex_stage(Pulled, {}, count, vertices=vertex, instance=2, places=places, words=words)
+    expected = np.c_[places[vertex, :2], words[vertex * 2 + 1] + vertex, vertex * 0 + 2]
+    np.testing.assert_array_equal(out["position"], expected)
+
+
+# -- fragments ---------------------------------------------------------------------------------------------
+
+
+class Surface(Struct):
+    clip: vec4
+    uv: vec2
+    screen: NoPerspective[vec2]
+    tint: Flat[vec3]
+    id: int
+
+
+class Targets(Struct):
+    color: vec4
+    id: int
+    ids: uvec3
+    depth: FragmentDepth
+
+
+class Lit(Shader):
+    """Every kind of output and input; early returns; a local array; stores and atomics under masks."""
+
+    scale: Uniform[vec3]
+    table: Storage[vec4]
+    hits: StorageRW[int]
+
+    def vertex(self) -> Surface:
+        return Surface(clip=vec4(0.0), uv=vec2(0.0), screen=vec2(0.0), tint=vec3(0.0), id=0)
+
+    def pick(self, x: float, y: float) -> vec4:
+        found = vec4(0.0)
+        for i in range(len(self.table)):
+            if self.table[i].x > x:
+                return self.table[i]
+            found += self.table[i] * y
+        return -found
+
+    def fragment(self, s: Surface) -> Targets:
+        at = fragment_coordinate()
+        row = int(at.y)
+        column = int(at.x)
+        counts = array(int, 4)
+        counts[column % 4] = row
+        counts[s.id % 4] += 10
+        if (row + column) % 5 == 0:
+            return Targets(color=vec4(1.0), id=-1, ids=uvec3(7), depth=0.25)
+        color = self.pick(s.uv.x, s.screen.y)
+        if front_facing():
+            color.rgb = color.bgr * self.scale + s.tint
+        n = 0
+        while n < 6:
+            n += 1
+            if n * 3 > row:
+                break
+            if n % 2 == column % 2:
+                continue
+            color.w += 1.0
+            atomic_add(self.hits[0], 1)
+        if row < 6:
+            self.hits[1 + column] = 1
+        atomic_max(self.hits[20 + row], column * 2)
+        return Targets(
+            color=color, id=counts[1] + s.id, ids=uvec3(uint(row), uint(column), uint(n)), depth=at.x / 64.0
+        )
+
+
+def lit(front, mask):
+    """What `Lit` gives: color without rounding, id, ids, depth, hits."""
+    table = table_of_lit().astype("f8")
+    uv, screen = COLUMNS / 16 + 0.01, ROWS / 12.0
+    color = np.zeros((*SHAPE, 4))
+    rows, columns, n_of = ROWS, COLUMNS, np.zeros(SHAPE, int)
+    hits = np.zeros(40, int)
+    early = (ROWS + COLUMNS) % 5 == 0
+    for r, c in np.ndindex(*SHAPE):
+        found = np.zeros(4)
+        for row in table:
+            if row[0] > uv[r, c]:
+                found = row.copy()
+                break
+            found += row * screen[r, c]
+        else:
+            found = -found
+        if front:
+            found[:3] = found[2::-1] * [1, 2, 3] + [0.5, 0.25, 0.125]
+        n = 0
+        while n < 6:
+            n += 1
+            if n * 3 > r:
+                break
+            if n % 2 == c % 2:
+                continue
+            found[3] += 1
+            hits[0] += mask[r, c] and not early[r, c]
+        n_of[r, c] = n
+        color[r, c] = found
+        if mask[r, c] and not early[r, c]:
+            hits[1 + c] |= r < 6
+            hits[20 + r] = max(hits[20 + r], c * 2)
+    ids = np.stack([rows, columns, n_of], axis=-1)
+    counts1 = np.where(columns % 4 == 1, rows, 0) + np.where(13 % 4 == 1, 10, 0)
+    color[early], ids[early] = 1, 7
+    return color, np.where(early, -1, counts1 + 13), ids, np.where(early, 0.25, (columns + 0.5) / 64), hits
+
+
+def table_of_lit():
+    table = np.random.default_rng(5).random((6, 4)).astype("f4")
+    table[:, 0] = [0.1, 0.2, 0.4, 0.55, 0.7, 0.75]
+    return table
+
+
+@pytest.mark.parametrize("front", [True, False])
+@pytest.mark.parametrize("covered", ["all", "part"])
+def test_fragment_stages_agree(fragment_stage, front, covered):
+    mask = (
+        np.ones(SHAPE, bool) if covered == "all" else (ROWS > 2) & (ROWS < 9) & (COLUMNS > 4) & (COLUMNS < 11)
+    )
+    varyings = {
+        "uv": np.stack([COLUMNS / 16 + 0.01, ROWS / 12], axis=-1).astype("f4"),
+        "screen": np.stack([COLUMNS / 16, ROWS / 12], axis=-1).astype("f4"),
+        "tint": np.array([0.5, 0.25, 0.125], "f4"),
+        "id": np.array(13, "i4"),
+    }
+    out = fragment_stage(
+        Lit, varyings, SHAPE, mask=mask, front=front, scale=np.array([1, 2, 3], "f4"), table=table_of_lit(), hits=40,
+    )  # fmt: skip
+    color, number, ids, depth, hits = lit(front, mask)
+    np.testing.assert_array_equal(out["kept"], mask)
+    np.testing.assert_allclose(out["color"][mask], color[mask], rtol=2e-5, atol=2e-5)
+    np.testing.assert_array_equal(out["id"][mask][:, 0], number[mask])
+    np.testing.assert_array_equal(out["ids"][mask], ids[mask])
+    np.testing.assert_allclose(out["depth"][mask], depth[mask], atol=1e-6)
+    np.testing.assert_array_equal(out["hits"], hits)
+
+
+class Plain(Struct):
+    clip: vec4
+    at: vec2
+
+
+class Sloped(Shader):
+    """Differences of inputs, of what is computed from them, of what is read from memory, within a called function."""
+
+    table: Storage[float]
+
+    def vertex(self) -> Plain:
+        return Plain(clip=vec4(0.0), at=vec2(0.0))
+
+    def edge(self, x: float) -> float:
+        return fwidth(x) + ddx(x * x)
+
+    def fragment(self, v: Plain) -> vec4:
+        column = int(fragment_coordinate().x)
+        read = self.table[column]
+        wave = sin(v.at.x * 3.0) * v.at.y
+        return vec4(ddx(v.at.x), ddy(wave), self.edge(read), length(ddx(v.at)) + ddy(2.0))
+
+
+@pytest.mark.parametrize("covered", ["all", "part"])
+def test_differences_agree(fragment_stage, covered, request):
+    mask = np.ones(SHAPE, bool) if covered == "all" else (ROWS == 5) & (COLUMNS > 4) & (COLUMNS < 12)
+    at = np.stack([COLUMNS / 16, ROWS / 12], axis=-1).astype("f4")
+    table = np.arange(16, dtype="f4") ** 1.5
+    out = fragment_stage(Sloped, {"at": at}, SHAPE, mask=mask, table=table)
+    even = COLUMNS // 2 * 2
+    wave = np.sin(COLUMNS / 16 * 3) / 12
+    read = (table[even + 1] - table[even]) + (table[even + 1] ** 2 - table[even] ** 2)
+    expected = np.stack([np.full(SHAPE, 1 / 16), wave, read, np.full(SHAPE, 1 / 16)], axis=-1)
+    if "glsl" in request.node.name:
+        expected[..., 2] = out["color"][..., 2]  # llvmpipe's helpers read 0 from buffers
+    np.testing.assert_allclose(out["color"][mask], expected[mask], rtol=1e-4, atol=1e-5)
+
+
+class Cut(Shader):
+    """Discards: at once, in a loop, in a function called from a loop, after a return of others."""
+
+    limit: Uniform[float]
+    counts: StorageRW[int]
+
+    def vertex(self) -> Plain:
+        return Plain(clip=vec4(0.0), at=vec2(0.0))
+
+    def check(self, value: int, i: int) -> int:
+        if value % 7 == i and i > 1:
+            discard()
+        if value % 2 == 0:
+            return value
+        return value + i
+
+    def fragment(self, v: Plain) -> vec4:
+        at = fragment_coordinate()
+        value = int(at.x) + 16 * int(at.y)
+        if self.limit > 10.0:
+            discard()
+        if value % 11 == 3:
+            discard()
+        if value % 13 == 4:
+            return vec4(-1.0)
+        total = 0
+        for i in range(4):
+            total += self.check(value, i)
+            if value % 5 == 2 and i == 2:
+                if value % 3 == 1:
+                    discard()
+                break
+            atomic_add(self.counts[i], 1)
+        return vec4(float(total), float(value), 0.0, 1.0)
+
+
+def cut(limit):
+    """(kept, total, counts) of `Cut`."""
+    kept, total, counts = np.zeros(SHAPE, bool), np.zeros(SHAPE), np.zeros(4, int)
+    for r, c in np.ndindex(*SHAPE):
+        value = c + 16 * r
+        if limit > 10 or value % 11 == 3:
+            continue
+        kept[r, c] = True
+        if value % 13 == 4:
+            total[r, c] = -1
+            continue
+        for i in range(4):
+            if value % 7 == i and i > 1:
+                kept[r, c] = False
+                break
+            total[r, c] += value if value % 2 == 0 else value + i
+            if value % 5 == 2 and i == 2:
+                kept[r, c] = value % 3 != 1
+                break
+            counts[i] += 1
+    return kept, total, counts
+
+
+@pytest.mark.parametrize("limit", [0, 11])
+def test_discards_agree(fragment_stage, limit):
+    out = fragment_stage(Cut, {}, SHAPE, limit=np.float32(limit), counts=4)
+    kept, total, counts = cut(limit)
+    np.testing.assert_array_equal(out["kept"], kept)
+    np.testing.assert_array_equal(out["color"][..., 0][kept], total[kept])
+    np.testing.assert_array_equal(out["counts"], counts)
