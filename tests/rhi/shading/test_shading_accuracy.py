@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import run_glsl
+from glsl_runner import run_glsl
 from opencl_runner import run_opencl
 
 from rhi.shading import Precision, opencl_kernel, run_compute

@@ -120,7 +120,7 @@ INLINE void transpose4(const uint16 *rows, uint16 *columns) {
     columns[3] = SHUFFLE(b, d, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31);
 }
 
-// The draw that a group belongs to: the last one that begins at or before it. `part` is a field's place in Draw.
+// The draw that a group belongs to: the last one whose `field`, the number of its first group, isn't beyond it.
 #define FIND_DRAW(name, field) \
 INLINE int name(global const Draw *draws, int count, int group) { \
     int low = 0, high = count - 1; \

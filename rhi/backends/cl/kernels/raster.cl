@@ -5,8 +5,9 @@
 // - Large primitives find their edges at the tile in 64 bits; an edge that all of the tile lies inside of is dropped, one
 //   that all lies outside of ends the record. What is left fits in 32 bits. A polygon is a fan of such triangles.
 // - Multi-sampled: four coverages, one shading.
+// - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
 // - Before this text stand targets.cl, the fragment stage and what tables.py writes: OPEN_SURFACES, BINDINGS,
-//   VARYING_WORDS, FLAT_WORDS, VARYINGS.
+//   VARYING_WORDS, VARYINGS, GIVES_DEPTH, STAGES_DEPTH.
 
 #define LANE_X (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #define LANE_Y (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
@@ -132,8 +133,8 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
 INLINE float find_bound(const float16 *blocks, int part) {
     const float16 *block = blocks + (part / PARTS * TILE_BLOCKS + part % PARTS) * (1 << PART_BITS) / 4;
     float16 farthest = *block;
-    UNROLL for (int i = 0; i < 4; ++i)
-        UNROLL for (int j = 0; j < 4; ++j) farthest = FARTHER(farthest, block[i * TILE_BLOCKS + j]);
+    UNROLL for (int i = 0; i < (1 << PART_BITS) / 4; ++i)
+        UNROLL for (int j = 0; j < (1 << PART_BITS) / 4; ++j) farthest = FARTHER(farthest, block[i * TILE_BLOCKS + j]);
     float8 half_way = FARTHER(farthest.lo, farthest.hi);
     float4 quarter = FARTHER(half_way.lo, half_way.hi);
     float2 pair = FARTHER(quarter.lo, quarter.hi);

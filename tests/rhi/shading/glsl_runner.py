@@ -1,0 +1,47 @@
+"""Runs compute shaders through moderngl: the shading language and a driver, nothing else of rhi."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import moderngl
+import numpy as np
+
+from rhi.descriptors import BindingKind, Stage
+from rhi.layout import Layout, element_dtype
+from rhi.shading import Shader, Struct, compile_shader, value_type_of
+
+
+def run_glsl(
+    context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any
+) -> dict[str, Any]:
+    """Run a compute shader on OpenGL; gives each storage buffer's contents after."""
+    program = compile_shader(shader)
+    compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
+    buffers = {}
+    for binding in program.bindings:
+        value = values[binding.name]
+        if binding.kind is BindingKind.UNIFORM:
+            data = value.to_bytes() if isinstance(value, Struct) else value.tobytes()
+            buffer = context.buffer(data)
+            buffer.bind_to_uniform_block(binding.slot)
+            buffers[binding.name] = (buffer, None)
+        elif binding.kind is BindingKind.STORAGE:
+            dtype = element_dtype(value_type_of(binding.type), Layout.STD430)
+            array = np.zeros(value, dtype) if isinstance(value, int) else np.asarray(value)
+            buffer = context.buffer(array.tobytes())
+            buffer.bind_to_storage_buffer(binding.slot)
+            buffers[binding.name] = (buffer, array)
+        elif binding.kind is BindingKind.TEXTURE:
+            value.use(binding.slot)
+        else:
+            value.bind_to_image(binding.slot)
+    compute.run(*(groups if isinstance(groups, tuple) else (groups,)))
+    context.finish()
+    results = {}
+    for name, (buffer, array) in buffers.items():
+        if array is not None:
+            results[name] = np.frombuffer(buffer.read(), array.dtype).reshape(array.shape)
+        buffer.release()
+    compute.release()
+    return results
