@@ -23,5 +23,5 @@ echo "[test] mypy --strict"
 .venv/bin/mypy
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
-echo "[test] pytest: tests, and the conformance kit on gl, cl and null"
-exec .venv/bin/python -m pytest tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null
+echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
+exec .venv/bin/python -m pytest -n auto --dist worksteal tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null
