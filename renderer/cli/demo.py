@@ -1,8 +1,9 @@
-"""`demo`: pictures of a scene along its paths, and a table of what each way to render them costs."""
+"""`demo`: a table of what each way to render a scene along its paths costs, and pictures by the fastest device."""
 
 from __future__ import annotations
 
 import argparse
+import os
 from contextlib import ExitStack
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import Any
 import rhi
 from renderer.cli.arguments import add_command, parse_count, parse_size
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
-from renderer.measure import alternate, format_table
+from renderer.measure import Measurement, alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND, load_scene
 from renderer.visibility import make_visibility
@@ -21,6 +22,7 @@ _EXAMPLES = """\
   python -m renderer demo hall --output pictures
   python -m renderer demo city:blocks=12 --frames 20
 
+All backends that work here are compared, or the one that RHI_BACKEND names; the fastest makes the pictures.
 The frames lie evenly along each path. In turn, each is rendered in all ways; the times are medians until the
 GPU is done, `vs none` is the median of the ratios to no culling, and the counters are means per frame. The
 null device records the same commands and draws nothing: its time is the CPU's."""
@@ -94,12 +96,10 @@ def add_to(commands: Any) -> None:
 
 
 def run(given: argparse.Namespace) -> None:
-    """Render the pictures, then measure and print the table."""
+    """Measure, render the pictures on the device that was fastest, and print the table."""
     scene = load_scene(given.scene)
     with ExitStack() as stack:
-        devices = [stack.enter_context(rhi.create_device())]
-        if devices[0].backend_name != "null":
-            devices.append(stack.enter_context(rhi.create_device("null")))
+        devices = open_devices(stack)
         ways = [
             Way(
                 path,
@@ -112,35 +112,61 @@ def run(given: argparse.Namespace) -> None:
             for device in devices
             for name in _WAYS
         ]
+        times = measure(ways, given.frames)
+        table = tabulate(ways, times)  # before the pictures, which are frames of their own
         for path in scene.paths:
-            write_picture(next(way for way in ways if way.path == path), given.output)
-        print(measure(ways, given.frames))
+            seen = [way for way in ways if way.path == path and way.renderer.device.capabilities.renders]
+            if seen:
+                write_picture(min(seen, key=lambda way: times[way.name].median), given.output)
+        if not any(device.capabilities.renders for device in devices):
+            note(f"the {devices[0].backend_name} device records and draws nothing: there is no image")
+        print(table)
+
+
+def open_devices(stack: ExitStack) -> list[rhi.Device]:
+    """The device that RHI_BACKEND names, else one on each backend that works here; the null device is the last."""
+    chosen = os.environ.get("RHI_BACKEND")
+    devices: list[rhi.Device] = []
+    errors: list[tuple[str, rhi.RhiError]] = []
+    for name in (chosen,) if chosen else rhi.backend_names():
+        try:
+            devices.append(stack.enter_context(rhi.create_device(name)))
+        except rhi.RhiError as error:
+            errors.append((name, error))
+    if not devices:
+        raise errors[0][1]
+    for name, reason in errors:
+        note(f"{name} is left out: {reason.given or reason.rule.sentence}")
+    if all(device.backend_name != "null" for device in devices):
+        devices.append(stack.enter_context(rhi.create_device("null")))
+    return devices
 
 
 def write_picture(way: Way, folder: Path) -> None:
     """One picture of the way's path."""
-    if not way.renderer.device.capabilities.shading:
-        note(f"the {way.backend} device records and draws nothing: there is no image")
-        return
     scene = way.renderer.scene
     suffix = "" if way.path == next(iter(scene.paths)) else f"-{way.path}"
     result = way.render(_PICTURED.get(way.path, FRAME_COUNT // 2))
     path = prepare_image(folder / f"{name_of(scene)}{suffix}.png")
     write_image(path, result.image.read())
-    note(f"wrote {path}")
+    note(f"wrote {path}, drawn by {way.backend}")
 
 
 def _name(path: str, visibility: str, backend: str) -> str:
     return f"{path}, {visibility}, {backend}"
 
 
-def measure(ways: list[Way], count: int) -> str:
-    """The table of all ways over `count` frames."""
+def measure(ways: list[Way], count: int) -> dict[str, Measurement]:
+    """The times of all ways over `count` frames, by the ways' names."""
     frames = [(2 * number + 1) * FRAME_COUNT // (2 * count) for number in range(count)]
     work = {way.name: lambda number, way=way: way.render(frames[number]) for way in ways}
     for way in ways:
         way.statistics.clear()
-    times = alternate(work, show_progress(range(count), count, "measure"))
+    return alternate(work, show_progress(range(count), count, "measure"))
+
+
+def tabulate(ways: list[Way], times: dict[str, Measurement]) -> str:
+    """The table: times, and the counters of the frames that were measured."""
     is_simulated = bool(ways[0].renderer.scene.simulated)
     counters = [
         counter.name

@@ -223,7 +223,36 @@ def test_demo_without_a_drawing_device_prints_the_null_rows(
 
 
 @pytest.mark.usefixtures("gl")
-def test_demo_writes_a_picture_of_each_path_and_a_row_for_each_way(
+def test_demo_takes_the_backend_that_the_environment_names(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, here: Path
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "gl")
+    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
+    output = capsys.readouterr()
+    assert {line.split()[2] for line in output.out.splitlines()[2:]} == {"gl", "null"}
+    assert output.err.count("drawn by gl") == 2
+
+
+@pytest.mark.usefixtures("gl")
+def test_demo_leaves_out_what_does_not_work_and_says_why(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, here: Path
+) -> None:
+    create = rhi.create_device
+
+    def fail_on_cl(name: str | None = None, **options: Any) -> rhi.Device:
+        if name == "cl":
+            raise rhi.DeviceError(rhi.RULES["device-driver"], "rhi.create_device('cl')", "no OpenCL device")
+        return create(name, **options)
+
+    monkeypatch.setattr(rhi, "create_device", fail_on_cl)
+    assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
+    output = capsys.readouterr()
+    assert "cl is left out: no OpenCL device" in output.err
+    assert {line.split()[2] for line in output.out.splitlines()[2:]} == {"gl", "null"}
+
+
+@pytest.mark.usefixtures("gl")
+def test_demo_compares_all_backends_that_work_and_pictures_each_path(
     capsys: pytest.CaptureFixture[str], here: Path
 ) -> None:
     assert main(["demo", CITY, "--frames", "1", "--size", "64x36", "--output", "pictures"]) == 0
@@ -231,7 +260,7 @@ def test_demo_writes_a_picture_of_each_path_and_a_row_for_each_way(
     assert rows == [
         [path, way, backend]
         for path in ("ground", "sky")
-        for backend in ("gl", "null")
+        for backend in [report.name for report in rhi.report() if report.usable]
         for way in ("none", "frustum")
     ]
     for name in ("city.png", "city-sky.png"):
