@@ -145,7 +145,8 @@ def main(arguments: list[str]) -> None:
     settings.register_profile("traced", deadline=None, max_examples=10)
     settings.load_profile("traced")
     coverage = Coverage()
-    options = ["-q", "-p", "no:cacheprovider", "-c", os.devnull, "-m", "not slow", "--rootdir", str(PACKAGE.parent)]
+    marks = ["-m", "not slow and not nightly"]
+    options = ["-q", "-p", "no:cacheprovider", "-c", os.devnull, *marks, "--rootdir", str(PACKAGE.parent)]
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
         status = pytest.main([*options, *arguments], [coverage])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
