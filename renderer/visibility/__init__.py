@@ -23,6 +23,7 @@ from renderer.visibility.frustum import FrustumCulling, NoCulling, VolumeCulling
 from renderer.visibility.hierarchy import Hierarchy, build_by_area, build_by_median
 from renderer.visibility.scene_pass import DeviceList, SceneArrays
 from renderer.visibility.settings import Settings
+from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
 from renderer.visibility.stop_and_wait import StopAndWait
 from renderer.visibility.two_pass import TwoPassCulling
 from rhi import Device
@@ -47,6 +48,7 @@ __all__ = [
     "NoCulling",
     "SceneArrays",
     "Settings",
+    "SoftwareDepth",
     "Statistics",
     "StopAndWait",
     "TwoPassCulling",
@@ -72,6 +74,7 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
     "conditional": lambda scene, device, settings: ConditionalCulling(
         scene, device, persistence=settings.persistence, threshold=settings.threshold
     ),
+    "software_depth": lambda scene, _device, _settings: SoftwareDepth(scene),
     "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),
     "two_pass": lambda scene, device, _settings: TwoPassCulling(scene, device),
     "auto": lambda scene, device, settings: AutoCulling(
@@ -80,7 +83,7 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         {
             name: partial(make_visibility, name, scene, device, settings)
             for name in CANDIDATES
-            if name in list_algorithms(device)
+            if _can_run(name, device)
         },
     ),
 }
@@ -89,17 +92,23 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
 
 def list_algorithms(device: Device) -> list[str]:
     """The names of the algorithms that `device` can run without help; the null device answers no queries."""
+    return [name for name in ALGORITHMS if _can_run(name, device)]
+
+
+def _can_run(name: str, device: Device) -> bool:
     can = device.capabilities
     asks = can.shading and (can.occlusion_queries or can.sample_counter)
-    needs = {
-        "none": True,
-        "frustum": True,
-        "auto": True,
-        "conditional": asks and can.conditional_rendering,
-        "depth_pyramid": can.renders and can.compute,
-        "two_pass": can.renders and can.compute,
-    }
-    return [name for name in ALGORITHMS if needs.get(name, asks)]
+    match name:
+        case "none" | "frustum" | "auto":
+            return True
+        case "conditional":
+            return asks and can.conditional_rendering
+        case "software_depth":
+            return can.renders and can_rasterise()
+        case "depth_pyramid" | "two_pass":
+            return can.renders and can.compute
+        case _:
+            return asks
 
 
 def make_visibility(

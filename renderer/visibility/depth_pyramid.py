@@ -5,8 +5,9 @@
    drawn; what shows is drawn first in the next frame.
 
 A box's test is one invocation's work: the rectangle around its corners, and their nearest depth, against the texels of
-the finest level that has at most 8 under the rectangle each way. It shows if it isn't behind all of them. The rectangle
-is larger than the box, and its texels' depth farther than the pixels', so more is drawn than of boxes rasterised.
+the finest level that has at most 8 under the rectangle each way. It shows if it isn't behind all of them. The texels of
+the next coarser level are looked at first: what is behind those is behind all of these. The rectangle is larger than
+the box, and its texels' depth farther than the pixels', so more is drawn than of boxes rasterised.
 """
 
 from __future__ import annotations
@@ -47,8 +48,6 @@ _LEVELS: Final = 9
 """Of an image of 65,536 pixels a side, itself included."""
 _ACROSS: Final = 8
 """Texels that a test looks at each way."""
-_MARGIN: Final = 1.0 / 64.0
-"""Pixels by which a rectangle is enlarged, for what rasterising rounds."""
 
 
 class Levels(Struct):
@@ -67,8 +66,8 @@ class FindSeen(FindOccludees):
         return VISIBLE if self.seen[row] == uint(1) else HIDDEN
 
 
-class CompareBoxes(Shader):
-    """Marks what shows, and notes it as seen."""
+class BoxTest(Shader):
+    """What shows of boxes in a depth image, by its pyramid."""
 
     work_group = (GROUP,)
     view: Uniform[View]
@@ -76,21 +75,9 @@ class CompareBoxes(Shader):
     depth: Texture2D
     farthest: Storage[float]
     boxes: Storage[Occludee]
-    marks: StorageRW[uint]
-    seen: StorageRW[uint]
     is_reversed = True
-
-    def compute(self) -> None:
-        row = global_id().x
-        if row >= len(self.marks):
-            return
-        mark = self.marks[row]
-        shows = False
-        if mark == uint(HIDDEN) or mark == uint(DRAWN):
-            shows = self.shows(self.boxes[row])
-        self.seen[row] = uint(1 if shows else 0)
-        if shows and mark == uint(HIDDEN):
-            self.marks[row] = uint(VISIBLE)
+    margin = 1.0 / 64.0
+    """Pixels by which a rectangle is enlarged, for what rasterising rounds."""
 
     def shows(self, box: Occludee) -> bool:
         size = vec2(self.pyramid.levels[0].xy)
@@ -110,13 +97,20 @@ class CompareBoxes(Shader):
             upper = max(upper, pixel)
             depth = clip.z / clip.w
             nearest = max(nearest, depth) if self.is_reversed else min(nearest, depth)
-        begin = ivec2(clamp(floor(lower - _MARGIN), vec2(0.0), size))
-        end = ivec2(clamp(floor(upper + _MARGIN), vec2(-1.0), size - 1.0))
+        begin = ivec2(clamp(floor(lower - self.margin), vec2(0.0), size))
+        end = ivec2(clamp(floor(upper + self.margin), vec2(-1.0), size - 1.0))
         level = 0
         while level < self.pyramid.count - 1 and (end.x - begin.x >= _ACROSS or end.y - begin.y >= _ACROSS):
             begin = begin // SCALE
             end = end // SCALE
             level += 1
+        if level < self.pyramid.count - 1 and not self.is_before(
+            nearest, level + 1, begin // SCALE, end // SCALE
+        ):
+            return False  # behind whole tiles: their texels needn't be looked at
+        return self.is_before(nearest, level, begin, end)
+
+    def is_before(self, nearest: float, level: int, begin: ivec2, end: ivec2) -> bool:
         for y in range(begin.y, end.y + 1):
             for x in range(begin.x, end.x + 1):
                 behind = self.fetch(level, ivec2(x, y))
@@ -129,6 +123,25 @@ class CompareBoxes(Shader):
             return self.depth.load(at).r
         chosen = self.pyramid.levels[level]
         return self.farthest[chosen.z + at.y * chosen.x + at.x]
+
+
+class CompareBoxes(BoxTest):
+    """Marks what shows, and notes it as seen."""
+
+    marks: StorageRW[uint]
+    seen: StorageRW[uint]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row >= len(self.marks):
+            return
+        mark = self.marks[row]
+        shows = False
+        if mark == uint(HIDDEN) or mark == uint(DRAWN):
+            shows = self.shows(self.boxes[row])
+        self.seen[row] = uint(1 if shows else 0)
+        if shows and mark == uint(HIDDEN):
+            self.marks[row] = uint(VISIBLE)
 
 
 class CompareBoxesStandard(CompareBoxes):

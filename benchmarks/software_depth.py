@@ -1,0 +1,90 @@
+"""What `software_depth` costs beside the renderer's device: building depth, and testing boxes against it.
+
+City, from the middle of each path: the depth of the occluders that it chooses, tiles included, then `--boxes` boxes in
+one batch, those of the objects in the frustum over and over; medians. `test_milliseconds` has the upload and the answer
+in it.
+
+    python benchmarks/software_depth.py [--json] [--scene city] [--boxes 10000] [--size 960x540] [--rounds 60]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import rhi
+from renderer.cli.arguments import parse_size
+from renderer.scene import Scene, load_scene
+from renderer.visibility import FrustumCulling, SoftwareDepth, find_visible_objects
+from renderer.visibility.bounds import find_near, pad_boxes
+from renderer.visibility.occluder_depth import OccluderDepth
+from renderer.visibility.software_depth import BACKEND, OCCLUDERS
+
+TARGET = 2.0
+"""Milliseconds for 10,000 boxes."""
+
+
+def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: int) -> dict[str, Any]:
+    """A row for one path."""
+    frames = scene.paths[path]
+    camera = frames.camera(len(frames) // 2).with_aspect(size[0] / size[1])
+    rows = find_visible_objects(FrustumCulling(scene), camera)
+    algorithm = SoftwareDepth(scene)
+    chosen = algorithm.choose_occluders(camera, rows)
+    algorithm.destroy()
+    lower, upper, far = pad_boxes(camera, scene.objects.lower[rows], scene.objects.upper[rows])
+    asked = np.resize(np.flatnonzero(~find_near(camera, lower, upper, far)), boxes)
+    centre, half = 0.5 * (lower + upper)[asked] - camera.position, 0.5 * (upper - lower)[asked]
+    times = []
+    with rhi.create_device(BACKEND) as device:
+        depth = OccluderDepth(device, scene, OCCLUDERS, boxes)
+        for _ in range(rounds + 3):  # the first ones compile
+            begin = time.perf_counter()
+            depth.render(camera, chosen, size)
+            device.finish()
+            built = time.perf_counter()
+            shown = depth.find_shown(centre, half)
+            times.append((built - begin, time.perf_counter() - built))
+        depth.destroy()
+    build, test = 1e3 * np.median(times[3:], axis=0)
+    return {
+        "path": path,
+        "occluders": len(chosen),
+        "triangles": scene.count_triangles(chosen),
+        "boxes": boxes,
+        "hidden_share": round(1.0 - float(shown.mean()), 3),
+        "depth_milliseconds": round(float(build), 3),
+        "test_milliseconds": round(float(test), 3),
+    }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--scene", default="city", help="one with paths (default: %(default)s)")
+    parser.add_argument("--boxes", type=int, default=10_000, help="to test at once (default: %(default)s)")
+    parser.add_argument(
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="(default: 960x540)"
+    )
+    parser.add_argument("--rounds", type=int, default=60, help="of each path (default: %(default)s)")
+    given = parser.parse_args()
+    scene = load_scene(given.scene)
+    rows = [measure(scene, path, given.boxes, given.size, given.rounds) for path in ("ground", "sky")]
+    if given.json:
+        print(json.dumps({"target_milliseconds": TARGET, "rows": rows}, indent=2))
+        return 0
+    for row in rows:
+        print("  ".join(f"{key} {value}" for key, value in row.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

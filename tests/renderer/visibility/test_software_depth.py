@@ -1,0 +1,208 @@
+"""Occluders in depth on a device of their own: what they hide isn't drawn, and no pixel is lost.
+
+The hard cases, which all algorithms share, are in `test_hard_cases`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from occlusion_scenes import (
+    SIZE,
+    WALL,
+    cameras,
+    count_wrong_pixels,
+    draw_with,
+    look,
+    make_boxes,
+    scenes,
+    visible,
+    walk,
+)
+
+import rhi
+from renderer.renderer import Renderer
+from renderer.scene import Camera, Depth, Perspective, Scene, load_scene
+from renderer.visibility import (
+    FrustumCulling,
+    NoCulling,
+    SoftwareDepth,
+    find_visible_objects,
+    list_algorithms,
+    make_visibility,
+)
+from renderer.visibility.occluder_depth import OccluderDepth
+from renderer.visibility.software_depth import can_rasterise
+from rhi import ValidationError
+
+ORIGIN = (0.0, 0.0, 0.0)
+FRONT = look(ORIGIN, WALL).with_aspect(SIZE[0] / SIZE[1])
+
+
+@pytest.fixture(autouse=True)
+def opencl() -> None:
+    if not can_rasterise():
+        pytest.skip("no OpenCL device here")
+
+
+@pytest.fixture(scope="module")
+def cl() -> Iterator[rhi.Device]:
+    with rhi.create_device("cl") as device:
+        yield device
+
+
+@pytest.fixture(scope="module")
+def city() -> Scene:
+    return load_scene("city:blocks=8,detail=2")
+
+
+def walled(*more: tuple[float, float, float], wall: float = 30.0) -> Scene:
+    """A wall so wide, and small boxes."""
+    scene = make_boxes([WALL, *more], [(wall, wall, 0.1)] + [(0.5, 0.5, 0.5)] * len(more))
+    scene.objects.mesh[:] = 0
+    return scene
+
+
+@pytest.mark.parametrize("path", ["ground", "sky"])
+def test_a_walk_looks_as_without_culling(device: rhi.Device, city: Scene, path: str) -> None:
+    algorithm = SoftwareDepth(city)
+    assert count_wrong_pixels(device, city, algorithm, walk(city, path, range(600, 648, 4))) == [0] * 12
+    algorithm.destroy()
+
+
+def test_moving_objects_hide_where_they_are(device: rhi.Device) -> None:
+    # Two walls that change places: the one that hides is the one in front now.
+    scene = make_boxes(
+        [(0.0, 0.0, -5.0), (0.0, 0.0, -9.0)], [(20.0, 20.0, 0.1), (4.0, 4.0, 0.1)],
+        motion=lambda seconds: (0.0, 0.0, -8.0 * seconds), moving=(0,),
+    )  # fmt: skip
+    scene.objects.mesh[:] = 0
+    algorithm = SoftwareDepth(scene)
+    with Renderer(device, scene, size=SIZE) as renderer:
+        drawn = [visible(draw_with(renderer, algorithm, FRONT, seconds)) for seconds in (0.0, 1.0, 0.0)]
+    assert drawn == [{0}, {0, 1}, {0}]
+    algorithm.destroy()
+
+
+def test_what_a_wall_hides_is_not_drawn_in_the_first_frame(device: rhi.Device) -> None:
+    scene = walled(*((x, y, -9.0) for x in (-1, 0, 1) for y in (-1, 0, 1)), (0.0, 0.0, -3.0))
+    algorithm = SoftwareDepth(scene)
+    with Renderer(device, scene, size=SIZE) as renderer:
+        assert visible(draw_with(renderer, algorithm, FRONT)) == {0, 10}
+    algorithm.destroy()
+
+
+def test_nothing_but_the_scenes_draw_reaches_the_renderers_device(null: rhi.Device) -> None:
+    scene = walled((0.0, 0.0, -9.0), (0.0, 0.0, -3.0))
+    streams = []
+    for algorithm in (SoftwareDepth(scene), FrustumCulling(scene)):
+        with Renderer(null, scene, size=SIZE) as renderer:
+            draw_with(renderer, algorithm, FRONT)
+            null.stream.clear()
+            result = draw_with(renderer, algorithm, FRONT)
+            streams.append([command.op for command in null.stream])
+            if isinstance(algorithm, SoftwareDepth):
+                assert visible(result) == {0, 2}
+                assert result.statistics.queries == 0
+        algorithm.destroy()
+    assert streams[0] == streams[1]
+
+
+@pytest.mark.parametrize("direction", Depth)
+@pytest.mark.parametrize("size", [(1, 1), (2, 3), (63, 34), (257, 31)])
+def test_any_size_and_direction_of_depth_will_do(
+    device: rhi.Device, city: Scene, size: tuple[int, int], direction: Depth
+) -> None:
+    lens = Perspective(near=0.2, far=2000.0, depth=direction)
+    shots = [(camera.with_projection(lens), s) for camera, s in walk(city, "ground", range(600, 632, 8))]
+    algorithm = SoftwareDepth(city)
+    assert count_wrong_pixels(device, city, algorithm, shots, size) == [0] * 4
+    algorithm.destroy()
+
+
+@settings(max_examples=15, deadline=None)
+@given(scenes(), st.lists(cameras(), min_size=1, max_size=3), st.integers(1, 8))
+def test_whatever_occludes_no_pixel_is_lost(scene: Scene, eyes: list[Camera], occluders: int) -> None:
+    algorithm = SoftwareDepth(scene, occluders=occluders)
+    with rhi.create_device("cl") as device:
+        assert not any(count_wrong_pixels(device, scene, algorithm, [(eye, 0.0) for eye in eyes]))
+    algorithm.destroy()
+
+
+@pytest.mark.parametrize(("pixels", "shows"), [(0.9, True), (2.1, False)])
+def test_a_box_shows_unless_what_hides_it_reaches_a_pixel_further(
+    cl: rhi.Device, pixels: float, shows: bool
+) -> None:
+    # The wall ends at x = 0, between pixels; the box ends so many pixels before that, as the camera sees it.
+    scene = make_boxes([(-10.0, 0.0, -5.0)], [(20.0, 40.0, 0.1)])
+    camera = look(ORIGIN, WALL).with_aspect(2.0)
+    depth = OccluderDepth(cl, scene, 1, 1)
+    depth.render(camera, np.array([0]), (128, 64))
+    metres = 9.9 * pixels * 2.0 / 128 / camera.projection.matrix[0, 0]
+    centre, half = np.array([[-metres - 0.1, 0.0, -10.0]]), np.array([[0.1, 0.1, 0.1]])
+    assert depth.find_shown(centre, half).tolist() == [shows]
+    depth.destroy()
+
+
+@pytest.mark.parametrize(("distance", "shows"), [(4.9, True), (5.3, False)])
+def test_a_box_in_front_of_the_wall_shows_and_one_behind_it_does_not(
+    cl: rhi.Device, distance: float, shows: bool
+) -> None:
+    depth = OccluderDepth(cl, walled(), 1, 300)
+    depth.render(FRONT, np.array([0]), SIZE)
+    centre = np.tile([0.0, 0.0, -distance], (300, 1))
+    assert depth.find_shown(centre, np.full((300, 3), 0.1)).tolist() == [shows] * 300
+    depth.render(FRONT, np.zeros(0, np.int64), SIZE)
+    assert depth.find_shown(centre, np.full((300, 3), 0.1)).all(), "nothing hides"
+    assert depth.find_shown(centre[:0], centre[:0]).tolist() == []
+    depth.destroy()
+
+
+def test_the_largest_occlude_near_first() -> None:
+    scene = make_boxes(
+        [(0.0, 0.0, -20.0), WALL, (0.0, 0.0, -10.0), (1.0, 0.0, -4.0)],
+        [(9.0,) * 3, (2.5,) * 3, (6.0,) * 3, (0.01,) * 3],
+    )
+    everything = np.arange(4)
+    for occluders, expected in ((1, [2]), (2, [1, 2]), (4, [1, 2, 0])):
+        algorithm = SoftwareDepth(scene, occluders=occluders)
+        assert algorithm.choose_occluders(FRONT, everything).tolist() == expected
+        algorithm.destroy()
+
+
+def test_what_is_simulated_occludes_nothing() -> None:
+    hall = load_scene("hall:columns=4,rows=2,flags=0,fountains=3")
+    algorithm = SoftwareDepth(hall)
+    sprays = np.concatenate([one.objects for one in hall.simulated])
+    eye = hall.objects.lower[sprays[0]]
+    assert len(algorithm.choose_occluders(Camera.look_at(eye, eye + 1.0), sprays)) == 0
+    assert len(algorithm.choose_occluders(Camera.look_at(eye, eye + 1.0), np.arange(len(hall.objects)))) > 0
+    algorithm.destroy()
+
+
+def test_it_is_listed_where_something_is_drawn(gl: rhi.Device, null: rhi.Device) -> None:
+    assert "software_depth" in list_algorithms(gl)
+    assert "software_depth" not in list_algorithms(null)
+
+
+def test_without_a_renderers_pass_it_refuses(null: rhi.Device) -> None:
+    algorithm = make_visibility("software_depth", walled(), null)
+    with pytest.raises(ValidationError, match="visibility-no-scene-pass"):
+        find_visible_objects(algorithm, FRONT)
+    algorithm.destroy()
+
+
+def test_on_a_walk_most_of_what_is_hidden_is_not_drawn(cl: rhi.Device, city: Scene) -> None:
+    algorithm, frustum, none = SoftwareDepth(city), FrustumCulling(city), NoCulling(city)
+    counts = []
+    with Renderer(cl, city, size=(320, 180)) as renderer:
+        for camera, _ in walk(city, "ground", range(300, 320, 5)):
+            counts.append(
+                [len(draw_with(renderer, one, camera).visible) for one in (algorithm, frustum, none)]
+            )
+    total = np.sum(counts, axis=0)
+    assert total[0] < 0.6 * total[1] < 0.6 * total[2]
+    algorithm.destroy()
