@@ -5,7 +5,8 @@
 - An occlusion query's answer is the sum of its segments; a COUNTER's is that of all segments up to it, while there are
   COUNTER queries. An answer is there when the batch that holds its last segment's draws is done, and is then read
   without waiting.
-- Counters come from pages, zero at first; a page is zeroed and used again when nobody needs its segments any more.
+- Counters come from pages, zero at first; a page's memory is zeroed and used again when nobody needs its segments any
+  more.
 """
 
 from __future__ import annotations
@@ -27,57 +28,63 @@ __rhi_internal__ = True
 _PAGE_COUNTERS: Final = 512
 
 
-class _Page:
-    """Counters; `needed` segments live on it, the last of them in batch `batch`."""
+class _Memory:
+    """Counters' memory; what was added to it last came before the end of batch `batch`."""
 
-    __slots__ = ("address", "batch", "host", "memory", "needed", "queue", "shared", "used")
+    __slots__ = ("_buffer", "_host", "_queue", "_shared", "address", "batch", "words")
 
     def __init__(self, context: Context, addresses: Addresses) -> None:
-        self.host = allocate_pages(8 * _PAGE_COUNTERS).view(np.uint64)
-        self.shared = context.shares_memory
-        share = cl.mem_flags.USE_HOST_PTR if self.shared else cl.mem_flags.COPY_HOST_PTR
-        self.memory = cl.Buffer(context.context, cl.mem_flags.READ_WRITE | share, hostbuf=self.host)
-        self.address = addresses.find(self.memory)
-        self.queue = addresses.queue  # one that doesn't stand behind draws
-        self.used = self.needed = self.batch = 0
+        self._host = allocate_pages(8 * _PAGE_COUNTERS).view(np.uint64)
+        self.words = self._host.data
+        self._shared = context.shares_memory
+        share = cl.mem_flags.USE_HOST_PTR if self._shared else cl.mem_flags.COPY_HOST_PTR
+        self._buffer = cl.Buffer(context.context, cl.mem_flags.READ_WRITE | share, hostbuf=self._host)
+        self.address = addresses.find(self._buffer)
+        self._queue = addresses.queue  # one that doesn't stand behind draws
+        self.batch = 0
 
-    def read(self, place: int) -> int:
-        if not self.shared:
-            cl.enqueue_copy(self.queue, self.host, self.memory)
-        return int(self.host[place])
+    def fetch(self) -> None:
+        """Bring `words` up to date."""
+        if not self._shared:
+            cl.enqueue_copy(self._queue, self._host, self._buffer)
 
     def clear(self) -> None:
-        self.host[:] = 0
-        if not self.shared:
-            cl.enqueue_copy(self.queue, self.memory, self.host)
+        self._host[:] = 0
+        if not self._shared:
+            cl.enqueue_copy(self._queue, self._buffer, self._host)
+
+
+class _Page:
+    """The use of some memory by segments, each of which holds its page: when the last one goes, so does the page."""
+
+    __slots__ = ("_counters", "memory", "used")
+
+    def __init__(self, counters: Counters, memory: _Memory) -> None:
+        self._counters = counters
+        self.memory = memory
         self.used = 0
+
+    def __del__(self) -> None:
+        self._counters.give_back(self.memory)
 
 
 class Segment:
-    """Draws whose samples are counted together."""
+    """Draws whose samples are counted together; kernels add to `address`."""
 
-    __slots__ = ("_counters", "_page", "_place", "batch")
+    __slots__ = ("_page", "_place", "address", "batch")
 
-    def __init__(self, counters: Counters, page: _Page) -> None:
-        self._counters = counters
+    def __init__(self, page: _Page, batch: int) -> None:
         self._page = page
         self._place = page.used
-        self.batch = 0
+        self.address = page.memory.address + 8 * page.used
+        self.batch = batch
         page.used += 1
-        page.needed += 1
 
-    def __del__(self) -> None:
-        self._page.needed -= 1
-        self._page.batch = max(self._page.batch, self._counters.gathering)
-
-    @property
-    def address(self) -> int:
-        """Where kernels add to it."""
-        return self._page.address + 8 * self._place
-
-    def read(self) -> int | None:
-        """The samples, or None while its draws aren't done."""
-        return self._page.read(self._place) if self._counters.is_done(self.batch) else None
+    def read(self) -> int:
+        """The samples, once the batch is done."""
+        memory = self._page.memory
+        memory.fetch()
+        return memory.words[self._place]
 
 
 class _Query:
@@ -107,7 +114,7 @@ class Counters:
         self._count_into = count_into
         self._flush = flush
         self._is_gathering = is_gathering
-        self._pages: list[_Page] = []
+        self._free: list[_Memory] = []
         self._page: _Page | None = None
         self.gathering = 1
         self._done = 0
@@ -128,6 +135,8 @@ class Counters:
 
     def is_done(self, batch: int) -> bool:
         """Whether a batch is done; never waits."""
+        if batch <= self._done:
+            return True
         batches = self._batches
         while batches and is_done(batches[0][1]):
             self._done = batches.popleft()[0]
@@ -173,8 +182,9 @@ class Counters:
             self._add_up()
             answer = made.total[0]
         else:
-            counts = [segment.read() for segment in made.segments]
-            answer = None if not counts or None in counts else sum(filter(None, counts))
+            segments = made.segments
+            is_there = segments and self.is_done(segments[-1].batch)
+            answer = sum([segment.read() for segment in segments]) if is_there else None
         if answer is None:
             self._flush()
         return answer
@@ -195,39 +205,44 @@ class Counters:
 
     def _cut(self, total: list[int | None] | None) -> None:
         """End the segment that runs, and begin another one if anybody counts."""
-        ended, self._segment = self._segment, None
+        ended, active, takers = self._segment, self._active, self._takers
         if ended is not None:
             ended.batch = self.gathering if self._is_gathering() else self.gathering - 1
-        if self._takers and (ended is not None or total is not None):
+        if takers and (ended is not None or total is not None):
             self._chain.append((ended, total or [None]))
-        if self._active is not None or self._takers:
-            self._segment = self._make()
-            if self._active is not None:
-                self._active.segments.append(self._segment)
-        self._count_into(self._segment.address if self._segment is not None else 0)
+        if active is None and not takers:
+            self._segment = None
+            self._count_into(0)
+            return
+        begun = self._segment = self._make()
+        if active is not None:
+            active.segments.append(begun)
+        self._count_into(begun.address)
 
     def _add_up(self) -> None:
         while self._chain:
             segment, total = self._chain[0]
-            count = 0 if segment is None else segment.read()
-            if count is None:
-                return
-            self._passed += count
+            if segment is not None:
+                if not self.is_done(segment.batch):
+                    return
+                self._passed += segment.read()
             total[0] = self._passed
             self._chain.popleft()
 
     def _make(self) -> Segment:
-        if self._page is None or self._page.used == _PAGE_COUNTERS:
-            self._page = self._find_page()
-        segment = Segment(self, self._page)
-        segment.batch = self.gathering
-        return segment
+        page = self._page
+        if page is None or page.used == _PAGE_COUNTERS:
+            page = self._page = _Page(self, self._find_memory())
+        return Segment(page, self.gathering)
 
-    def _find_page(self) -> _Page:
-        for page in self._pages:
-            if not page.needed and self.is_done(page.batch):
-                page.clear()
-                return page
-        page = _Page(self._context, self._addresses)
-        self._pages.append(page)
-        return page
+    def _find_memory(self) -> _Memory:
+        for place, memory in enumerate(self._free):
+            if self.is_done(memory.batch):
+                memory.clear()
+                return self._free.pop(place)
+        return _Memory(self._context, self._addresses)
+
+    def give_back(self, memory: _Memory) -> None:
+        """No segment needs it; draws gathered until now may still add to it."""
+        memory.batch = self.gathering
+        self._free.append(memory)

@@ -2,6 +2,7 @@
 
 - A draw is a row of 64-bit words in one flat array: its prepared part (`PreparedDraws`), instances, view, counter,
   condition, and what is bound. Consecutive draws of one pass and pipeline make a batch, whatever they bind.
+- What draws have in common stands in the table that kernels are given from `begin` on; a batch fills in the rest.
 - `flush` turns the rows into the tables of kernels/common.cl by NumPy, whole columns at a time, and launches vertex,
   set-up, binning and raster kernels. Whoever enqueues something else flushes first.
 - Batches of many vertices or primitives go in pieces and slices, which bounds the memory in flight: a slice's records
@@ -129,12 +130,14 @@ class Batch:
         self._queue = context.queue
         self.prepared = PreparedDraws()
         self.rows = array("Q")
-        self.views: list[NDArray[Any]] = []
+        self.views: list[bytes] = []
         self.pipeline: Pipeline | None = None
         self.target: Target | None = None
         self.vertex: Kernel | None = None
         self.raster: Kernel | None = None
-        self._key: MergerKey | None = None
+        self._table = np.zeros((), BATCH)
+        self._places = b""  # where the target's planes begin in their memory
+        self._room = 0, 0  # vertices and primitives that the table's scratch memory is for
         self._streams = 0
         self._width = FIXED_COLUMNS
         self._geometry: Geometry | None = None
@@ -146,8 +149,22 @@ class Batch:
     ) -> None:
         """What the next draws have in common. The batch is empty."""
         self.pipeline, self.target, self.vertex, self._streams = pipeline, target, vertex, streams
-        self.raster, self._key = raster, key
+        self.raster = raster
         self._width = FIXED_COLUMNS + pipeline.starts[-1]
+        planes = target.planes_of(key)
+        tiles_x, tiles_y = (-(-size // TILE) for size in target.size)
+        table = self._table = np.zeros((), BATCH)
+        table["row_words"] = pipeline.starts[-1] + streams
+        table["surfaces"][: len(planes)] = [plane[0] for plane in planes]
+        self._places = np.array([plane[1:] for plane in planes] or [(0, 0, 0)], np.uint64).tobytes()
+        table["vertex_chunk"] = _VERTEX_CHUNK
+        table["width"], table["height"] = target.size
+        table["tiles_x"], table["tiles"] = tiles_x, tiles_x * tiles_y
+        table["samples"], table["shades"] = key.samples, key.shades
+        table["near_is_less"] = key.depth_passes < _FIRST_GREATER
+        varyings = pipeline.descriptor.varyings
+        table["linear"] = any(varying.interpolation is Interpolation.NO_PERSPECTIVE for varying in varyings)
+        self._room = 0, 0
 
     def flush(self) -> cl.Event | None:
         """Rasterise what was gathered. The event is that of the last kernel.
@@ -158,20 +175,22 @@ class Batch:
         """
         if not self.rows:
             return None
-        rows = np.frombuffer(self.rows, np.uint64).reshape(-1, self._width).copy()
-        views = np.stack(self.views)
+        rows = np.frombuffer(self.rows.tobytes(), np.uint64).reshape(-1, self._width)
+        views = b"".join(self.views)
         del self.rows[:]
         self.views.clear()
         places = rows[:, PREPARED].astype(np.int64)
         draws, streams = self.prepared.draws[places], self.prepared.streams[places, : self._streams]
         self.prepared.recycle()
-        groups = np.cumsum(draws["vertex_groups"] * rows[:, INSTANCES].astype(np.int64))
+        numbered = _number_groups(rows, draws)
+        groups = numbered["vertex_group"][1:]
         if groups[-1] <= _PIECE_GROUPS:
-            event = self._draw(rows, draws, streams, views)
+            event = self._draw(rows, numbered, streams, views)
         else:
             event = None
             for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(groups // _PIECE_GROUPS)) + 1):
-                event = self._draw(rows[part], draws[part], streams[part], views) or event
+                numbered = _number_groups(rows[part], draws[part])
+                event = self._draw(rows[part], numbered, streams[part], views) or event
         if event is not None:
             self._uploads.release(event)
             assert self.pipeline is not None
@@ -180,44 +199,29 @@ class Batch:
         return event
 
     def _draw(
-        self,
-        rows: NDArray[np.uint64],
-        prepared: NDArray[Any],
-        streams: NDArray[np.uint64],
-        views: NDArray[Any],
+        self, rows: NDArray[np.uint64], draws: NDArray[Any], streams: NDArray[np.uint64], views: bytes
     ) -> cl.Event | None:
         """One piece: its vertices all at once, its primitives slice by slice."""
-        assert self.pipeline is not None
-        assert self.target is not None
-        assert self._key is not None
-        key, target = self._key, self.target
-        draws = _number_groups(rows, prepared)
         vertex_groups, groups = int(draws["vertex_group"][-1]), int(draws["primitive_group"][-1])
         if not groups:
             return None
-        bound = self._count_elements(rows[:, FIXED_COLUMNS:])
-        bound = np.concatenate([bound, streams], axis=1)
-        planes = target.planes_of(key)
-        tiles_x, tiles_y = (-(-size // TILE) for size in target.size)
-
-        batch, write = np.zeros((), BATCH), self._uploads.write
-        batch["draws"], batch["views"], batch["draw_count"] = write(draws), write(views), len(rows)
-        batch["rows"], batch["row_words"] = write(bound), bound.shape[1]
-        batch["surfaces"][: len(planes)] = [plane[0] for plane in planes]
-        batch["places"] = write(np.array([plane[1:] for plane in planes] or [(0, 0, 0)], np.uint64))
-        batch["vertex_groups"], batch["vertex_chunk"] = vertex_groups, _VERTEX_CHUNK
-        batch["width"], batch["height"] = target.size
-        batch["tiles_x"], batch["tiles"] = tiles_x, tiles_x * tiles_y
-        batch["samples"], batch["shades"] = key.samples, key.shades
-        batch["near_is_less"] = key.depth_passes < _FIRST_GREATER
-        varyings = self.pipeline.descriptor.varyings
-        batch["linear"] = any(varying.interpolation is Interpolation.NO_PERSPECTIVE for varying in varyings)
-        self._reserve(batch, vertex_groups * GROUP, min(groups, _SLICE_GROUPS) * GROUP)
-        return self._launch(batch, vertex_groups, groups)
+        bound = np.concatenate([rows[:, FIXED_COLUMNS:], streams], axis=1)
+        self._count_elements(bound)
+        tables = draws.tobytes(), bound.tobytes(), self._places, views
+        address = self._uploads.write(b"".join(tables))
+        table = self._table
+        table["draw_count"], table["vertex_groups"] = len(rows), vertex_groups
+        for name, part in zip(("draws", "rows", "places", "views"), tables, strict=True):
+            table[name] = address
+            address += len(part)
+        self._reserve(table, vertex_groups * GROUP, min(groups, _SLICE_GROUPS) * GROUP)
+        return self._launch(table, vertex_groups, groups)
 
     def _reserve(self, batch: NDArray[Any], vertices: int, primitives: int) -> None:
         """Scratch memory for a piece's vertices and a slice's primitives."""
         assert self.pipeline is not None
+        if self._room == (vertices, primitives):
+            return
         tiles, listed = int(batch["tiles"]), max(_LIST_WORDS, primitives * _LISTED_PER_PRIMITIVE)
         sizes = {
             "positions": 16 * vertices,
@@ -235,6 +239,7 @@ class Batch:
         for name, size in sizes.items():
             batch[name] = self._pools[name].reserve(size)
         batch["list_size"] = listed
+        self._room = vertices, primitives
 
     def _launch(self, batch: NDArray[Any], vertex_groups: int, groups: int) -> cl.Event | None:
         """All kernels of a piece; the event is that of the last one."""
@@ -250,7 +255,7 @@ class Batch:
             batch["first_group"], batch["end_group"] = first, end
             batch["chunk_groups"], batch["chunks"] = chunk, chunks
             batch["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
-            place = self._uploads.write(batch.reshape(1))
+            place = self._uploads.write(batch.tobytes())
             if first == 0:
                 self.vertex.launch(queue, place, -(-vertex_groups // _VERTEX_CHUNK))
             geometry.set_up.launch(queue, place, chunks)
@@ -260,28 +265,23 @@ class Batch:
             event = self.raster.launch(queue, place, tiles)
         return event
 
-    def _count_elements(self, bound: NDArray[np.uint64]) -> NDArray[np.uint64]:
-        """Rows of what is bound, with the number of a storage's elements where the size was."""
+    def _count_elements(self, bound: NDArray[np.uint64]) -> None:
+        """Put the number of a storage's elements where its size is, in rows of what is bound."""
         assert self.pipeline is not None
         for binding, at in zip(self.pipeline.descriptor.bindings, self.pipeline.starts, strict=False):
             if binding.kind is BindingKind.STORAGE:
                 bound[:, at + 1] //= np.uint64(max(1, binding.size))
-        return bound
 
 
 def _number_groups(rows: NDArray[np.uint64], prepared: NDArray[Any]) -> NDArray[Any]:
     """The table of draws; the last row is where groups end."""
     draws = np.zeros(len(rows) + 1, DRAW)
     draws[:-1] = prepared
-    for name, column in (
-        ("view", VIEW),
-        ("samples", SAMPLES),
-        ("condition", CONDITION),
-        ("inverted", INVERTED),
-    ):
-        draws[name][:-1] = rows[:, column]
+    numbered = draws[:-1]
+    numbered["view"], numbered["samples"] = rows[:, VIEW], rows[:, SAMPLES]
+    numbered["condition"], numbered["inverted"] = rows[:, CONDITION], rows[:, INVERTED]
+    numbered["row"] = np.arange(len(rows))
     instances = rows[:, INSTANCES].astype(np.int64)
     draws["vertex_group"][1:] = np.cumsum(prepared["vertex_groups"] * instances)
     draws["primitive_group"][1:] = np.cumsum(prepared["primitive_groups"] * instances)
-    draws["row"][:-1] = np.arange(len(rows))
     return draws

@@ -15,7 +15,6 @@ from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
-from numpy.typing import NDArray
 
 from rhi.backends.cl.context import Context, allocate_pages
 
@@ -121,10 +120,11 @@ class Pool:
 
 
 class _Page:
-    __slots__ = ("address", "event", "host", "memory", "used")
+    __slots__ = ("address", "bytes", "event", "host", "memory", "used")
 
     def __init__(self, context: Context, addresses: Addresses, size: int) -> None:
         self.host = allocate_pages(size)
+        self.bytes = self.host.data
         flags = cl.mem_flags.READ_WRITE
         if context.shares_memory:
             self.memory = cl.Buffer(context.context, flags | cl.mem_flags.USE_HOST_PTR, hostbuf=self.host)
@@ -144,10 +144,9 @@ class Uploads:
         self._page = self._make(_PAGE)
         self._waiting: list[_Page] = []
 
-    def write(self, table: NDArray[Any]) -> int:
+    def write(self, table: bytes) -> int:
         """Put a table where kernels find it; gives its address. It stays until `release` is told an event."""
-        source = table.reshape(-1).view(np.uint8)
-        size = -(-(len(source) + _SLACK) // _ALIGN) * _ALIGN
+        size = -(-(len(table) + _SLACK) // _ALIGN) * _ALIGN
         if self._page.used + size > len(self._page.host):
             self._page.event = None  # the next one covers it whole
             self._waiting.append(self._page)
@@ -155,9 +154,9 @@ class Uploads:
         page = self._page
         start = page.used
         page.used += size
-        page.host[start : start + len(source)] = source
+        page.bytes[start : start + len(table)] = table
         if not self._context.shares_memory:
-            view = page.host[start : start + len(source)]
+            view = page.host[start : start + len(table)]
             cl.enqueue_copy(self._context.queue, page.memory, view, dst_offset=start, is_blocking=False)
         return page.address + start
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from contextlib import suppress
 from typing import Final
 
 import pyopencl as cl
@@ -18,6 +19,7 @@ from rhi.backends.cl.resources import Staging
 from rhi.descriptors import Id, QueryKind
 from rhi.errors import DeviceError
 from rhi.rules import DEVICE_LOST
+from rhi.timeline import FOREVER
 
 __rhi_internal__ = True
 
@@ -60,11 +62,16 @@ class Fence:
         return self._value
 
     def wait(self, value: int, seconds: float) -> bool:
-        """Until `value` is reached, for at most `seconds`. OpenCL's own wait has no limit, so this one naps."""
+        """Until `value` is reached, for at most `seconds`. OpenCL's own wait wakes up soonest but knows no limit, so
+        it does the waits that have none, and others nap."""
         if self.poll() >= value:
             return True
         if not self._pending or self._pending[-1][0] < value:
             return False  # nobody will ever signal it
+        if seconds >= FOREVER:
+            with suppress(cl.Error):  # of a command that failed; the poll says so
+                next(event for signalled, event, _ in self._pending if signalled >= value).wait()
+            return self.poll() >= value
         end = time.monotonic() + seconds
         nap = _FIRST_NAP
         while self.poll() < value:

@@ -161,7 +161,7 @@ class Rasteriser:
         self._device_wrote: set[Id] = set()
         self._bound: list[int] = [0] * (FIXED_COLUMNS + 2 * sum(_SLOTS.values()))
         self._slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
-        self._memo: dict[object, tuple[MergerKey, Kernel, NDArray[Any]]] = {}
+        self._memo: dict[object, tuple[MergerKey, Kernel, bytes]] = {}
         self._program: _Program | None = None
         self._target: Target | None = None
         self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
@@ -429,7 +429,7 @@ class Rasteriser:
             if len(self._memo) == _MAX_MEMO:
                 self._memo.clear()
             merger = make_key(program.descriptor, self.values, colors, depth, target.samples)
-            view = make_view(self.values, target.size, colors, depth)
+            view = make_view(self.values, target.size, colors, depth).tobytes()
             known = self._memo[key] = merger, program.pipeline.find_raster(merger), view
         merger, raster, view = known
         if batch.raster is not raster or batch.vertex is not array.kernel or batch.target is not target:

@@ -307,7 +307,7 @@ def test_counters_are_used_again(device: Device) -> None:
                 with device.render_pass(image), query:
                     device.draw(device.program(Colored), mesh)
             assert query.wait() == 16
-    assert len(counters._pages) <= 3
+    assert 1 <= len(counters._free) <= 2
 
 
 def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:

@@ -9,6 +9,7 @@ from cl_kit import SPIN, ClKit, describe_program
 
 from rhi.backends.cl.queries import is_done
 from rhi.errors import DeviceError
+from rhi.timeline import FOREVER
 
 
 @pytest.fixture
@@ -32,6 +33,21 @@ def test_a_fence_behind_running_work_is_neither_passed_nor_waited_for(busy_kit: 
     assert not backend.wait(2, 0.001)
     assert time.monotonic() - start < 0.05
     assert backend.wait(2, 10.0)
+    assert backend.completed() == 2
+
+
+def test_a_wait_without_a_limit_ends_at_its_own_value(
+    busy_kit: ClKit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = busy_kit.backend
+    for value in (1, 2):
+        backend.dispatch(1, 1, 1)
+        backend.signal(value)
+    with monkeypatch.context() as patch:
+        patch.delattr(time, "sleep")  # no naps, which are late
+        assert backend.wait(1, FOREVER)
+        assert backend.completed() == 1
+        assert backend.wait(2, FOREVER)
     assert backend.completed() == 2
 
 
