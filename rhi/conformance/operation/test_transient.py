@@ -128,13 +128,13 @@ def test_a_ring_that_grows_keeps_what_was_given_out_alive(fresh_device: Device) 
 
 def test_rings_settle_at_what_their_frames_need(fresh_device: Device) -> None:
     device = fresh_device
-    sizes = []
-    for _ in range(30):
+    for _ in range(100):
         for index in range(300):
             device.transient.uniform(Tint(color=(index, 0, 0, 0)))
         device.present()
-        sizes.append(device.transient.capacity)
-    assert sizes[-1] == sizes[10], sizes
+    # Two frames in flight and the one being written; a ring doubles, and may waste its end.
+    frame = 300 * max(16, device.capabilities.uniform_alignment)
+    assert device.transient.capacity <= 4 * max(3 * frame, 1 << 16)
 
 
 # -- vertices ----------------------------------------------------------------------------------------------
