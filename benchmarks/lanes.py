@@ -417,7 +417,8 @@ def measure_front_end() -> dict[str, float]:
     for module in pkgutil.walk_packages(renderer.__path__, "renderer."):
         if not module.name.endswith("__main__"):
             for value in vars(importlib.import_module(module.name)).values():
-                if isinstance(value, type) and issubclass(value, Shader) and value.__module__ == module.name:
+                is_own = isinstance(value, type) and issubclass(value, Shader) and value.__module__ == module.name
+                if is_own and (hasattr(value, "vertex") or hasattr(value, "compute")):  # else the base of some
                     shaders.append(value)
     started = time.process_time()
     for shader in shaders:
