@@ -8,6 +8,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NoReturn
 
+import rhi
+from renderer.visibility import Settings
+
 
 class Parser(argparse.ArgumentParser):
     """An argument parser whose errors are one line."""
@@ -32,14 +35,58 @@ def add_command(
     return parser
 
 
+def add_scene(parser: Parser) -> None:
+    """`SCENE`."""
+    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+
+
+def add_backend(parser: Parser) -> None:
+    """`--backend NAME`."""
+    parser.add_argument(
+        "--backend",
+        metavar="NAME",
+        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
+    )
+
+
+def add_size(parser: Parser, size: tuple[int, int] = (960, 540), what: str = "of the image") -> None:
+    """`--size WxH`."""
+    help = f"{what} (default: {size[0]}x{size[1]})"
+    parser.add_argument("--size", type=parse_size, default=size, metavar="WxH", help=help)
+
+
+def add_walk(parser: Parser, what: str) -> None:
+    """`--camera-path PATH`, `--frame N` and `--frames N`, which says how many frames do `what`."""
+    parser.add_argument(
+        "--camera-path",
+        default="ground",
+        metavar="PATH",
+        help="ground, sky, or the .json file of a walk-through (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--frame",
+        type=parse_frame,
+        metavar="N",
+        help="first frame, 60 a second (default: so that the frames lie around the path's middle)",
+    )
+    parser.add_argument(
+        "--frames", type=parse_count, default=60, metavar="N", help=f"{what} (default: %(default)s)"
+    )
+
+
 def add_settings(parser: Parser) -> None:
-    """`--settings FILE`."""
+    """`--settings FILE`; `load_settings` reads it."""
     parser.add_argument(
         "--settings",
         type=Path,
         metavar="F.json",
         help="numbers of the visibility algorithms, as `tune` finds them (default: b=50, n=20)",
     )
+
+
+def load_settings(given: argparse.Namespace) -> Settings:
+    """What `--settings` names, or the defaults."""
+    return Settings() if given.settings is None else Settings.load(given.settings)
 
 
 def parse_size(text: str) -> tuple[int, int]:

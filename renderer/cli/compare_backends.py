@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.arguments import add_command, add_scene, add_size, parse_count, parse_frame
 from renderer.cli.output import note, prepare_image, show_progress
 from renderer.measure import format_table
 from renderer.measure.backends import PASSES, BackendRow, compare_backends
@@ -33,7 +33,7 @@ def add_to(subjects: Any) -> None:
     parser = add_command(
         subjects, "backends", run, "compare what a scene's passes cost on each backend", _EXAMPLES
     )
-    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+    add_scene(parser)
     parser.add_argument(
         "--passes",
         type=_parse_passes,
@@ -57,9 +57,7 @@ def add_to(subjects: Any) -> None:
     parser.add_argument(
         "--rounds", type=parse_count, default=15, metavar="N", help="of each pass (default: %(default)s)"
     )
-    parser.add_argument(
-        "--size", type=parse_size, default=(1280, 720), metavar="WxH", help="of the image (default: 1280x720)"
-    )
+    add_size(parser, (1280, 720))
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="draw times as a chart")
 

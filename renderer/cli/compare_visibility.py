@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from renderer.cli.arguments import add_command, add_settings, parse_count, parse_frame, parse_size
+from renderer.cli.arguments import (
+    add_backend,
+    add_command,
+    add_scene,
+    add_settings,
+    add_size,
+    add_walk,
+    load_settings,
+    parse_count,
+    parse_frame,
+)
 from renderer.cli.output import note, prepare_image, show_progress
 from renderer.measure import format_table, measure_frame
 from renderer.renderer import FrameResult, Renderer
@@ -21,7 +31,6 @@ from renderer.scene import FRAMES_PER_SECOND, CameraPath, Simulator, find_path, 
 from renderer.visibility import (
     ALGORITHMS,
     NoCulling,
-    Settings,
     VisibilityAlgorithm,
     list_algorithms,
     make_visibility,
@@ -106,31 +115,9 @@ def add_to(subjects: Any) -> None:
     parser = add_command(
         subjects, "visibility", run, "compare visibility algorithms along a camera path", _EXAMPLES
     )
-    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
-    parser.add_argument(
-        "--camera-path",
-        default="ground",
-        metavar="PATH",
-        help="ground, sky, or the .json file of a walk-through (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--frame",
-        type=parse_frame,
-        metavar="N",
-        help="first frame, 60 a second (default: so that the frames lie around the path's middle)",
-    )
-    parser.add_argument(
-        "--frames",
-        type=parse_count,
-        default=60,
-        metavar="N",
-        help="how many frames to time (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--backend",
-        metavar="NAME",
-        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
-    )
+    add_scene(parser)
+    add_walk(parser, "how many frames to time")
+    add_backend(parser)
     parser.add_argument(
         "--algorithms",
         type=_parse_algorithms,
@@ -138,9 +125,7 @@ def add_to(subjects: Any) -> None:
         help=f"of {', '.join(ALGORITHMS)} (default: all that the device can run)",
     )
     add_settings(parser)
-    parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
-    )
+    add_size(parser)
     parser.add_argument(
         "--threshold",
         type=parse_frame,
@@ -161,7 +146,7 @@ def run(given: argparse.Namespace) -> None:
     """Measure and report."""
     if given.plot is not None:
         prepare_image(given.plot)
-    settings = Settings() if given.settings is None else Settings.load(given.settings)
+    settings = load_settings(given)
     if given.threshold is not None:
         settings = replace(settings, threshold=given.threshold)
     scene = load_scene(given.scene)

@@ -12,12 +12,20 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 import rhi
-from renderer.cli.arguments import add_command, add_settings, parse_frame, parse_size
+from renderer.cli.arguments import (
+    add_backend,
+    add_command,
+    add_scene,
+    add_settings,
+    add_size,
+    load_settings,
+    parse_frame,
+)
 from renderer.cli.output import OutputError, note, prepare_image
 from renderer.debug import COLORS, MEANINGS, Fate, find_fates, picture_from_above, picture_from_camera
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND, load_scene, parse_camera
-from renderer.visibility import ALGORITHMS, Settings, make_visibility
+from renderer.visibility import ALGORITHMS, make_visibility
 
 _EXAMPLES = """\
   python -m renderer debug visibility city --frame 900 --output culled.png
@@ -35,7 +43,7 @@ _LEGEND = 22
 def add_to(subjects: Any) -> None:
     """Add the command."""
     parser = add_command(subjects, "visibility", run, "picture what was culled and why", _EXAMPLES)
-    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
+    add_scene(parser)
     parser.add_argument(
         "--algorithm", choices=ALGORITHMS, default="chc_plus_plus", help="(default: %(default)s)"
     )
@@ -54,18 +62,8 @@ def add_to(subjects: Any) -> None:
         metavar="N",
         help="how many frames to draw before (default: %(default)s)",
     )
-    parser.add_argument(
-        "--backend",
-        metavar="NAME",
-        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
-    )
-    parser.add_argument(
-        "--size",
-        type=parse_size,
-        default=(960, 540),
-        metavar="WxH",
-        help="of each of the two pictures (default: 960x540)",
-    )
+    add_backend(parser)
+    add_size(parser, what="of each of the two pictures")
     parser.add_argument(
         "--output", type=Path, default=Path("visibility.png"), metavar="F.png", help="(default: %(default)s)"
     )
@@ -75,7 +73,7 @@ def add_to(subjects: Any) -> None:
 def run(given: argparse.Namespace) -> None:
     """Draw and write."""
     path = prepare_image(given.output)
-    settings = Settings() if given.settings is None else Settings.load(given.settings)
+    settings = load_settings(given)
     scene = load_scene(given.scene)
     frames = range(max(given.frame - given.warm_up, 0), given.frame + 1)
     cameras = [parse_camera(given.camera, scene, frame) for frame in frames]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import rhi
-from renderer.cli.arguments import add_command, parse_count, parse_size
+from renderer.cli.arguments import add_command, add_size, parse_count
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.measure import Measurement, alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
@@ -90,9 +90,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--frames", type=parse_count, default=9, metavar="N", help="frames of each path (default: 9)"
     )
-    parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the images (default: 960x540)"
-    )
+    add_size(parser, what="of the images")
 
 
 def run(given: argparse.Namespace) -> None:

@@ -9,7 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import rhi
-from renderer.cli.arguments import add_command, add_settings, parse_count, parse_frame, parse_size
+from renderer.cli.arguments import (
+    add_backend,
+    add_command,
+    add_scene,
+    add_settings,
+    add_size,
+    load_settings,
+    parse_count,
+    parse_frame,
+)
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
 from renderer.measure import FrameCost, measure_frame
 from renderer.renderer import Renderer
@@ -23,7 +32,7 @@ from renderer.scene import (
     parse_camera,
 )
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import ALGORITHMS, AutoCulling, Settings, make_visibility
+from renderer.visibility import ALGORITHMS, AutoCulling, make_visibility
 from rhi.trace import save
 
 _EXAMPLES = """\
@@ -44,12 +53,8 @@ def add_to(commands: Any) -> None:
     parser = add_command(
         commands, "render", run, "render a scene to an image and say what it cost", _EXAMPLES
     )
-    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
-    parser.add_argument(
-        "--backend",
-        metavar="NAME",
-        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
-    )
+    add_scene(parser)
+    add_backend(parser)
     parser.add_argument(
         "--technique", choices=TECHNIQUES, default="forward", help="how to draw (default: %(default)s)"
     )
@@ -69,9 +74,7 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--frames", type=parse_count, default=1, metavar="N", help="how many frames to time (default: 1)"
     )
-    parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
-    )
+    add_size(parser)
     parser.add_argument(
         "--depth",
         choices=[depth.value for depth in Depth],
@@ -89,7 +92,7 @@ def run(given: argparse.Namespace) -> None:
     """Render and report."""
     if given.output is not None:
         prepare_image(given.output)
-    settings = Settings() if given.settings is None else Settings.load(given.settings)
+    settings = load_settings(given)
     scene = load_scene(given.scene)
     cameras = [
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))

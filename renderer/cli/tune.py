@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
 import rhi
-from renderer.cli.arguments import add_command, parse_count, parse_frame, parse_size
+from renderer.cli.arguments import add_backend, add_command, add_scene, add_size, add_walk, parse_count
 from renderer.cli.output import OutputError, note, show_progress
 from renderer.measure import format_table
 from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
@@ -56,26 +56,8 @@ def add_to(commands: Any) -> None:
     parser = add_command(
         commands, "tune", run, "find the best b and n of CHC++ along a camera path", _EXAMPLES
     )
-    parser.add_argument("scene", metavar="SCENE", help="a generator (see `scenes`) or a model file")
-    parser.add_argument(
-        "--camera-path",
-        default="ground",
-        metavar="PATH",
-        help="ground, sky, or the .json file of a walk-through (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--frame",
-        type=parse_frame,
-        metavar="N",
-        help="first frame, 60 a second (default: so that the frames lie around the path's middle)",
-    )
-    parser.add_argument(
-        "--frames",
-        type=parse_count,
-        default=60,
-        metavar="N",
-        help="how many frames a trial renders (default: %(default)s)",
-    )
+    add_scene(parser)
+    add_walk(parser, "how many frames a trial renders")
     parser.add_argument(
         "--b", type=_parse_range, default=(1, 100), metavar="LOW:HIGH", help="range of b (default: 1:100)"
     )
@@ -95,14 +77,8 @@ def add_to(commands: Any) -> None:
         metavar="E",
         help="serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
     )
-    parser.add_argument(
-        "--backend",
-        metavar="NAME",
-        help=f"{', '.join(rhi.backend_names())} (default: RHI_BACKEND, or the first that works)",
-    )
-    parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="of the image (default: 960x540)"
-    )
+    add_backend(parser)
+    add_size(parser)
     parser.add_argument(
         "--output", type=Path, default=Path("tuned"), metavar="DIR", help="a folder (default: %(default)s)"
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rhi.shading import Flat, FragmentDepth, Shader, Struct, ivec4, uvec4, vec2, vec4
+from rhi.shading import Flat, FragmentDepth, Shader, Storage, Struct, Uniform, ivec4, uvec4, vec2, vec4
 
 
 class Corner(Struct):
@@ -47,6 +47,36 @@ class FlatColored(Shader):
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+class Tint(Struct):
+    """A color."""
+
+    color: vec4
+
+
+class Tinted(Shader):
+    """One color for all of a draw."""
+
+    tint: Uniform[Tint]
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=self.tint.color)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+class Weighted(Shader):
+    """A color from storage."""
+
+    weights: Storage[vec4]
+
+    def vertex(self, v: Corner) -> FlatShade:
+        return FlatShade(clip=v.position, color=self.weights[0])
 
     def fragment(self, v: FlatShade) -> vec4:
         return v.color

@@ -29,7 +29,7 @@ __rhi_internal__ = True
 
 
 class Precision(enum.Enum):
-    """What a shader asks of pow, exp, log, sin and cos on OpenCL: EXACT within a few ulp, or FAST polynomials.
+    """What a shader asks of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT within a few ulp, or FAST.
 
     The errors of both are measured by `python -m rhi shading accuracy`.
     """
@@ -196,6 +196,7 @@ _ROUNDED: Final = Error(0.5, 0.5, 0.5, 0.5)
 # Not nearly singular; of matrices of three.
 _REGULAR: Final = "abs(np.linalg.det(a.reshape(-1, 3, 3))) > 1e-3 * abs(a).max(axis=-1) ** 3"
 _NUMBERS: Final = Error(defined="(a == a) & (b == b)")
+_WHOLE: Final = Error(defined="(a == a).all(axis=-1)")
 
 
 def _composed(units: float, most: float = 1e6, defined: str = "") -> Error:
@@ -558,7 +559,7 @@ _ROWS: Final = (
         "uint(vec2)",
         "packHalf2x16",
         "two half floats in a uint, x in the low bits",
-        error=Error(defined="(a == a).all(axis=-1)"),
+        error=_WHOLE,
     ),
     _row("unpack_half_2x16", "vec2(uint)", "unpackHalf2x16", "inverse of pack_half_2x16"),
     _row(
@@ -566,7 +567,7 @@ _ROWS: Final = (
         "uint(vec2)",
         "packUnorm2x16",
         "0…1 in 16 bits each",
-        error=Error(defined="(a == a).all(axis=-1)"),
+        error=_WHOLE,
     ),
     _row("unpack_unorm_2x16", "vec2(uint)", "unpackUnorm2x16", "inverse of pack_unorm_2x16", error=_ROUNDED),
     _row(
@@ -574,7 +575,7 @@ _ROWS: Final = (
         "uint(vec2)",
         "packSnorm2x16",
         "-1…1 in 16 bits each",
-        error=Error(defined="(a == a).all(axis=-1)"),
+        error=_WHOLE,
     ),
     _row("unpack_snorm_2x16", "vec2(uint)", "unpackSnorm2x16", "inverse of pack_snorm_2x16", error=_ROUNDED),
     _row(
@@ -582,7 +583,7 @@ _ROWS: Final = (
         "uint(vec4)",
         "packUnorm4x8",
         "0…1 in 8 bits each",
-        error=Error(defined="(a == a).all(axis=-1)"),
+        error=_WHOLE,
     ),
     _row("unpack_unorm_4x8", "vec4(uint)", "unpackUnorm4x8", "inverse of pack_unorm_4x8", error=_ROUNDED),
     _row(
@@ -590,7 +591,7 @@ _ROWS: Final = (
         "uint(vec4)",
         "packSnorm4x8",
         "-1…1 in 8 bits each",
-        error=Error(defined="(a == a).all(axis=-1)"),
+        error=_WHOLE,
     ),
     _row("unpack_snorm_4x8", "vec4(uint)", "unpackSnorm4x8", "inverse of pack_snorm_4x8", error=_ROUNDED),
     # lanes

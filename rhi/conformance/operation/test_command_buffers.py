@@ -31,9 +31,9 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Tint, Tinted, Weighted
 from rhi.conformance.shapes import corners, rectangle
-from rhi.shading import Shader, Storage, StorageRW, Struct, Uniform, global_id, vec4
+from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec4
 from rhi.testing import expect
 
 pytestmark = pytest.mark.recorded_too
@@ -43,36 +43,6 @@ compute = pytest.mark.needs("shading", "compute")
 
 SIZE = (8, 8)
 COLUMNS = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
-
-
-class Tint(Struct):
-    """A color."""
-
-    color: vec4
-
-
-class Tinted(Shader):
-    """One color for all of a draw."""
-
-    tint: Uniform[Tint]
-
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=self.tint.color)
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
-
-
-class Weighted(Shader):
-    """A color from storage."""
-
-    weights: Storage[vec4]
-
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=self.weights[0])
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
 
 
 class Shift(Struct):

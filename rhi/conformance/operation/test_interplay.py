@@ -24,16 +24,13 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import require_samples
-from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade
+from rhi.conformance.shaders import Colored, Corner, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import (
     Image2D,
     Shader,
-    Storage,
     StorageRW,
-    Struct,
     Texture2D,
-    Uniform,
     atomic_add,
     fragment_coordinate,
     global_id,
@@ -48,36 +45,6 @@ pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 SIZE = (8, 8)
 HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE)
 """States that would spoil a copy done by drawing."""
-
-
-class Tint(Struct):
-    """A color."""
-
-    color: vec4
-
-
-class Tinted(Shader):
-    """One color for all of a draw."""
-
-    tint: Uniform[Tint]
-
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=self.tint.color)
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
-
-
-class Weighted(Shader):
-    """A color from storage."""
-
-    weights: Storage[vec4]
-
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=self.weights[0])
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
 
 
 class Loaded(Shader):

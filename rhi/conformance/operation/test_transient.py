@@ -12,17 +12,11 @@ import rhi
 from rhi import BlendFunction, CullMode, Device, Format, Primitive
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
-from rhi.shading import Shader, Struct, Uniform, vec4
+from rhi.shading import Struct, vec4
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
-
-
-class Tint(Struct):
-    """A color for all of a draw."""
-
-    color: vec4
 
 
 class Big(Struct):
@@ -30,18 +24,6 @@ class Big(Struct):
 
     before: vec4
     color: vec4
-
-
-class Tinted(Shader):
-    """Positions as they are, a color from constants."""
-
-    tint: Uniform[Tint]
-
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=self.tint.color)
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
 
 
 def points(count: int, size: tuple[int, int]) -> NDArray[Any]:

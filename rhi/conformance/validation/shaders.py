@@ -5,7 +5,7 @@ from __future__ import annotations
 from rhi import (
     Format,
 )
-from rhi.conformance.shaders import Bare, Corner
+from rhi.conformance.shaders import Bare, Corner, Tint
 from rhi.shading import (
     DepthTexture2D,
     Image2D,
@@ -19,12 +19,6 @@ from rhi.shading import (
     vec2,
     vec4,
 )
-
-
-class Tint(Struct):
-    """A color."""
-
-    color: vec4
 
 
 class Shift(Struct):

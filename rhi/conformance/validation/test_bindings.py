@@ -15,10 +15,10 @@ from rhi import (
     TextureKind,
     rules,
 )
-from rhi.conformance.shaders import Bare, Corner
+from rhi.conformance.shaders import Bare, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
-from rhi.conformance.validation.shaders import Everything, Shift, Tint
+from rhi.conformance.validation.shaders import Everything, Shift
 from rhi.shading import (
     Shader,
     Uniform,

@@ -11,32 +11,14 @@ import pytest
 import rhi
 from rhi import Access, CommandBuffer, CullMode, Device, Encoder, Format, Primitive, Texture, rules
 from rhi.conformance.compare import assert_same
-from rhi.conformance.shaders import Colored, Corner, FlatShade
+from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
-from rhi.shading import Shader, Struct, Uniform, vec4
+from rhi.shading import Shader, vec4
 
 SIZE = (4, 4)
 draws = pytest.mark.needs("draws")
 TRIANGLE = corners([(-1, -1), (1, -1), (0, 1)])
-
-
-class Tint(Struct):
-    """A color."""
-
-    color: vec4
-
-
-class Tinted(Shader):
-    """One color for all of a draw."""
-
-    tint: Uniform[Tint]
-
-    def vertex(self, v: Corner) -> FlatShade:
-        return FlatShade(clip=v.position, color=self.tint.color)
-
-    def fragment(self, v: FlatShade) -> vec4:
-        return v.color
 
 
 def clear(encoder: Encoder, image: Texture) -> None:

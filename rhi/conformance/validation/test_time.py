@@ -11,10 +11,10 @@ import pytest
 
 import rhi
 from rhi import CullMode, Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError, rules
-from rhi.conformance.shaders import Bare, Colored, Corner
+from rhi.conformance.shaders import Bare, Colored, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
-from rhi.shading import Shader, Struct, uint, vec4
+from rhi.shading import Shader, uint, vec4
 
 SIZE = (4, 4)
 
@@ -223,12 +223,6 @@ def test_a_backend_s_name_is_known(backend: str) -> None:
 def test_a_backend_is_asked_for_by_its_own_type(recording: Device) -> None:
     with refuses(rules.DEVICE_CAPABILITY, recording):
         recording.backend_as(str)
-
-
-class Tint(Struct):
-    """A color."""
-
-    color: vec4
 
 
 class Late(Shader):
