@@ -1,4 +1,4 @@
-"""Fences, frames, deferred destruction, timers, labels. Shaders run in none of these."""
+"""Fences, frames, deferred destruction, timers, labels; few of these draw."""
 
 from __future__ import annotations
 
@@ -77,6 +77,23 @@ def test_a_fence_is_passed_only_after_the_work_before_it(device: Device) -> None
         a.copy_to(b)
         device.wait(device.signal())
         assert_same(b.read(0, 16), 1)
+
+
+@pytest.mark.needs("draws", "shading")
+def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
+    """The work grows until its signal is seen unfinished, and once more: then it can't end by itself meanwhile."""
+    unfinished = 0
+    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
+        program = device.program(Colored)
+        for instances in (8**n for n in range(5)):
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                device.draw(program, mesh, instances)
+            value = device.signal()
+            unfinished += device.completed < value
+            assert device.wait(value)
+            assert device.completed >= value
+            if unfinished == 2:
+                break
 
 
 def test_finish_completes_everything(device: Device) -> None:
