@@ -361,7 +361,8 @@ class ProgramDescriptor:
     compute stages, "numpy", a Python module. `lines` maps each line of a stage's text (from 0), as it was emitted
     last, to the (file, line) it came from, for a driver's messages. `varyings` are those that the fragment stage
     reads, in the order of their words. `shared_bytes` is the memory that a work-group shares.
-    `checked`: its stages report faults on OpenCL and NumPy (`rhi.shading.faults`).
+    `checked`: its stages report faults on OpenCL and NumPy (`rhi.shading.faults`). `flushes_denormals`: numbers below
+    2^-126 may count as 0, which OpenGL may always do.
     """
 
     name: str
@@ -378,4 +379,5 @@ class ProgramDescriptor:
     varyings: tuple[StageVarying, ...] = ()
     shared_bytes: int = 0
     checked: bool = False
+    flushes_denormals: bool = False
     lines: Mapping[Stage, tuple[tuple[str, int], ...]] = field(default_factory=dict)

@@ -31,6 +31,7 @@ __rhi_internal__ = True
 class Precision(enum.Enum):
     """What a shader asks of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT within a few ulp, or FAST.
 
+    With FAST, numbers below 2^-126 may count as 0 on OpenCL.
     The errors of both are measured by `python -m rhi shading accuracy`.
     """
 

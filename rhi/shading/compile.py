@@ -114,6 +114,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
             if declaration.memory is Memory.SHARED
         ),
         checked=checked,
+        flushes_denormals=shader.precision is Precision.FAST,
         lines=texts,
     )
 

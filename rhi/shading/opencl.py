@@ -35,6 +35,8 @@ _SPACES: Final = {
     Space.CONSTANT: "constant",
 }
 _LONGEST_STRIDE: Final = 8
+_LARGEST_POWER: Final = 64
+"""An exponent up to which multiplying is faster than a logarithm, and more exact: a rounding for each factor."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,12 +210,25 @@ class Writer:
         return f"{text}f" if math.copysign(1.0, number) > 0 else f"({text}f)"
 
     def apply(self, node: lanes.Apply) -> str:
+        if self.precision is Precision.FAST and node.operation == "pow":
+            base, exponent = node.arguments
+            if isinstance(exponent, Literal) and exponent.value in range(1, _LARGEST_POWER + 1):
+                return self.whole_power(base, int(exponent.value))
         row, vector = spelling(node.operation, self.precision), self.is_vector(node)
         texts = [
             self.wide(one, vector and (not row.infix or one.kind is Kind.BOOL)) for one in node.arguments
         ]
         template = row.vector if vector and row.vector else row.opencl
         return template.format(*texts, type=self.type(node.kind, vector))
+
+    def whole_power(self, base: Value, exponent: int) -> str:
+        """Squares and factors, from the exponent's highest bit down."""
+        name = f"rhi_power_{exponent}"
+        steps = ("r = r * r * x;" if bit == "1" else "r = r * r;" for bit in f"{exponent:b}"[1:])
+        type = self.type(Kind.FLOAT, self.is_vector(base))
+        head = f"inline __attribute__((overloadable, always_inline)) {type} {name}({type} x)"
+        self.helper(f"{name} {type}", f"{head} {{ {type} r = x; {' '.join(steps)} return r; }}")
+        return f"{name}({self.value(base)})"
 
     # -- memory
 

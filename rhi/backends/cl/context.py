@@ -153,12 +153,16 @@ def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool
     return program, shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
-def build(context: cl.Context, source: str) -> cl.Program:
+def build(context: cl.Context, source: str, flushes_denormals: bool = False) -> cl.Program:
     """A built program. Built once: PoCL keeps kernels on disk, and for drivers that don't pyopencl does, both
-    under a key of source, options, device and driver. What a compiler says about what it accepts is dropped."""
+    under a key of source, options, device and driver. What a compiler says about what it accepts is dropped.
+
+    `flushes_denormals`: CPUs may take a hundred cycles for a product below 2^-126, as powers of cosines often are.
+    """
+    options = ["-cl-denorms-are-zero"] if flushes_denormals else []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        built: cl.Program = cl.Program(context, source).build()
+        built: cl.Program = cl.Program(context, source).build(options)
         return built
 
 

@@ -106,7 +106,7 @@ class Pipeline:
     def _build(self, stage: Stage, name: str, parts: list[str]) -> Kernel:
         source = "\n".join(parts)
         try:
-            return Kernel(build(self._context.context, source), name)
+            return Kernel(build(self._context.context, source, self.descriptor.flushes_denormals), name)
         except cl.Error as error:
             raise make_shader_error(self.descriptor, source, str(error)) from error
 

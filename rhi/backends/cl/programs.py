@@ -101,7 +101,7 @@ class Program:
     def __init__(self, context: Context, descriptor: ProgramDescriptor, arguments: Arguments) -> None:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
-            program = build(context.context, source)
+            program = build(context.context, source, descriptor.flushes_denormals)
             (kernel,) = program.all_kernels()
         except cl.Error as error:
             raise make_shader_error(descriptor, source, str(error)) from error

@@ -43,7 +43,8 @@ def queue() -> cl.CommandQueue:
 def built(shader: type[Shader], width: int) -> tuple[KernelText, cl.Program]:
     """A kernel's text and program."""
     text = opencl_kernel(shader, width)
-    return text, cl.Program(queue().context, text.text).build(["-w"])
+    flush = ["-cl-denorms-are-zero"] if compile_shader(shader).flushes_denormals else []
+    return text, cl.Program(queue().context, text.text).build(["-w", *flush])
 
 
 class Kernel:

@@ -14,6 +14,7 @@ from rhi.shading import (
     abs,
     atomic_add,
     clamp,
+    compile_shader,
     exp,
     exp2,
     float_bits_to_int,
@@ -160,6 +161,42 @@ def test_smooth_functions_stay_within_their_error(run_everywhere, shader):
 def test_fast_functions_are_other_functions():
     assert "rhi_fast_pow(" in opencl_kernel(SmoothFast, 16).text
     assert "rhi_fast" not in opencl_kernel(Smooth, 16).text
+
+
+class Powers(Shader):
+    work_group = (64,)
+    a: Storage[float]
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        x = self.a[global_id().x]
+        self.out[global_id().x] = vec4(pow(x, 1.0), pow(x, 3.0), pow(x, 32.0), pow(x, 64.0))
+
+
+class FastPowers(Powers):
+    precision = Precision.FAST
+
+
+@pytest.mark.parametrize("width", [1, 16])
+def test_fast_whole_powers_are_a_rounding_off_for_each_factor(width):
+    x, exponents = np.geomspace(0.3, 2.5, 256).astype("f4"), np.array([1, 3, 32, 64])
+    expected = x.astype("f8")[:, None] ** exponents
+    out = run_opencl(FastPowers, width, 4, a=x, out=256)["out"].reshape(256, 4)
+    error = np.abs(out / expected - 1)
+    assert (error.max(axis=0) <= exponents * 2.0**-24).all()
+
+
+def test_fast_whole_powers_are_products():
+    assert "rhi_power_64(" in opencl_kernel(FastPowers, 16).text
+    assert "rhi_fast_pow(" not in opencl_kernel(FastPowers, 16).text
+    assert "rhi_power" not in opencl_kernel(Powers, 16).text
+
+
+@pytest.mark.parametrize("shader", [Powers, FastPowers])
+def test_fast_shaders_may_lose_denormals_and_exact_ones_not(shader):
+    cubes = run_opencl(shader, 16, 1, a=np.full(64, 1e-13, "f4"), out=64)["out"].reshape(64, 4)[:, 1]
+    assert compile_shader(shader).flushes_denormals == (shader is FastPowers)
+    assert (np.abs(cubes - 1e-39) <= (1e-39 if shader is FastPowers else 1e-44)).all()
 
 
 class Particle(Struct):
