@@ -91,7 +91,8 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
 
 
 def list_algorithms(device: Device) -> list[str]:
-    """The names of the algorithms that `device` can run without help; the null device answers no queries."""
+    """The names of the algorithms that `device` can run without help: the null device answers no queries, and runs no
+    shaders."""
     return [name for name in ALGORITHMS if _can_run(name, device)]
 
 
@@ -104,7 +105,7 @@ def _can_run(name: str, device: Device) -> bool:
         case "conditional":
             return asks and can.conditional_rendering
         case "software_depth":
-            return can.renders and can_rasterise()
+            return can_rasterise()
         case "depth_pyramid" | "two_pass":
             return can.renders and can.compute
         case _:

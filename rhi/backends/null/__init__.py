@@ -13,6 +13,7 @@ from rhi.backends.null.hazards import Hazard, HazardKind
 from rhi.backends.null.profiles import PROFILES, find_profile
 from rhi.backends.null.queries import Draw
 from rhi.backends.null.resources import IndirectDraws
+from rhi.backends.null.shaders import StandIn
 from rhi.backends.null.simulated import SimulatedBackend, Simulation
 from rhi.backends.null.visibility import AnswerLog, RecordedAnswers
 from rhi.errors import refuse
@@ -24,7 +25,7 @@ __all__ = [
     "PROFILES", "Activity", "ActivityTimeline", "AnswerLog", "CostModel", "Draw", "FaultInjector",
     "Faults", "Frame", "Hazard",
     "HazardKind", "IndirectDraws", "Lane", "NullBackend", "RecordedAnswers", "SimulatedBackend", "Simulation",
-    "Span", "Statistics", "Work", "create_backend",
+    "Span", "StandIn", "Statistics", "Work", "create_backend",
 ]  # fmt: skip
 
 

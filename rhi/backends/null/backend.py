@@ -6,14 +6,16 @@
   on a clock of its own.
 - STREAM buffers are written at once, past the queue, as on hardware that maps them: memory overwritten too
   early is seen to be overwritten.
+- Shaders run only when asked for, and only compute (`shaders`).
 - Time is simulated: every executed command takes `COMMAND_NANOSECONDS`.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
@@ -25,6 +27,7 @@ from rhi.backends.null.profiles import PROFILES
 from rhi.backends.null.programs import Programs
 from rhi.backends.null.queries import Draw, Queries
 from rhi.backends.null.resources import IndirectDraws, Resources
+from rhi.backends.null.shaders import Shaders, StandIn
 from rhi.backends.null.states import ExecutionState, Fate
 from rhi.backends.null.visibility import Answers
 from rhi.descriptors import (
@@ -82,6 +85,7 @@ class NullBackend(CommandMethods):
         self._programs = Programs()
         self._queries = Queries()
         self._state = ExecutionState()
+        self._shaders = Shaders(self._resources, self._programs, self._state)
         self._streams: set[Id] = set()
         self._indirect_draws: deque[IndirectDraws] = deque(maxlen=KEPT_INDIRECT)
         self._indirect_dispatches: deque[tuple[int, int, int]] = deque(maxlen=KEPT_INDIRECT)
@@ -104,6 +108,13 @@ class NullBackend(CommandMethods):
         queries end, a mapping by query id, a function of the id, or what they answered on another backend
         (`AnswerLog`). It goes before what `count_samples` counts; where it doesn't say, it leaves it to that."""
         self._queries.answer(answers)
+
+    def run_shaders(self, stand_ins: Mapping[Id, StandIn] = MappingProxyType({})) -> None:
+        """From the next command on, run each dispatch, on NumPy. `stand_ins`, by a program's id, are called in place of
+        their programs, at dispatches and at draws, indirect ones one by one: see `shaders.StandIn`. No other draw runs
+        anything."""
+        self._run()
+        self._shaders.run(stand_ins)
 
     @property
     def statistics(self) -> Statistics:
@@ -135,7 +146,7 @@ class NullBackend(CommandMethods):
         self._resources.create_texture(texture, descriptor)
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        pass
+        self._programs.create_sampler(sampler, descriptor)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self._programs.create_program(program, descriptor)
@@ -229,7 +240,10 @@ class NullBackend(CommandMethods):
                 Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER, Op.WRITE_TEXTURE, Op.COPY_TEXTURE,
                 Op.RESOLVE_TEXTURE, Op.GENERATE_MIPMAPS,
             ),
-            self._state: (Op.SET_STATES, Op.BIND_PROGRAM, Op.PUSH_LABEL, Op.POP_LABEL, Op.END_CONDITIONAL),
+            self._state: (
+                Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE,
+                Op.PUSH_LABEL, Op.POP_LABEL, Op.END_CONDITIONAL,
+            ),
             self._queries: (Op.BEGIN_QUERY, Op.END_QUERY),
         }  # fmt: skip
         for part, ops in parts.items():
@@ -265,8 +279,8 @@ class NullBackend(CommandMethods):
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        if self._queries.counts and self._state.fate is Fate.EXECUTED:
-            self._count_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        if self._follows_draws:
+            self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
         else:
             self._count_unseen(1, count > 0 and instances > 0)
 
@@ -278,27 +292,36 @@ class NullBackend(CommandMethods):
         resolved = self._resources.indirect_draws(
             buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )
-        fate = self._state.fate
-        if self._queries.counts and fate is Fate.EXECUTED:
+        if self._follows_draws:
             for count, instances, first, base_vertex, base_instance in resolved.tolist():
-                self._count_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+                self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
         else:
             something = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
             self._count_unseen(len(resolved), bool(something))
-        kept = resolved[:0] if fate is Fate.DROPPED else resolved
+        kept = resolved[:0] if self._state.fate is Fate.DROPPED else resolved
         self._indirect_draws.append(IndirectDraws(vertex_array, primitive, kept))
 
-    def _count_draw(
+    @property
+    def _follows_draws(self) -> bool:
+        """Whether somebody wants to know each of the present draws."""
+        state = self._state
+        return state.fate is Fate.EXECUTED and (
+            self._queries.counts or state.program in self._shaders.stand_ins
+        )
+
+    def _follow_draw(
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        """An executed draw whose samples are counted."""
+        """An executed draw whose samples are counted, or whose program has a stand-in."""
         self._draws[Fate.EXECUTED] += 1
         if count and instances:
             state = self._state
             draw = Draw(state.program, vertex_array, primitive, first, count, instances, base_vertex,
                         base_instance, state.labels)  # fmt: skip
             self._queries.add_draw(draw)
+            if state.program in self._shaders.stand_ins:
+                self._shaders.draw(draw)
 
     def _count_unseen(self, draws: int, something: bool) -> None:
         """Draws whose samples nobody counts; `something`: any of them has vertices."""
@@ -309,7 +332,9 @@ class NullBackend(CommandMethods):
 
     def _dispatch(self, x: int, y: int, z: int) -> None:
         self._dispatches += 1
+        self._shaders.dispatch((x, y, z))
 
     def _dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        self._dispatches += 1
-        self._indirect_dispatches.append(self._resources.indirect_groups(buffer, offset))
+        groups = self._resources.indirect_groups(buffer, offset)
+        self._indirect_dispatches.append(groups)
+        self._dispatch(*groups)

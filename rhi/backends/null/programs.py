@@ -1,24 +1,28 @@
-"""Programs and vertex arrays: nothing is compiled, so their descriptions are all there is of them."""
+"""Programs, vertex arrays and samplers: nothing is compiled, so their descriptions are all there is of them."""
 
 from __future__ import annotations
 
-from rhi.descriptors import Id, ProgramDescriptor, VertexArrayDescriptor
+from rhi.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
 
 __rhi_internal__ = True
 
 
 class Programs:
-    """All programs and vertex arrays of a device, by id."""
+    """All programs, vertex arrays and samplers of a device, by id."""
 
     def __init__(self) -> None:
         self.programs: dict[Id, ProgramDescriptor] = {}
         self.vertex_arrays: dict[Id, VertexArrayDescriptor] = {}
+        self.samplers: dict[Id, SamplerDescriptor] = {}
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self.programs[program] = descriptor
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self.vertex_arrays[vertex_array] = descriptor
+
+    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+        self.samplers[sampler] = descriptor
 
     def is_indexed(self, vertex_array: Id) -> bool:
         """Whether draws take their vertices through an index buffer."""
@@ -27,3 +31,4 @@ class Programs:
     def destroy(self, resource: Id) -> None:
         self.programs.pop(resource, None)
         self.vertex_arrays.pop(resource, None)
+        self.samplers.pop(resource, None)

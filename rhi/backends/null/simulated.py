@@ -258,6 +258,7 @@ class SimulatedBackend(NullBackend):
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
         self._spend_call()
+        super().create_sampler(sampler, descriptor)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self._spend_call()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,7 +17,10 @@ from renderer.scene.shapes import box, sphere
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 from renderer.visibility import NoCulling, VisibilityAlgorithm
 from renderer.visibility.box_queries import BoxShader
+from renderer.visibility.depth_pyramid import CompareBoxes
 from renderer.visibility.forest import Forest
+from renderer.visibility.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
+from renderer.visibility.reprojection import WriteDepth
 from rhi import OcclusionQuery
 from rhi.backends.null import NullBackend
 from rhi.backends.null.queries import Draw
@@ -26,6 +29,8 @@ WAITING = ("stop_and_wait", "chc", "chc_plus_plus")
 """The algorithms that wait for answers, if they must."""
 OCCLUSION = (*WAITING, "conditional")
 """The algorithms that ask the device."""
+DEVICE = ("depth_pyramid", "two_pass")
+"""The algorithms that run on the device."""
 
 
 def make_boxes(
@@ -104,7 +109,9 @@ def draw_with(
 class Oracle:
     """Tells the null device which objects show: `seen` holds their rows.
 
-    A draw of the object passes samples then, and so does the box of each node above it.
+    A draw of the object passes samples then, and so does the box of each node above it. Algorithms of the device run
+    on NumPy, but for what looks at depth: where a box shows, its object is marked; on the small image that two-pass
+    culling guesses with, where it is `guessed`.
     """
 
     device: rhi.Device
@@ -112,7 +119,10 @@ class Oracle:
     name: str = "chc_plus_plus"
     """The algorithm: it says what the boxes are."""
     seen: set[int] = field(default_factory=set)
+    guessed: set[int] = field(default_factory=set)
     samples: int = 100
+    helpers: set[int] = field(default_factory=set)
+    """Programs that draw no objects."""
     executed: list[int] = field(default_factory=list)
     """Rows of the objects whose draws were executed, and not dropped by a condition."""
 
@@ -126,13 +136,38 @@ class Oracle:
                 self.members[forest.parent[node]] |= self.members[node]
         if self.name == "stop_and_wait":
             self.members = [{row} for row in range(len(self.scene.objects))]
-        elif self.name != "chc":
+        elif self.name in OCCLUSION and self.name != "chc":
             self.members = [self.members[node] for node in forest.tight.tolist()]
         self.boxes = self.device.program(BoxShader).id
-        self.device.backend_as(NullBackend).count_samples(self.count)
+        backend = self.device.backend_as(NullBackend)
+        if self.name in DEVICE:
+            stand_ins = {MarkBoxes: self.guess, MarkListedBoxes: self.mark, CompareBoxes: self.compare}
+            backend.run_shaders({self.device.program(one).id: by for one, by in stand_ins.items()})
+            self.helpers = {self.device.program(one).id for one in (MarkBoxes, MarkListedBoxes, WriteDepth)}
+        backend.count_samples(self.count)
+
+    def guess(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
+        """Fragments of `MarkBoxes`."""
+        marks = bound["marks"]
+        marks[[row for row in self.guessed if marks[row] == HIDDEN]] = VISIBLE
+
+    def mark(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
+        """Fragments of `MarkListedBoxes`."""
+        assert draw is not None
+        rows = bound["rows"][: draw.instances]
+        bound["marks"][[row for row in rows if row in self.seen]] = VISIBLE
+
+    def compare(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
+        """What `CompareBoxes` does, but for the look at the pyramid."""
+        marks = bound["marks"]
+        shows = np.isin(np.arange(len(marks)), list(self.seen)) & ((marks == HIDDEN) | (marks == DRAWN))
+        bound["seen"][:] = shows
+        marks[shows & (marks == HIDDEN)] = VISIBLE
 
     def count(self, draw: Draw) -> int:
         """The samples of a draw."""
+        if draw.program in self.helpers:
+            return 0
         if draw.program == self.boxes:
             run = range(draw.base_instance, draw.base_instance + draw.instances)
             rows = set().union(*(self.members[box] for box in run))

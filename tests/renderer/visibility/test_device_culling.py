@@ -11,8 +11,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from occlusion_scenes import (
+    DEVICE,
+    ORIGIN,
     SIZE,
     WALL,
+    Oracle,
     cameras,
     count_wrong_pixels,
     draw_with,
@@ -38,8 +41,8 @@ from renderer.visibility import (
     make_visibility,
 )
 from rhi import Op, ValidationError
+from rhi.backends.null import Activity, Lane, SimulatedBackend, Simulation
 
-DEVICE = ("depth_pyramid", "two_pass")
 STANDARD = Perspective(near=0.2, far=2000.0, depth=Depth.STANDARD)
 
 
@@ -217,6 +220,61 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
     uploads: list[int] = []
     assert commands(10) == commands(3000)
     assert uploads[0] == uploads[1] < 2000
+
+
+def make_cloud() -> Scene:
+    """Small boxes around the origin, all in view from z = 30."""
+    rng = np.random.default_rng(7)
+    return make_boxes(rng.uniform(-6.0, 6.0, (60, 3)), rng.uniform(0.1, 0.8, (60, 3)))
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(st.sets(st.integers(0, 59)), st.sets(st.integers(0, 59))), min_size=2, max_size=5))
+def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
+    null: rhi.Device, frames: list[tuple[set[int], set[int]]]
+) -> None:
+    scene, camera = make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        for name in DEVICE:
+            algorithm, oracle = make(name, scene, null), Oracle(null, scene, name)
+            seen: set[int] = set()
+            for now, guessed in frames:
+                likely = guessed if name == "two_pass" else seen
+                oracle.seen, oracle.guessed = seen, _ = now, guessed
+                drawn = visible(draw_with(renderer, algorithm, camera))
+                first, second = (set(one.read_rows().tolist()) for one in (algorithm.first, algorithm.second))
+                assert (first, second) == (likely, seen - likely), name
+                assert drawn == likely | seen
+            algorithm.destroy()
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_the_gpu_draws_what_is_listed_and_the_cpu_never_waits(name: str) -> None:
+    simulation = Simulation(submission_latency=10**8)
+    scene, camera = make_cloud(), look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+    with rhi.create_device("null", simulation=simulation) as device, Renderer(device, scene) as renderer:
+        gpu = device.backend_as(SimulatedBackend)
+        oracle = Oracle(device, scene, name, guessed={1, 2}, seen={2, 40, 59})
+        algorithm = make(name, scene, device)
+        draw_with(renderer, algorithm, camera)
+        draw_with(renderer, algorithm, camera)
+        assert gpu.timeline.total(Lane.CPU, Activity.STALLED) == 0
+        assert oracle.executed == [], "the GPU is late"
+        device.finish()
+        second = sorted(oracle.executed[-4:] if name == "two_pass" else oracle.executed[-3:])
+        assert second == ([1, 2, 40, 59] if name == "two_pass" else [2, 40, 59])
+        assert gpu.hazards == ()
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_near_objects_are_drawn_first(null: rhi.Device, name: str) -> None:
+    places = [(0.0, 0.0, z) for z in (-10.0, 20.0, 14.0, 18.0, 6.0)]  # an octave apart
+    scene = make_boxes(places, np.ones((5, 3)))
+    oracle = Oracle(null, scene, name, seen=set(range(5)))
+    with Renderer(null, scene, size=SIZE) as renderer:
+        draw_with(renderer, make(name, scene, null), look((0.0, 0.0, 22.0), ORIGIN, near=0.1))
+        null.finish()
+    assert oracle.executed == [1, 3, 2, 4, 0]
 
 
 @pytest.mark.parametrize("name", DEVICE)

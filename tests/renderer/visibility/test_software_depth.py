@@ -183,9 +183,15 @@ def test_what_is_simulated_occludes_nothing() -> None:
     algorithm.destroy()
 
 
-def test_it_is_listed_where_something_is_drawn(gl: rhi.Device, null: rhi.Device) -> None:
-    assert "software_depth" in list_algorithms(gl)
-    assert "software_depth" not in list_algorithms(null)
+def test_a_device_that_draws_nothing_is_given_the_same(device: rhi.Device, null: rhi.Device, city: Scene) -> None:
+    algorithm, drawn = SoftwareDepth(city), []
+    for one in (device, null):
+        assert "software_depth" in list_algorithms(one)
+        with Renderer(one, city, size=SIZE) as renderer:
+            shots = walk(city, "ground", range(600, 640, 8))
+            drawn.append([draw_with(renderer, algorithm, camera).visible.tolist() for camera, _ in shots])
+    assert drawn[0] == drawn[1]
+    algorithm.destroy()
 
 
 def test_without_a_renderers_pass_it_refuses(null: rhi.Device) -> None:

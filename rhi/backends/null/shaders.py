@@ -1,0 +1,113 @@
+"""Shaders that run after all: dispatches on NumPy, and what stands in for a program.
+
+- A compute stage's NumPy text (`ProgramDescriptor.emit`) runs on the memory that is bound, in the order of execution.
+- Nothing is rasterised, so no fragment runs. What fragments write to memory only somebody can say who knows what is
+  seen: a *stand-in*, which is called at each draw or dispatch of its program, in place of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.backends.null.programs import Programs
+from rhi.backends.null.queries import Draw
+from rhi.backends.null.resources import Resources
+from rhi.backends.null.states import ExecutionState
+from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
+from rhi.layout import Layout, dtype_of, element_dtype
+
+__rhi_internal__ = True
+
+StandIn: TypeAlias = Callable[[Mapping[str, Any], Draw | None], object]
+"""Given what is bound, by name, and the draw, None for a dispatch. Storage is an array of its elements (n,), a uniform
+one of one element; both are the memory itself, to be read and written. Textures and images are `HostTexture`s."""
+
+
+class Shaders:
+    """What runs of a device's programs: nothing, until `run` is called.
+
+    Attributes:
+        stand_ins: by program.
+    """
+
+    def __init__(self, resources: Resources, programs: Programs, state: ExecutionState) -> None:
+        self.stand_ins: Mapping[Id, StandIn] = {}
+        self._runs = False
+        self._resources = resources
+        self._programs = programs
+        self._state = state
+        self._kernels: dict[ProgramDescriptor, Any] = {}
+
+    def run(self, stand_ins: Mapping[Id, StandIn]) -> None:
+        self._runs = True
+        self.stand_ins = dict(stand_ins)
+
+    def draw(self, draw: Draw) -> None:
+        """An executed draw of a program that has a stand-in."""
+        self.stand_ins[draw.program](self._bound(draw.program), draw)
+
+    def dispatch(self, groups: tuple[int, int, int]) -> None:
+        """Run work-groups of the program that is bound."""
+        program = self._state.program
+        if program in self.stand_ins:
+            self.stand_ins[program](self._bound(program), None)
+        elif self._runs and 0 not in groups:
+            memory = {
+                name: bound.reshape(-1).view(np.uint32) if isinstance(bound, np.ndarray) else bound
+                for name, bound in self._bound(program).items()
+            }
+            self._kernel(self._programs.programs[program]).launch(groups, memory)
+
+    def _kernel(self, descriptor: ProgramDescriptor) -> Any:
+        kernel = self._kernels.get(descriptor)
+        if kernel is None:
+            from rhi.shading.numpy_kernel import NumpyKernel  # which takes as long to import as all the rest
+
+            text = descriptor.emit("numpy", Stage.COMPUTE)
+            kernel = self._kernels[descriptor] = NumpyKernel(text, descriptor.name)
+        return kernel
+
+    def _bound(self, program: Id) -> dict[str, Any]:
+        return {one.name: self._find(one) for one in self._programs.programs[program].bindings}
+
+    def _find(self, binding: Binding) -> Any:
+        name, *place = self._state.slots[binding.kind, binding.slot]
+        if binding.kind is BindingKind.TEXTURE:
+            return self._texture(binding, name, place[0])
+        if binding.kind is BindingKind.IMAGE:
+            return self._image(binding, name, *place)
+        offset, size = place
+        return _view(self._resources.buffers[name][offset : offset + size], binding)
+
+    def _texture(self, binding: Binding, name: Id, sampler: Id) -> Any:
+        from rhi.shading.numpy_textures import HostTexture
+
+        texture = self._resources.textures[name]
+        return HostTexture(
+            texture.levels, texture.descriptor.format, texture.descriptor.kind, self._programs.samplers.get(sampler)
+        )
+
+    def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:
+        from rhi.shading.numpy_textures import HostTexture
+
+        texture = self._resources.textures[name]
+        texels = texture.levels[level]
+        bound = HostTexture(texels[:0], texture.descriptor.format, texture.descriptor.kind)
+        bound.levels = [texels if layer < 0 else texels[layer : layer + 1]]  # itself: shaders write into it
+        return bound
+
+
+def _view(memory: NDArray[np.uint8], binding: Binding) -> NDArray[Any]:
+    """A buffer's part as elements of a binding."""
+    from rhi.shading.annotations import value_type_of
+
+    type = value_type_of(binding.type)
+    is_uniform = binding.kind is BindingKind.UNIFORM
+    dtype = dtype_of(type, Layout.STD140) if is_uniform else element_dtype(type, Layout.STD430)
+    base, shape = dtype.subdtype or (dtype, ())
+    count = 1 if is_uniform else len(memory) // dtype.itemsize
+    return memory[: count * dtype.itemsize].view(base).reshape(count, *shape)
