@@ -22,7 +22,17 @@ from numpy.typing import NDArray
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
 from rhi.backends.cl.pipelines import Geometry, Kernel, Pipeline
-from rhi.backends.cl.tables import BATCH, DRAW, GROUP, MAX_STREAMS, RECORD_BYTES, TILE, varying_words
+from rhi.backends.cl.tables import (
+    BATCH,
+    DRAW,
+    EXTENT_BYTES,
+    GROUP,
+    MAX_STREAMS,
+    PART,
+    RECORD_BYTES,
+    TILE,
+    varying_words,
+)
 from rhi.backends.cl.targets import MergerKey
 from rhi.descriptors import BindingKind, Interpolation
 
@@ -30,6 +40,7 @@ __rhi_internal__ = True
 
 _SLICE_GROUPS: Final = 1 << 15  # 512 k primitives: 74 MiB of records, boxes and lists
 _PIECE_GROUPS: Final = 1 << 16  # of vertices: 1 M, 32 MiB of positions; fewer gain nothing
+_FIRST_PIECE_GROUPS: Final = 1 << 14  # then each is twice the last one
 _CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough that counts of tiles stay small
 _MIN_CHUNK: Final = 8  # groups: less isn't worth a work-item
 _VERTEX_CHUNK: Final = 64  # groups
@@ -45,7 +56,8 @@ PREPARED, INSTANCES, VIEW, SAMPLES, CONDITION, INVERTED = range(6)
 FIXED_COLUMNS: Final = 6
 
 POOLS: Final = (
-    "positions", "clips", "varyings", "records", "planes", "boxes", "counts", "starts", "list", "survivors", "scratch",
+    "positions", "clips", "varyings", "extents", "records", "planes", "boxes", "counts", "starts", "list", "survivors",
+    "scratch", "bounds",
 )  # fmt: skip
 """The addresses in a batch that are those of scratch memory."""
 
@@ -77,6 +89,11 @@ class PreparedDraws:
     def leave(self, place: int) -> None:
         """It may be used again once the draws gathered now are flushed."""
         self._left.append(place)
+
+    def take(self, places: NDArray[np.int64]) -> NDArray[Any]:
+        """A copy of these rows of `draws`. They are moved as plain words: NumPy moves structs field by field."""
+        words = self.draws.view(np.uint64).reshape(len(self.draws), -1)
+        return words.take(places, axis=0).view(DRAW).reshape(-1)
 
     def recycle(self) -> None:
         """No draw that was gathered needs what was left."""
@@ -137,6 +154,7 @@ class Batch:
         self.raster: Kernel | None = None
         self._table = np.zeros((), BATCH)
         self._places = b""  # where the target's planes begin in their memory
+        self._bounds_depth = False  # whether its raster kernel leaves bounds
         self._room = 0, 0  # vertices and primitives that the table's scratch memory is for
         self._streams = 0
         self._width = FIXED_COLUMNS
@@ -162,6 +180,8 @@ class Batch:
         table["tiles_x"], table["tiles"] = tiles_x, tiles_x * tiles_y
         table["samples"], table["shades"] = key.samples, key.shades
         table["near_is_less"] = key.depth_passes < _FIRST_GREATER
+        table["depth_step"] = key.depth_step
+        self._bounds_depth = key.bounds_depth
         varyings = pipeline.descriptor.varyings
         table["linear"] = any(varying.interpolation is Interpolation.NO_PERSPECTIVE for varying in varyings)
         self._room = 0, 0
@@ -180,17 +200,19 @@ class Batch:
         del self.rows[:]
         self.views.clear()
         places = rows[:, PREPARED].astype(np.int64)
-        draws, streams = self.prepared.draws[places], self.prepared.streams[places, : self._streams]
+        draws, streams = self.prepared.take(places), self.prepared.streams[places, : self._streams]
         self.prepared.recycle()
-        numbered = _number_groups(rows, draws)
-        groups = numbered["vertex_group"][1:]
-        if groups[-1] <= _PIECE_GROUPS:
-            event = self._draw(rows, numbered, streams, views)
-        else:
-            event = None
-            for part in np.split(np.arange(len(rows)), np.flatnonzero(np.diff(groups // _PIECE_GROUPS)) + 1):
-                numbered = _number_groups(rows[part], draws[part])
-                event = self._draw(rows[part], numbered, streams[part], views) or event
+        instances = rows[:, INSTANCES].astype(np.int64)
+        ends = np.cumsum(draws["vertex_groups"] * instances)
+        self._table["bounded"] = False
+        event, begin, room = None, 0, min(_FIRST_PIECE_GROUPS, _PIECE_GROUPS)
+        while begin < len(rows):
+            before = int(ends[begin - 1]) if begin else 0
+            end = max(int(np.searchsorted(ends, before + room, "right")), begin + 1)
+            part = slice(begin, end)
+            numbered = _number_groups(rows[part], instances[part], draws[part])
+            event = self._draw(rows[part], numbered, streams[part], views) or event
+            begin, room = end, min(2 * room, _PIECE_GROUPS)
         if event is not None:
             self._uploads.release(event)
             assert self.pipeline is not None
@@ -227,6 +249,8 @@ class Batch:
             "positions": 16 * vertices,
             "clips": 16 * vertices,
             "varyings": 4 * varying_words(self.pipeline.descriptor) * vertices,
+            "extents": EXTENT_BYTES * vertices // GROUP,
+            "bounds": 4 * (TILE // PART) ** 2 * tiles,
             "records": RECORD_BYTES * primitives,
             "planes": RECORD_BYTES * primitives if batch["shades"] else 0,
             "boxes": 4 * primitives,
@@ -263,6 +287,7 @@ class Batch:
                 geometry.prefix.launch(queue, place, 1)
                 geometry.scatter.launch(queue, place, chunks)
             event = self.raster.launch(queue, place, tiles)
+            batch["bounded"] = self._bounds_depth
         return event
 
     def _count_elements(self, bound: NDArray[np.uint64]) -> None:
@@ -273,15 +298,19 @@ class Batch:
                 bound[:, at + 1] //= np.uint64(max(1, binding.size))
 
 
-def _number_groups(rows: NDArray[np.uint64], prepared: NDArray[Any]) -> NDArray[Any]:
+def _number_groups(
+    rows: NDArray[np.uint64], instances: NDArray[np.int64], prepared: NDArray[Any]
+) -> NDArray[Any]:
     """The table of draws; the last row is where groups end."""
-    draws = np.zeros(len(rows) + 1, DRAW)
-    draws[:-1] = prepared
+    draws = np.empty(len(rows) + 1, DRAW)
+    words = draws.view(np.uint64).reshape(len(draws), -1)
+    words[:-1] = prepared.view(np.uint64).reshape(len(prepared), -1)
+    words[-1] = 0
     numbered = draws[:-1]
     numbered["view"], numbered["samples"] = rows[:, VIEW], rows[:, SAMPLES]
     numbered["condition"], numbered["inverted"] = rows[:, CONDITION], rows[:, INVERTED]
     numbered["row"] = np.arange(len(rows))
-    instances = rows[:, INSTANCES].astype(np.int64)
-    draws["vertex_group"][1:] = np.cumsum(prepared["vertex_groups"] * instances)
-    draws["primitive_group"][1:] = np.cumsum(prepared["primitive_groups"] * instances)
+    draws["vertex_group"][0] = draws["primitive_group"][0] = 0
+    np.cumsum(prepared["vertex_groups"] * instances, out=draws["vertex_group"][1:], dtype=np.int32)
+    np.cumsum(prepared["primitive_groups"] * instances, out=draws["primitive_group"][1:], dtype=np.int32)
     return draws

@@ -34,6 +34,8 @@ MAX_PLANES: Final = 10
 TILE: Final = 64
 GROUP: Final = 16
 RECORD_BYTES: Final = 64
+EXTENT_BYTES: Final = 32
+PART: Final = 16
 
 
 def _fields(text: str, code: str) -> list[tuple[str, str]]:
@@ -43,16 +45,18 @@ def _fields(text: str, code: str) -> list[tuple[str, str]]:
 BATCH: Final = np.dtype(
     [
         *_fields(
-            "draws views rows positions clips varyings records planes boxes counts starts list survivors scratch",
+            "draws views rows positions clips varyings records planes boxes counts starts list survivors scratch "
+            "extents bounds",
             "u8",
         ),
         ("surfaces", "u8", (MAX_PLANES,)),
         ("places", "u8"),
         *_fields(
             "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks tiles_x tiles "
-            "list_size listed samples shades linear width height near_is_less",
+            "list_size listed samples shades linear width height near_is_less bounded",
             "i4",
         ),
+        ("depth_step", "f4"),
     ],
     align=True,
 )
@@ -150,7 +154,7 @@ def raster_macros(descriptor: ProgramDescriptor, key: MergerKey, faults: int = 0
         f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n"
         f"#define VARYINGS(SMOOTH, FLAT, STRAIGHT) {varyings}\n#define OPEN_SURFACES {' '.join(opened)}\n"
         f"#define GIVES_DEPTH {int(descriptor.writes_depth)}\n"
-        f"#define STAGES_DEPTH {int(key.has_depth and not key.has_stencil and key.samples == 1)}\n"
+        f"#define STAGES_DEPTH {int(key.stages_depth)}\n#define BOUNDS_DEPTH {int(key.bounds_depth)}\n"
     )
 
 
@@ -183,7 +187,7 @@ def _fetch(stream: VertexStream, attribute: VertexAttribute, at: int, start: int
     yield "{ uint16 raw[4];"
     address = f"AT(const uchar, row[{at}]) + {attribute.offset}"
     if stream.per_instance:
-        yield f"spread({address} + (long)numbered * {stream.stride}, {count:.0f}, raw);"
+        yield f"spread({address} + (long)numbered * {stream.stride}, raw);"
     else:
         words = f"{stream.stride}, {count:.0f}, raw)"
         yield f"if (in_row) gather_row({address} + (long)vertices[0] * {stream.stride}, {words};"

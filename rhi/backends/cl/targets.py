@@ -52,6 +52,8 @@ _PASSES: Final = {
 }  # fmt: skip
 """Comparisons by name: 1 lets less pass, 2 equal, 4 greater."""
 _ALWAYS: Final = _PASSES["always"]
+_ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
+DEPTH_STEPS: Final = {16: 1 / 65535, 24: 1 / 16777215}
 _KINDS: Final = {kind: number for number, kind in enumerate(Kind)}
 _STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(StencilOperation)}
 _BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(BlendOperation)}
@@ -124,6 +126,22 @@ class MergerKey:
     def has_stencil(self) -> bool:
         """Whether the kernel takes the stencil plane."""
         return self.stencil
+
+    @property
+    def stages_depth(self) -> bool:
+        """Whether the raster kernel keeps a tile's depth at hand: one sample, no stencil."""
+        return self.has_depth and not self.has_stencil and self.samples == 1
+
+    @property
+    def bounds_depth(self) -> bool:
+        """Whether it also knows depths behind which the test fails: before shading, which may change them."""
+        comes_first = self.order is not TestOrder.LATE or not self.shades
+        return self.stages_depth and self.depth_passes in _ORDERED and comes_first
+
+    @property
+    def depth_step(self) -> float:
+        """Between depths that the target can hold; 0: they are floats."""
+        return DEPTH_STEPS.get(self.depth_bits, 0.0)
 
     def defines(self) -> str:
         """The macros that `kernels/targets.cl` is compiled with."""

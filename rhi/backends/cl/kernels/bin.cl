@@ -26,7 +26,7 @@ SINGLE prefix(ulong address) {
 
 SINGLE scatter(ulong address) {
     global const Batch *batch = AT(const Batch, address);
-    const int chunk = get_global_id(0), tiles = batch->tiles, tiles_x = batch->tiles_x;
+    const int chunk = spread_work(get_global_id(0), batch->chunks), tiles = batch->tiles, tiles_x = batch->tiles_x;
     global uint *counts = AT(uint, batch->counts) + (long)chunk * tiles, *starts = AT(uint, batch->starts);
     global uint *list = AT(uint, batch->list), *boxes = AT(uint, batch->boxes);
     if (starts[tiles] > batch->list_size) return;

@@ -11,6 +11,7 @@
 #define AT(type, address) ((global type *)(address))
 #define LANES (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #define GROUP 16
+typedef uint4 word_uint4 __attribute__((aligned(4)));  // one that lies anywhere
 #define UNROLL _Pragma("unroll")  // PoCL unrolls only what it is told to; else arrays would lie in memory
 
 #define SUBTEXELS 256
@@ -21,6 +22,10 @@
 
 #define TILE_BITS 6
 #define TILE (1 << TILE_BITS)  // texels along its edge: 4096 depths are 16 KiB, half of a core's first cache
+
+// A depth bound is kept for each PART × PART texels.
+#define PART_BITS 4
+#define PARTS (TILE >> PART_BITS)  // in a row of a tile
 
 enum { POINTS = 1, LINES = 2, TRIANGLES = 3 };
 
@@ -42,6 +47,7 @@ enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
 
 typedef struct {
     ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
+    ulong extents, bounds;
     ulong surfaces[10], places;       // color targets, depth, stencil; where they begin in their memory
     int draw_count, row_words;
     int vertex_groups, vertex_chunk;  // of the batch, and for one work-item
@@ -49,7 +55,18 @@ typedef struct {
     int tiles_x, tiles, list_size, listed;
     int samples, shades, linear, width, height;
     int near_is_less;                 // of depths: which way the test goes
+    int bounded;                      // whether raster kernels left bounds of depth that still hold
+    float depth_step;                 // of the depths that the target can hold, 0: that of floats
 } Batch;
+
+// Where the vertices of one instance lie that one work-item transformed: what is drawn of them lies there, too. It stands
+// at the number of their first group.
+typedef struct {
+    int low_x, low_y, high_x, high_y;       // subtexels
+    float low, high;                        // depth
+    int fit;                                // whether all of them have a window position; else the others say nothing
+    int behind;                             // the planes that all of them lie behind
+} Extent;
 
 typedef struct {
     ulong indices;                          // of its first corner; 0: vertices in order
@@ -92,6 +109,22 @@ static inline __attribute__((always_inline, overloadable)) void exchange_quarter
 EXCHANGE_QUARTERS(uint16)
 EXCHANGE_QUARTERS(float16)
 
+// 16 lanes combined to one number.
+#define REDUCTION(name, type, combine) \
+static inline __attribute__((always_inline, overloadable)) type name(type##16 lanes) { \
+    type##8 eight = combine(lanes.lo, lanes.hi); \
+    type##4 four = combine(eight.lo, eight.hi); \
+    type##2 two = combine(four.lo, four.hi); \
+    return combine(two.x, two.y); \
+}
+#define AND(a, b) ((a) & (b))
+
+REDUCTION(find_least, int, min)
+REDUCTION(find_least, float, fmin)
+REDUCTION(find_greatest, int, max)
+REDUCTION(find_greatest, float, fmax)
+REDUCTION(find_common, int, AND)
+
 // The lanes of a mask as bits.
 INLINE uint bits_of(int16 mask) {
 #if defined(__AVX512DQ__)
@@ -130,6 +163,25 @@ INLINE int name(global const Draw *draws, int count, int group) { \
         else high = middle - 1; \
     } \
     return low; \
+}
+
+// The i-th of `count` pieces of work, every other one first: drivers hand out runs of work-items, and what is costly lies
+// together.
+INLINE int spread_work(int i, int count) {
+    int half_way = (count + 1) / 2;
+    return i < half_way ? 2 * i : 2 * (i - half_way) + 1;
+}
+
+// Whether all depths stored in a box of texels are nearer than `nearest`. `bounds`: of the target's parts.
+INLINE bool is_hidden(
+    global const float *bounds, int tiles_x, bool near_is_less, int left, int top, int right, int bottom, float nearest
+) {
+    for (int y = top >> PART_BITS; y <= bottom >> PART_BITS; ++y)
+        for (int x = left >> PART_BITS; x <= right >> PART_BITS; ++x) {
+            float bound = bounds[y * (tiles_x * PARTS) + x];
+            if (!(near_is_less ? nearest > bound : nearest < bound)) return false;
+        }
+    return true;
 }
 
 // Whether a draw is dropped by its condition: the counter of a query, which is two words.

@@ -120,15 +120,11 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
 #define TILE_BLOCKS (TILE / 4)
 
 // Bounds: of each PART × PART texels, a depth that all stored ones lie nearer than. What lies behind the bounds of all
-// parts that its box touches is dropped before its edges are looked at. A bound is found anew after some writes.
-#define BOUNDS_DEPTH (DEPTH_PASSES == 1 || DEPTH_PASSES == 3 || DEPTH_PASSES == 4 || DEPTH_PASSES == 6) && \
-                     (TEST_ORDER != TEST_LATE || !SHADES)
-#define PART_BITS 4
-#define PARTS (TILE >> PART_BITS)
+// parts that its box touches is dropped before its edges are looked at. A bound is found anew after some writes. The last
+// ones are left for set-up, which drops what the batch's later primitives hide behind them.
 #define WRITES_BEFORE_BOUND 16  // records
 #define NEAR_IS_LESS (DEPTH_PASSES < 4)
 #define FARTHER(a, b) (NEAR_IS_LESS ? fmax(a, b) : fmin(a, b))
-#define ROUNDING (DEPTH_BITS == 16 ? 1.0f / 65535.0f : DEPTH_BITS == 24 ? 1.0f / 16777215.0f : 0.0f)
 
 INLINE float find_bound(const float16 *blocks, int part) {
     const float16 *block = blocks + (part / PARTS * TILE_BLOCKS + part % PARTS) * (1 << PART_BITS) / 4;
@@ -176,11 +172,18 @@ INLINE void count_samples(ulong address, uint count) {
 
 SINGLE raster(ulong address) {
     global const Batch *batch = AT(const Batch, address);
-    const int tile = get_global_id(0);
+    const int tile = spread_work(get_global_id(0), batch->tiles);
     Records records = find_records(batch, tile);
     int place = next_record(&records);
-    if (place < 0) return;
     const int tile_x = tile % batch->tiles_x * TILE, tile_y = tile / batch->tiles_x * TILE;
+#if STAGES_DEPTH && BOUNDS_DEPTH
+    const int bounds_pitch = batch->tiles_x * PARTS;
+    global float *left_bounds = AT(float, batch->bounds) + (tile_y >> PART_BITS) * bounds_pitch + (tile_x >> PART_BITS);
+    if (place < 0 && !batch->bounded)
+        for (int part = 0; part < PARTS * PARTS; ++part)
+            left_bounds[part / PARTS * bounds_pitch + part % PARTS] = NEAR_IS_LESS ? INFINITY : -INFINITY;
+#endif
+    if (place < 0) return;
     OPEN_SURFACES
     const Targets targets = open_targets(TARGET_ARGUMENTS);
 #if STAGES_DEPTH
@@ -224,7 +227,7 @@ SINGLE raster(ulong address) {
         for (int part_y = part_y0; part_y <= part_y1; ++part_y)
             for (int part_x = part_x0; part_x <= part_x1; ++part_x) bound = FARTHER(bound, bounds[part_y * PARTS + part_x]);
         const float nearest = as_float(record[NEAREST]);
-        if (NEAR_IS_LESS ? nearest - ROUNDING > bound : nearest + ROUNDING < bound) continue;
+        if (NEAR_IS_LESS ? nearest > bound : nearest < bound) continue;
 #endif
         if (flags >> 4 != number) {
             number = flags >> 4;
@@ -391,5 +394,9 @@ SINGLE raster(ulong address) {
     count_samples(counter, counted);
 #if STAGES_DEPTH && DEPTH_WRITES
     stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, true);
+#endif
+#if STAGES_DEPTH && BOUNDS_DEPTH
+    for (int part = 0; part < PARTS * PARTS; ++part)
+        left_bounds[part / PARTS * bounds_pitch + part % PARTS] = writes[part] ? find_bound(blocks, part) : bounds[part];
 #endif
 }

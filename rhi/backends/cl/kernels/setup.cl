@@ -188,12 +188,43 @@ bool set_up_polygon(
     return true;
 }
 
+// Whether nothing of an instance can be seen: the vertices that begin at `group` lie outside the view, or behind all that
+// is stored.
+bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, int group) {
+    global const Extent *extents = AT(const Extent, batch->extents);
+    int end = group + draw->vertex_groups;
+    Extent whole = extents[group];
+    while ((group = (group / batch->vertex_chunk + 1) * batch->vertex_chunk) < end) {
+        whole.low_x = min(whole.low_x, extents[group].low_x);
+        whole.low_y = min(whole.low_y, extents[group].low_y);
+        whole.high_x = max(whole.high_x, extents[group].high_x);
+        whole.high_y = max(whole.high_y, extents[group].high_y);
+        whole.low = fmin(whole.low, extents[group].low);
+        whole.high = fmax(whole.high, extents[group].high);
+        whole.fit &= extents[group].fit;
+        whole.behind &= extents[group].behind;
+    }
+    if (whole.behind) return true;
+    if (!whole.fit || draw->primitive != TRIANGLES) return false;
+    int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
+    int left = max((whole.low_x - reach + 255) >> 8, view->box[0]), right = min((whole.high_x + reach) >> 8, view->box[2]);
+    int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);
+    if (left > right || top > bottom) return true;
+    if (!batch->bounded || view->bias_units != 0.0f || view->bias_slope != 0.0f) return false;
+    // Depth is rounded, and so are corners, by which slopes change: a sliver's depth may lie a little beyond its corners'.
+    float slack = 1e-6f + batch->depth_step + (whole.high - whole.low) * (1.0f / 64.0f);
+    return is_hidden(AT(const float, batch->bounds), batch->tiles_x, batch->near_is_less, left, top, right, bottom,
+                     batch->near_is_less ? whole.low - slack : whole.high + slack);
+}
+
 SINGLE set_up(ulong address) {
     global const Batch *batch = AT(const Batch, address);
     global const Draw *draws = AT(const Draw, batch->draws);
     global const uint4 *positions = AT(const uint4, batch->positions);
     global uint *boxes = AT(uint, batch->boxes);
-    const int chunk = get_global_id(0), tiles_x = batch->tiles_x;
+    const int chunk = spread_work(get_global_id(0), batch->chunks), tiles_x = batch->tiles_x;
+    global const float *bounds = AT(const float, batch->bounds);
+    const bool bounded = batch->bounded;
     const bool listed = batch->listed, shades = batch->shades, near_is_less = batch->near_is_less;
     const bool all_big = batch->samples > 1;
     const int reach = all_big ? SAMPLE_REACH : 0;
@@ -219,7 +250,12 @@ SINGLE set_up(ulong address) {
         int instance = (group - draw->primitive_group) / draw->primitive_groups;
         int part = (group - draw->primitive_group) - instance * draw->primitive_groups;
         int parts = min(draw->primitive_groups, part + end - group);
-        int to_slot = (draw->vertex_group + instance * draw->vertex_groups) * GROUP - draw->lowest;
+        const int vertex_group = draw->vertex_group + instance * draw->vertex_groups;
+        if (is_unseen(batch, draw, view, vertex_group)) {
+            group += parts - part;
+            continue;
+        }
+        int to_slot = vertex_group * GROUP - draw->lowest;
         global const uint4 *vertices = positions + to_slot;
         for (; part < parts; ++part, ++group) {
             int last = draw->primitives - 1 - part * GROUP;
@@ -278,6 +314,16 @@ SINGLE set_up(ulong address) {
             int16 c0 = (a0 * (origin_x - x[0]) + b0 * (origin_y - y[0]) - 1 - OWNS(a0, b0)) >> 8;
             int16 c1 = (a1 * (origin_x - x[1]) + b1 * (origin_y - y[1]) - 1 - OWNS(a1, b1)) >> 8;
             int16 c2 = (a2 * (origin_x - x[2]) + b2 * (origin_y - y[2]) - 1 - OWNS(a2, b2)) >> 8;
+            if (!all_big) {
+                // Of boxes of 1 or 2 texels a side, those that hold no covered one.
+                int16 two_x = right > left, two_y = bottom > top, covers = (c0 | c1 | c2) >= 0;
+                covers |= two_x & (((c0 + a0) | (c1 + a1) | (c2 + a2)) >= 0);
+                covers |= two_y & (((c0 + b0) | (c1 + b1) | (c2 + b2)) >= 0);
+                covers |= two_x & two_y & (((c0 + a0 + b0) | (c1 + a1 + b1) | (c2 + a2 + b2)) >= 0);
+                kept &= covers | big | (((right - left) | (bottom - top)) > 1);
+                survivors = bits_of(kept);
+                if (!(survivors | polygons)) continue;
+            }
             c0 = big ? x[0] : c0;
             c1 = big ? y[0] : c1;
 
@@ -308,6 +354,7 @@ SINGLE set_up(ulong address) {
             float16 slack = 1e-6f + 0x1p-21f * (fabs(depth_x) * convert_float16((high_x - low_x) >> 8) +
                                                 fabs(depth_y) * convert_float16((high_y - low_y) >> 8));
             slack += wide ? (fabs(depth_x) + fabs(depth_y)) * (1.0f / 128.0f) : 0.0f;  // by what corners are rounded
+            slack += batch->depth_step;
             float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
                                            : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;
             int16 cuts = (left > (low_x - reach + 255) >> 8) | (right < (high_x + reach) >> 8) |
@@ -342,6 +389,13 @@ SINGLE set_up(ulong address) {
             uint tile_boxes[GROUP];
             vstore16(as_uint16(left >> TILE_BITS | (top >> TILE_BITS) << 8 | (right >> TILE_BITS) << 16 |
                                 (bottom >> TILE_BITS) << 24), 0, tile_boxes);
+            uint firsts[GROUP], lasts[GROUP];
+            float nearests[GROUP];
+            if (bounded) {
+                vstore16(fields[BOX_FIRST], 0, firsts);
+                vstore16(fields[BOX_LAST], 0, lasts);
+                vstore16(nearest, 0, nearests);
+            }
             uint todo = survivors | polygons;
             while (todo) {
                 int lane = 31 - clz(todo & -todo);
@@ -360,6 +414,9 @@ SINGLE set_up(ulong address) {
                     *record = as_uint16(vload16(0, made));
                     if (shades) AT(float16, batch->planes)[place] = vload16(0, plane);
                 } else {
+                    if (bounded && is_hidden(bounds, tiles_x, near_is_less, firsts[lane] & 0xFFFFu, firsts[lane] >> 16,
+                                             lasts[lane] & 0xFFFFu, lasts[lane] >> 16, nearests[lane]))
+                        continue;
                     *record = records[lane];
                     if (shades) AT(uint16, batch->planes)[place] = planes[lane];
                     if (tilted >> lane & 1) {

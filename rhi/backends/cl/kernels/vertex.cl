@@ -9,7 +9,8 @@
 
 FIND_DRAW(find_draw_of_vertices, vertex_group)
 
-// `count` words of 16 vertices, whose places in memory PLACE gives; up to 12 bytes beyond the last one are read.
+// The words of 16 vertices, whose places in memory PLACE gives: one, or up to four; up to 12 bytes beyond the last one
+// are read.
 #define GATHER(PLACE) \
     if (count == 1) { \
         words[0] = (uint16)(WORD(PLACE, 0), WORD(PLACE, 1), WORD(PLACE, 2), WORD(PLACE, 3), WORD(PLACE, 4), \
@@ -17,14 +18,13 @@ FIND_DRAW(find_draw_of_vertices, vertex_group)
                             WORD(PLACE, 10), WORD(PLACE, 11), WORD(PLACE, 12), WORD(PLACE, 13), WORD(PLACE, 14), \
                             WORD(PLACE, 15)); \
     } else { \
-        uint16 rows[4], columns[4]; \
+        uint16 rows[4]; \
         UNROLL for (int i = 0; i < 4; ++i) \
             rows[i] = (uint16)(FOUR(PLACE, i), FOUR(PLACE, i + 4), FOUR(PLACE, i + 8), FOUR(PLACE, i + 12)); \
-        transpose4(rows, columns); \
-        UNROLL for (int i = 0; i < count; ++i) words[i] = columns[i]; \
+        transpose4(rows, words); \
     }
 #define WORD(PLACE, lane) *(global const uint *)(attribute + PLACE(lane) * stride)
-#define FOUR(PLACE, lane) vload4(0, (global const uint *)(attribute + PLACE(lane) * stride))
+#define FOUR(PLACE, lane) *(global const word_uint4 *)(attribute + PLACE(lane) * stride)
 
 INLINE void gather(global const uchar *attribute, const int *vertices, const long stride, const int count, uint16 *words) {
 #define NAMED(lane) vertices[lane]
@@ -38,8 +38,8 @@ INLINE void gather_row(global const uchar *attribute, const long stride, const i
 }
 
 // The same words for all lanes.
-INLINE void spread(global const uchar *attribute, const int count, uint16 *words) {
-    UNROLL for (int i = 0; i < count; ++i) words[i] = (uint16)(((global const uint *)attribute)[i]);
+INLINE void spread(global const uchar *attribute, uint16 *words) {
+    UNROLL for (int i = 0; i < 4; ++i) words[i] = (uint16)(((global const uint *)attribute)[i]);
 }
 
 // Components of packed words.
@@ -66,7 +66,7 @@ INLINE void store_words(global uint *memory, const uint16 *words, const int widt
         if (width == 4) {
             uint16 whole[4];
             exchange_quarters(rows, whole);
-            UNROLL for (int j = 0; j < 4; ++j) vstore16(whole[j], j, memory);
+            UNROLL for (int j = 0; j < 4; ++j) ((global uint16 *)memory)[j] = whole[j];
             return;
         }
         UNROLL for (int j = 0; j < 4; ++j) {
@@ -107,6 +107,10 @@ SINGLE transform(ulong address) {
         int part = (group - draw->vertex_group) - instance * draw->vertex_groups;
         int parts = min(draw->vertex_groups, part + end - group);
         int numbered = draw->base_instance + instance;
+        global Extent *extent = AT(Extent, batch->extents) + group;
+        int16 low_x = (int16)(INT_MAX), low_y = low_x, high_x = (int16)(INT_MIN), high_y = high_x, all_behind = (int16)(-1);
+        float16 low = (float16)(INFINITY), high = -low;
+        uint any_fit = 0, any_unfit = 0;
         for (; part < parts; ++part, ++group) {
             int last = draw->vertices - 1 - part * GROUP;
             int16 vertex = part * GROUP + min(LANES, last);
@@ -131,11 +135,21 @@ SINGLE transform(ulong address) {
             int16 fixed_x = as_int16(sub_x + 12582912.0f) - 0x4B400000;
             int16 fixed_y = as_int16(sub_y + 12582912.0f) - 0x4B400000;
             long slot = (long)group * GROUP;
-            if (bits_of(~fits)) {
+            low_x = min(low_x, fixed_x);
+            low_y = min(low_y, fixed_y);
+            high_x = max(high_x, fixed_x);
+            high_y = max(high_y, fixed_y);
+            low = depth < low ? depth : low;
+            high = depth > high ? depth : high;
+            const uint unfit = bits_of(~fits);
+            any_unfit |= unfit;
+            any_fit |= ~unfit & 0xFFFFu;
+            if (unfit) {
                 int16 behind = ((z < 0.0f) & 1) | ((z > w) & 2) | ((x < -w) & 4) | ((x > w) & 8) | ((y < -w) & 16) |
                                ((y > w) & 32);
                 fixed_x = fits ? fixed_x : behind;
                 near_w = fits ? near_w : (float16)(-1.0f);
+                all_behind &= behind;
             }
             store_words(AT(uint, batch->clips) + slot * 4, outputs, 4);
             uint16 position[4] = {as_uint16(fixed_x), as_uint16(fixed_y), as_uint16(depth), as_uint16(near_w)};
@@ -144,5 +158,13 @@ SINGLE transform(ulong address) {
             store_words(AT(uint, batch->varyings) + slot * VARYING_WORDS, outputs + 4, VARYING_WORDS);
 #endif
         }
+        extent->low_x = find_least(low_x);
+        extent->low_y = find_least(low_y);
+        extent->high_x = find_greatest(high_x);
+        extent->high_y = find_greatest(high_y);
+        extent->low = find_least(low);
+        extent->high = find_greatest(high);
+        extent->fit = !any_unfit;
+        extent->behind = any_fit ? 0 : find_common(all_behind);
     }
 }

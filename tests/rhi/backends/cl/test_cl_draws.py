@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
@@ -115,6 +116,16 @@ def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
             for begin, end in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
                 device.draw(device.program(Colored), mesh.view(first=begin, count=end - begin))
         return image.read()
+
+
+def count_survivors(device: Device) -> int:
+    """The primitives of the last slice that set-up made records of."""
+    batch = device.backend_as(ClBackend)._rasteriser._batch
+    memory = batch._pools["survivors"]._memory
+    assert memory is not None
+    counts = np.zeros(int(batch._table["chunks"]), np.uint32)
+    cl.enqueue_copy(batch._queue, counts, memory)
+    return int(counts.sum())
 
 
 # -- what ends a batch ---------------------------------------------------------------------------------------
@@ -422,3 +433,79 @@ def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     assert (depth_values == plain_depths).all()
     assert (image == plain_image).all()
     assert (image > 0).any() or function in (DepthFunction.NEVER, DepthFunction.EQUAL)
+
+
+@pytest.mark.parametrize(
+    "depth_format", [(Format.D32F, Format.D32FS8), (Format.D24, Format.D24S8)], ids=["float", "24"]
+)
+@pytest.mark.parametrize("function", [DepthFunction.LESS, DepthFunction.GREATER_EQUAL], ids=lambda f: f.name)
+@pytest.mark.parametrize("offset", [0.0, 0.5])
+def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
+    device: Device,
+    monkeypatch: pytest.MonkeyPatch,
+    function: DepthFunction,
+    depth_format: tuple[Format, Format],
+    offset: float,
+) -> None:
+    """Whole draws and single primitives; with a stencil test nothing is known of earlier slices."""
+    count, each = 120, 24
+    rng = np.random.default_rng(7)
+    middle, size = rng.uniform(-1.1, 1.1, (count, 1, 1, 2)), 2.0 ** rng.uniform(-7, 0, (count, each, 1, 1))
+    places = middle + size * rng.uniform(-1, 1, (count, each, 3, 2))
+    colors = np.repeat(rng.uniform(0, 1, (count * each, 4)), 3, axis=0)
+    away = rng.uniform(0, 1, (count, 1, 1)) + 0.05 * rng.uniform(-1, 1, (count, each, 3))
+    rows = corners(places.reshape(-1, 2), colors, np.clip(away, 0, 1).ravel())
+    pictures, survivors = [], []
+    for form, groups in ((depth_format[1], 1 << 15), (depth_format[0], 1 << 15), (depth_format[0], 32)):
+        monkeypatch.setattr(draws, "_SLICE_GROUPS", groups)
+        with (
+            device.texture(SIZE, Format.RGBA8) as image,
+            device.texture(SIZE, form) as depth,
+            device.mesh(rows) as mesh,
+        ):
+            stencil = StencilTest.ON if form.has_stencil else StencilTest.OFF
+            states = CullMode.NONE, function, stencil, PolygonOffset(offset)
+            with (
+                device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+                device.states(*states),
+            ):
+                for part in range(count):
+                    device.draw(device.program(Colored), mesh.view(first=3 * each * part, count=3 * each))
+            pictures.append((image.read(), depth.read()))
+            survivors.append(count_survivors(device))
+    for image_values, depth_values in pictures[1:]:
+        assert (image_values == pictures[0][0]).all()
+        assert (depth_values == pictures[0][1]).all()
+    assert survivors[0] > 0
+
+
+def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
+    device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(draws, "_SLICE_GROUPS", 1)  # each draw is a slice
+    left = []
+    for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
+        for last in (0.25, 0.75):  # before the wall, or behind it
+            rows = np.concatenate(
+                [rectangle(depth=0.5), rectangle(place - 0.1, 0.4, place + 0.1, 0.6, depth=last)]
+            )
+            with device.texture(SIZE, Format.D32F) as depth, device.mesh(rows) as mesh:
+                with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
+                    for first in (0, 6):
+                        device.draw(device.program(Colored), mesh.view(first=first, count=6))
+                left.append(count_survivors(device))
+    assert left == [2, 0, 0, 0]
+
+
+def test_small_triangles_between_texel_centres_are_not_set_up(device: Device) -> None:
+    size = 4
+    boxes = [(1.6, 1.6, 1.9, 1.9), (1.6, 0.7, 2.4, 1.2), (1.4, 1.2, 1.8, 1.7), (0.9, 0.9, 2.6, 1.6)]
+    inside = []
+    for left, top, right, bottom in boxes:
+        corner = np.array([(left, top), (left, bottom), (right, bottom)]) * 2 / size - 1
+        rows = corners(corner * (1, -1))
+        with device.texture((size, size), Format.R8) as image, device.mesh(rows) as mesh:
+            with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+                device.draw(device.program(Colored), mesh)
+            inside.append(((image.read() > 0).sum(), count_survivors(device)))
+    assert inside == [(0, 0), (0, 0), (1, 1), (1, 1)]
