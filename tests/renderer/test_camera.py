@@ -79,7 +79,7 @@ def views(draw):
 
 
 @given(camera=views(), seed=st.integers(0, 2**32 - 1))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_frustum_planes_hold_exactly_the_points_in_clip_space(camera, seed):
     points = camera.position + np.random.default_rng(seed).normal(size=(200, 3)) * 30.0
     planes = camera.frustum.planes

@@ -58,7 +58,7 @@ def situations(draw):
 
 
 @given(situation=situations())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @pytest.mark.parametrize("build", [build_by_area, build_by_median])
 def test_the_hierarchy_finds_exactly_what_brute_force_finds(build, situation):
     lower, upper, camera = situation

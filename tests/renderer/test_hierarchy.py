@@ -62,7 +62,7 @@ def test_a_tree_covers_every_box_once_with_exact_bounds(build, count):
 
 @pytest.mark.parametrize("build", BUILDERS)
 @given(boxes=any_boxes(), leaf_size=st.integers(1, 9))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_tree_is_valid_for_hard_boxes(build, boxes, leaf_size):
     check_tree(build(*boxes, leaf_size=leaf_size), *boxes, leaf_size)
 

@@ -27,7 +27,7 @@ def expected_world(parents, local):
 
 
 @given(forest=forests())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_world_transforms_are_the_products_along_the_parents(forest):
     parents, local = forest
     nodes = Nodes(parents, local)
@@ -35,7 +35,7 @@ def test_world_transforms_are_the_products_along_the_parents(forest):
 
 
 @given(forest=forests(), seed=st.integers(0, 1000))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_an_update_after_moves_equals_building_anew(forest, seed):
     parents, local = forest
     nodes = Nodes(parents, local, dynamic=True)

@@ -142,11 +142,11 @@ class Coverage:
 
 
 def main(arguments: list[str]) -> None:
-    settings.register_profile("traced", deadline=None, max_examples=10)
-    settings.load_profile("traced")
+    settings.register_profile("traced", derandomize=True, deadline=None, max_examples=10)
     coverage = Coverage()
     marks = ["-m", "not slow and not nightly"]
     options = ["-q", "-p", "no:cacheprovider", "-c", os.devnull, *marks, "--rootdir", str(PACKAGE.parent)]
+    options += ["--hypothesis-profile", "traced"]
     with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
         status = pytest.main([*options, *arguments], [coverage])
     if status not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):

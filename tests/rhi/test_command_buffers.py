@@ -62,7 +62,7 @@ def give(encoder: Encoder, house: House, passes: list[Any]) -> None:
                         encoder.draw(house.lit, mesh, instances, light=house.light, tint=house.tint)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(passes=st.lists(PASS, max_size=4))
 def test_any_frame_is_issued_later_as_it_is_at_once(passes: list[Any]) -> None:
     with rhi.create_device("null") as device:

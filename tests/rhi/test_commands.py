@@ -235,7 +235,7 @@ STEPS = st.lists(st.sampled_from(["push", "pop", "cull", "draw", "clear", "pause
 
 
 @given(STEPS, st.randoms(use_true_random=False))
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_what_holds_is_what_a_model_says_whatever_was_cleared_or_left_out(steps, random):
     recorder = Recorder(create_backend())
     labels, cull, pauses, expected = [], CullMode.BACK, [], []

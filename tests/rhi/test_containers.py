@@ -73,7 +73,7 @@ def test_n_pushes_fill_a_ring_wherever_it_stands():
 
 
 @given(CAPACITIES, STEPS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_queue_does_what_a_deque_does(capacity, steps):
     queue, model = FixedQueue(capacity), deque()
     for step in steps:
@@ -95,7 +95,7 @@ def test_a_queue_does_what_a_deque_does(capacity, steps):
 
 
 @given(CAPACITIES, STEPS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_stack_does_what_a_list_does(capacity, steps):
     stack, model = FixedStack(capacity), []
     for step in steps:

@@ -144,7 +144,7 @@ def test_a_request_over_the_limit_is_refused() -> None:
     assert caught.value.rule.id == "transient-size"
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     st.lists(
         st.one_of(

@@ -67,7 +67,7 @@ DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.ite
 
 
 @given(PROGRAMS, st.sampled_from([16_384, 8, 1]))
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 def test_the_hardware_always_ends_up_with_what_the_scopes_ask_for(program, pool_entries):
     cache = StateCache(pool_entries=pool_entries)
     models, open_scopes, hardware = [DEFAULT_MODEL], [], dict(DEFAULT_MODEL)
@@ -99,7 +99,7 @@ def test_the_hardware_always_ends_up_with_what_the_scopes_ask_for(program, pool_
 
 
 @given(st.lists(SCOPES.map(tuple), min_size=1, max_size=6), st.integers(0, 5))
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 def test_scopes_restore_when_an_exception_leaves_them(scopes, depth):
     cache = StateCache()
 

@@ -146,7 +146,7 @@ def test_a_loaded_trace_says_that_it_has_no_layouts(house: House, tmp_path: obje
         contents(load(file).stream.draws()[-1], "tint")
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(
     st.lists(
         st.tuples(st.sampled_from(["write", "copy", "clear", "draw"]), st.integers(0, 2), st.integers(0, 9))

@@ -39,7 +39,7 @@ def test_the_ends_of_a_normalized_format_are_exact_and_what_lies_beyond_saturate
 
 @pytest.mark.parametrize("format", [f for f in NORMALIZED if f.kind is not Kind.SRGB], **BY_NAME)
 @given(value=st.floats(-1.0, 1.0))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_normalized_values_go_to_the_nearest_step(format, value):
     steps = int(np.iinfo(format.dtype).max)
     exact = Fraction(value) * steps
@@ -122,7 +122,7 @@ def test_along_an_odd_axis_every_texel_counts_the_same():
 
 
 @given(st.integers(1, 9), st.integers(1, 9), st.integers(0, 99))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_a_smaller_level_has_the_same_mean(width, height, seed):
     level = np.random.default_rng(seed).random((1, height, width, 1)).astype(np.float32)
     smaller = halve(Format.R32F, level, 1)

@@ -10,6 +10,7 @@ import pytest
 import rhi
 from rhi import Access, Device, Format, IndirectDraws, Op, Primitive
 from rhi.conformance.compare import assert_same
+from rhi.conformance.patience import PATIENCE, comes_true
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
@@ -40,19 +41,16 @@ def test_completed_never_falls_and_never_runs_ahead(device: Device) -> None:
 def test_completed_gets_there_without_a_wait(device: Device) -> None:
     """A signal starts the work before it: polling alone sees it finish."""
     value = device.signal()
-    deadline = time.monotonic() + 10
-    while device.completed < value and time.monotonic() < deadline:
-        time.sleep(0.001)
-    assert device.completed >= value
+    assert comes_true(lambda: device.completed >= value)
 
 
 def test_a_wait_for_the_past_returns_at_once(device: Device) -> None:
     value = device.signal()
     device.wait(value)
     start = time.monotonic()
-    assert device.wait(value, 10)
-    assert device.wait(0, 10)
-    assert time.monotonic() - start < 1
+    assert device.wait(value, 2 * PATIENCE)
+    assert device.wait(0, 2 * PATIENCE)
+    assert time.monotonic() - start < PATIENCE
 
 
 def test_a_wait_of_no_time_says_whether_it_is_done(device: Device) -> None:
@@ -91,6 +89,7 @@ def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
             value = device.signal()
             unfinished += device.completed < value
             assert device.wait(value)
+            device.signal()  # what is completed is then asked of the backend, not taken from the wait
             assert device.completed >= value
             if unfinished == 2:
                 break
@@ -311,26 +310,25 @@ def test_each_call_that_draws_counts_as_one_draw(device: Device) -> None:
         assert device.statistics.draws == 0
 
 
-@pytest.mark.needs("timestamps", "shading")
-@pytest.mark.needs("draws")
+@pytest.mark.needs("timestamps", "draws", "shading")
 def test_more_work_takes_more_time(device: Device) -> None:
-    """Told apart by pass: within one, a device that works tile by tile has no single time for a draw."""
-    with (
-        device.texture((512, 512), Format.RGBA8) as small,
-        device.texture((1024, 1024), Format.RGBA8) as large,
-        device.mesh(np.tile(rectangle(), 40)) as mesh,
-    ):
+    """Told apart by pass: within one, a device that works tile by tile has no single time for a draw.
+
+    A busy machine only adds to a time: the least of several holds for the little work, and the large one grows until
+    it is the longer one in spite of that.
+    """
+    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
-        with device.render_pass(small):  # a driver may build what a draw needs when it first draws
-            device.draw(program, mesh.view(0, 3))
-        device.finish()
-        device.present()
-        with device.event("little"), device.render_pass(small):
-            device.draw(program, mesh.view(0, 3))
-        with device.event("much"), device.render_pass(large):
-            device.draw(program, mesh)
-        device.present()
-        device.finish()
-    little, much = device.timers
-    assert (little.name, much.name) == ("little", "much")
-    assert much.gpu_milliseconds > 2 * little.gpu_milliseconds > 0
+
+        def measure(instances: int) -> float:
+            with device.event("pass"), device.render_pass(image):
+                device.draw(program, mesh.view(0, 3), instances)
+            device.present()
+            device.finish()
+            (node,) = device.timers
+            return node.gpu_milliseconds
+
+        device.present()  # what was timed before is another frame's
+        little = min(measure(1) for _ in range(5))
+        assert little > 0
+        assert any(measure(16**n) > 4 * little for n in range(1, 5))

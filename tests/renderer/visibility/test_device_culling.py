@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from occlusion_scenes import (
     DEVICE,
@@ -133,7 +133,7 @@ def test_an_image_of_another_size_leaves_no_trace(device: rhi.Device, city: Scen
                 assert (draw_with(renderer, algorithm, camera, seconds).image.read() == expected).all()
 
 
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15)
 @given(scenes(), cameras(), st.integers(0, 2**32 - 1))
 def test_random_walks_among_random_boxes_look_as_without_culling(
     device: rhi.Device, scene: Scene, eye: Camera, seed: int

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rhi
@@ -67,7 +67,7 @@ def check(
     assert after["marks"].tolist() == np.where(marks == VISIBLE, DRAWN, marks).tolist()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(st.integers(1, 300), st.integers(0, 999))
 @example(64, 0)
 @example(65, 1)
@@ -86,7 +86,7 @@ def test_lists_are_of_marked_rows_near_first(count: int, seed: int) -> None:
     check(marks, places, boxes, parts, counted | written)
 
 
-@settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=5)
 @given(st.integers(1, 3000), st.integers(0, 999))
 @example(20_000, 2)
 def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int) -> None:

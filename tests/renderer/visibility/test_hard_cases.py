@@ -13,7 +13,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from occlusion_scenes import (
     DEVICE,
@@ -202,7 +202,7 @@ def test_the_cases_are_not_empty(drawing_device: rhi.Device) -> None:
         )
 
 
-@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=12)
 @given(scenes(), st.lists(cameras(), min_size=2, max_size=4), st.integers(1, 6), st.integers(1, 4))
 def test_random_scenes_from_random_places_look_as_without_culling(
     drawing_device: rhi.Device, scene: Scene, eyes: list[Camera], batch: int, persistence: int

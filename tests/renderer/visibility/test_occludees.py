@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from occlusion_scenes import HARD_CASES, cameras, look, make_boxes, scenes
 from test_device_culling import mirrored_boxes
 
@@ -67,7 +67,7 @@ def check(device: rhi.Device, scene: Scene, camera: Camera) -> np.ndarray:
     return marks
 
 
-@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30)
 @given(scenes(), cameras())
 def test_boxes_are_around_their_objects(device: rhi.Device, scene: Scene, camera: Camera) -> None:
     check(device, scene, camera)

@@ -123,7 +123,7 @@ def test_any_size_and_direction_of_depth_will_do(
     algorithm.destroy()
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=15)
 @given(scenes(), st.lists(cameras(), min_size=1, max_size=3), st.integers(1, 8))
 def test_whatever_occludes_no_pixel_is_lost(scene: Scene, eyes: list[Camera], occluders: int) -> None:
     algorithm = SoftwareDepth(scene, occluders=occluders)

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -53,7 +53,7 @@ from rhi.shading import Shader
 
 Devices = tuple[Device, Device]
 NUMBERS = itertools.count()
-SETTINGS = settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+SETTINGS = settings(max_examples=25)
 
 
 @pytest.fixture(scope="module")
@@ -376,7 +376,7 @@ def load_shader(source: str, folder: Path) -> type[Shader]:
     return shader
 
 
-@settings(max_examples=8, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=8)
 @given(source=sources())
 def test_random_shaders_give_the_same_colors(
     devices: Devices, source: str, tmp_path_factory: pytest.TempPathFactory

@@ -111,6 +111,13 @@ class ZeroForUnfinished(Faulty):
         return 0
 
 
+class WaitingPoll(Faulty):
+    def read_query(self, query: int) -> Any:
+        while (answer := self._inner.read_query(query)) is None:
+            pass
+        return answer
+
+
 class NoStencilClear(Faulty):
     def begin_pass(self, descriptor: Any) -> None:
         if descriptor.depth is not None:
@@ -153,6 +160,7 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "short write": (ShortWrite, "buffers"),
     "early fence": (EarlyFence, "time"),
     "zero for unfinished": (ZeroForUnfinished, "queries"),
+    "waiting poll": (WaitingPoll, "queries"),
     "no stencil clear": (NoStencilClear, "textures"),
     "one blend for all": (OneBlendForAll, "targets"),
 }

@@ -5,27 +5,11 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from pathlib import Path
 
 import mute_backends
 import pytest
 
 import rhi
-
-
-@pytest.fixture(scope="module")
-def failures() -> dict[str, list[str]]:
-    """The kit's failed tests by the method left out, from a process of its own: this one may hold devices."""
-    try:
-        rhi.create_device("gl").close()
-    except rhi.DeviceError as error:
-        pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
-    run = subprocess.run(
-        [sys.executable, Path(mute_backends.__file__)], capture_output=True, text=True, check=False
-    )
-    assert run.returncode == 0, run.stderr
-    failed: dict[str, list[str]] = json.loads(run.stdout)
-    return failed
 
 
 def test_every_method_of_the_contract_has_a_group_or_a_reason() -> None:
@@ -35,6 +19,17 @@ def test_every_method_of_the_contract_has_a_group_or_a_reason() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", list(mute_backends.GROUPS))
-def test_a_backend_without_a_method_fails(failures: dict[str, list[str]], method: str) -> None:
-    assert failures[method]
+def test_a_backend_without_any_one_method_fails() -> None:
+    """In one process of its own: this one may hold devices."""
+    try:
+        rhi.create_device("gl").close()
+    except rhi.DeviceError as error:
+        pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
+    run = subprocess.run(
+        [sys.executable, mute_backends.__file__], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+    failures: dict[str, list[str]] = json.loads(run.stdout)
+    assert failures.pop(mute_backends.LATE) == []
+    assert failures.keys() == mute_backends.GROUPS.keys()
+    assert [method for method, failed in failures.items() if not failed] == []

@@ -10,7 +10,7 @@ import sys
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, Phase, given, seed, settings
+from hypothesis import Phase, given, seed, settings
 from hypothesis import strategies as st
 from opencl_runner import run_opencl
 
@@ -169,12 +169,9 @@ def check(source, folder, run):
 def program_settings(count):
     return settings(
         max_examples=count,
-        deadline=None,
-        derandomize=True,
         phases=[Phase.generate],  # a failure prints its program; shrinking builds hundreds of kernels
         report_multiple_bugs=False,
         database=None,
-        suppress_health_check=list(HealthCheck),
     )
 
 

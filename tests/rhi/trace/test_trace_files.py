@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from trace_kit import VERSION_1, edit_line, record, rewrite
 
@@ -77,7 +77,7 @@ def test_a_file_cut_off_anywhere_is_refused(file: Path) -> None:
     load(file)
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(max_examples=150)
 @given(place=st.floats(0, 1, exclude_max=True), value=st.integers(1, 255))
 def test_a_flipped_byte_is_refused_or_harmless(tmp_path: Path, place: float, value: int) -> None:
     data = bytearray(VERSION_1.read_bytes())

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from trace_kit import VERSION_1
 
@@ -61,7 +61,7 @@ def test_what_is_left_replays_and_loads(trace: Trace, tmp_path: Path, null_devic
     assert replay(again, on=null_device).commands == len(small)
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_any_part_is_made_whole(trace: Trace, tmp_path: Path, data: st.DataObject) -> None:
     chosen = [i for i, kept in enumerate(data.draw(st.lists(st.booleans(), min_size=87, max_size=87))) if kept]

@@ -183,7 +183,7 @@ def record(device: Device, *places: int) -> None:
         refuse_texture(device)
 
 
-@settings(deadline=None, max_examples=20)
+@settings(max_examples=20)
 @given(places=st.sets(st.sampled_from([0, 1, 2, 3, 10, 11, 12])))
 def test_refusals_come_back_from_a_file_as_they_were(places: set[int], tmp_path_factory: Any) -> None:
     file = tmp_path_factory.mktemp("traces") / "t.zip"

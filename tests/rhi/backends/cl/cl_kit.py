@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
+import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from rhi.backends.cl.backend import ClBackend
@@ -24,13 +27,6 @@ from rhi.descriptors import (
 FILL = """
 __kernel void fill(__global uint *words, int count) {
     words[get_global_id(0)] = get_global_id(0) + count;
-}
-"""
-SPIN = """
-__kernel void spin(__global uint *words, int count) {
-    uint n = words[0];
-    for (uint i = 0; i < 150000000u; ++i) n = n * 1664525u + 1013904223u;
-    words[0] = n;
 }
 """
 STORAGE = (Binding("words", BindingKind.STORAGE, 0, True, None, 4),)
@@ -54,6 +50,7 @@ class ClKit:
     def __init__(self, backend: ClBackend) -> None:
         self.backend = backend
         self._last: Id = 0
+        self._held: list[cl.UserEvent] = []
 
     def new_id(self) -> Id:
         self._last += 1
@@ -86,6 +83,27 @@ class ClKit:
         query = self.new_id()
         self.backend.create_query(query, QueryKind.TIMESTAMP)
         return query
+
+    def hold(self) -> cl.UserEvent:
+        """Work given from now on begins once this event is released; after two minutes by itself, so that what waits
+        for it by mistake gets a wrong answer and doesn't hang."""
+        held = cl.UserEvent(self.backend.context.context)
+        cl.enqueue_barrier(self.backend.context.queue, wait_for=[held])
+        self._held.append(held)
+        timer = threading.Timer(120.0, self.release, [held])
+        timer.daemon = True
+        timer.start()
+        return held
+
+    def release(self, held: cl.UserEvent) -> None:
+        with suppress(ValueError):  # released already
+            self._held.remove(held)
+            held.set_status(cl.command_execution_status.COMPLETE)
+
+    def close(self) -> None:
+        for held in [*self._held]:
+            self.release(held)
+        self.backend.close()
 
     def dispatch(self, program: Id, groups: int = 1) -> None:
         self.backend.bind_program(program)

@@ -12,6 +12,6 @@ from rhi.backends.cl import create_backend
 
 @pytest.fixture
 def cl_kit() -> Iterator[ClKit]:
-    backend = create_backend()
-    yield ClKit(backend)
-    backend.close()
+    kit = ClKit(create_backend())
+    yield kit
+    kit.close()

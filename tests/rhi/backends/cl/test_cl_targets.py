@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from merger_kit import Planes, describe, expected, run, state_values
 from numpy.typing import NDArray
@@ -157,7 +157,7 @@ def test_every_half_float_is_read_and_stored_as_numpy_does() -> None:
     np.testing.assert_array_equal(got.colors[0], image)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.integers(0, 2**32 - 1))
 def test_any_float_becomes_the_half_that_numpy_makes(seed: int) -> None:
     words = np.random.default_rng(seed).integers(0, 1 << 32, (1, 64, 64, 4), dtype=np.uint32)
@@ -207,7 +207,7 @@ FUNCTIONS = st.builds(
 )
 COLORS = st.builds(BlendColor, *[st.floats(-0.5, 1.5, width=32)] * 4)
 MASKS = st.builds(ColorWrite, *[st.booleans()] * 4)
-TRIES = settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+TRIES = settings(max_examples=40)
 
 
 @pytest.mark.parametrize("format", [f for f in FLOATS if f.kind is not Kind.SNORM], ids=name)
@@ -295,7 +295,7 @@ STENCIL_STATES = st.tuples(
 )  # fmt: skip
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(stencil=STENCIL_STATES, front=st.booleans(), format=st.sampled_from([Format.D24S8, Format.D32FS8]))
 def test_any_stencil_states_merge_as_numpy_does(
     stencil: tuple[State, ...], front: bool, format: Format

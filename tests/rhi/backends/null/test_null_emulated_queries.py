@@ -129,7 +129,7 @@ def test_timestamps_need_no_interrupt():
     assert backend.read_query(1) is not None
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4)), min_size=1, max_size=8),
     st.integers(0, 20_000),

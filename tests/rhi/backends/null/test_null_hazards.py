@@ -484,7 +484,7 @@ ACTIONS = st.lists(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(ACTIONS, st.integers(0, 20_000), st.integers(1, 20), st.integers(0, 3000))
 def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels):
     backend = uniform_backend(submission_latency=latency, batch=batch)
@@ -528,7 +528,7 @@ def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels)
     assert len(backend.hazards) == sum(expected)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @example([("signal", 0, 0), ("draw", 0, 1), ("wait", 0, 0), ("signal", 0, 0), ("write", 0, 1)], 0, 0)
 @given(ACTIONS, st.integers(0, 20_000), st.integers(0, 3000))
 def test_what_is_called_a_hazard_happens_on_a_gpu_that_is_slow_enough(actions, latency, pixels):
@@ -559,7 +559,7 @@ def test_what_is_called_a_hazard_happens_on_a_gpu_that_is_slow_enough(actions, l
     assert all(h.happened for h in slow)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(
         st.one_of(
@@ -613,7 +613,7 @@ FRAME = st.lists(
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(FRAME, max_size=5), st.integers(0, 200_000), st.integers(1, 3), st.integers(1, 2000))
 def test_a_device_has_no_hazards_whatever_is_done_with_it(frames, latency, in_flight, batch):
     simulation = Simulation(submission_latency=latency, batch=batch)

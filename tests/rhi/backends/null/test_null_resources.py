@@ -152,7 +152,7 @@ OPERATIONS = st.lists(
 
 
 @given(OPERATIONS)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_the_queue_makes_no_difference_to_memory(operations):
     backend, models = create_backend(), {1: bytearray(32), 2: bytearray(32)}
     for buffer in models:

@@ -281,7 +281,7 @@ def play(steps, batch, latency):
     return backend, seen
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(STEPS, st.integers(1, 6), st.integers(0, 3000))
 def test_the_same_calls_give_the_same_timeline_and_time_is_accounted_for(steps, batch, latency):
     backend, seen = play(steps, batch, latency)
