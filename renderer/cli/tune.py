@@ -166,7 +166,7 @@ def make_executor(text: str) -> Iterator[Executor]:
                 "--executor: dask is missing; install it with: pip install 'rhi[dask]'"
             ) from None
         try:
-            client = distributed.Client(rest, timeout=10)
+            client = distributed.Client(rest, timeout=30)
         except (OSError, TimeoutError, ValueError) as error:
             raise OutputError(f"--executor: no scheduler at {rest}: {error}") from None
         with client:

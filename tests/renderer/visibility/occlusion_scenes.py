@@ -207,8 +207,8 @@ def count_wrong_pixels(
 
 
 def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
-    """Let every query be looked at (`is_finished`) so many times before its answer is there; waiting for it always
-    helps."""
+    """Let every query be looked at (`is_finished`) so many times before its answer is there, and no more often, as
+    quick or slow as the GPU may be; waiting for it always helps."""
     left: dict[int, int] = {}
     begin, poll, wait = OcclusionQuery.begin, OcclusionQuery._poll, OcclusionQuery.wait
 
@@ -218,7 +218,7 @@ def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
 
     def poll_late(query: OcclusionQuery) -> None:
         left[query.id] -= 1
-        if left[query.id] < 0:
+        while left[query.id] < 0 and query._answer is None:
             poll(query)
 
     def wait_late(query: OcclusionQuery) -> int:

@@ -228,7 +228,7 @@ def make_cloud() -> Scene:
     return make_boxes(rng.uniform(-6.0, 6.0, (60, 3)), rng.uniform(0.1, 0.8, (60, 3)))
 
 
-@settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=20)
 @given(st.lists(st.tuples(st.sets(st.integers(0, 59)), st.sets(st.integers(0, 59))), min_size=2, max_size=5))
 def test_what_the_lists_hold_follows_from_what_shows_and_what_is_guessed(
     null: rhi.Device, frames: list[tuple[set[int], set[int]]]

@@ -246,7 +246,10 @@ def test_a_batch_larger_than_the_tree_changes_no_image(drawing_device: rhi.Devic
 
 
 @pytest.mark.parametrize("name", ["stop_and_wait", "chc", "chc_plus_plus"])
-def test_a_threshold_loses_pixels_and_zero_none(drawing_device: rhi.Device, name: str) -> None:
+def test_a_threshold_loses_pixels_and_zero_none(
+    drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    delay_answers(monkeypatch, 0)
     shots = along("ground", *range(600, 624, 4))(city())
     wrong = {
         threshold: count_wrong_pixels(
@@ -261,7 +264,10 @@ def test_a_threshold_loses_pixels_and_zero_none(drawing_device: rhi.Device, name
     assert 0 < max(wrong[10]) < 0.1 * SIZE[0] * SIZE[1]
 
 
-def test_persistence_changes_no_image_and_flattens_spikes(drawing_device: rhi.Device) -> None:
+def test_persistence_changes_no_image_and_flattens_spikes(
+    drawing_device: rhi.Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delay_answers(monkeypatch, 0)
     shots = along("ground", *range(800, 848, 2))(city())
     most = []
     for persistence in (1, 20):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
+import sys
 from concurrent.futures import Executor, Future
 from math import log
 from pathlib import Path
@@ -123,16 +125,29 @@ def test_processes_run_the_trials(here: Path) -> None:
     assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
 
 
+CLUSTER = """
+import sys
+from distributed import LocalCluster
+from renderer.cli import main
+
+with LocalCluster(
+    n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+) as cluster:
+    main([*sys.argv[1:], "--executor", f"dask:{cluster.scheduler_address}"])
+    stories = [worker.state.log for worker in cluster.workers.values()]
+done = [sum(event[1:3] == ("executing", "memory") for event in story) for story in stories]
+print(f"{len(done)} workers, {sum(done)} tasks")
+"""
+
+
 @pytest.mark.usefixtures("gl")
 def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
-    ) as cluster:
-        assert len(cluster.workers) == 2
-        assert main([*COMMAND, "--rounds", "1", "--executor", f"dask:{cluster.scheduler_address}"]) == 0
-        done = [worker.state.log for worker in cluster.workers.values()]
-    assert all(done)
+    """In a process of its own: what dask warns of on a slow machine, and when, is no matter of ours."""
+    pytest.importorskip("distributed")
+    command = [sys.executable, "-c", CLUSTER, *COMMAND, "--rounds", "1"]
+    run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines()[-1] == "2 workers, 5 tasks"  # four trials, and the deciding one
     assert len((here / "tuned/trials.csv").read_text().splitlines()) == 5
 
 

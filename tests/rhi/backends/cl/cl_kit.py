@@ -50,7 +50,7 @@ class ClKit:
     def __init__(self, backend: ClBackend) -> None:
         self.backend = backend
         self._last: Id = 0
-        self._held: list[cl.UserEvent] = []
+        self._held: dict[cl.UserEvent, threading.Timer] = {}
 
     def new_id(self) -> Id:
         self._last += 1
@@ -89,15 +89,17 @@ class ClKit:
         for it by mistake gets a wrong answer and doesn't hang."""
         held = cl.UserEvent(self.backend.context.context)
         cl.enqueue_barrier(self.backend.context.queue, wait_for=[held])
-        self._held.append(held)
-        timer = threading.Timer(120.0, self.release, [held])
+        timer = self._held[held] = threading.Timer(120.0, self._complete, [held])
         timer.daemon = True
         timer.start()
         return held
 
     def release(self, held: cl.UserEvent) -> None:
-        with suppress(ValueError):  # released already
-            self._held.remove(held)
+        self._held.pop(held).cancel()
+        self._complete(held)
+
+    def _complete(self, held: cl.UserEvent) -> None:
+        with suppress(cl.LogicError):  # it is complete
             held.set_status(cl.command_execution_status.COMPLETE)
 
     def close(self) -> None:
