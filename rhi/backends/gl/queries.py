@@ -4,6 +4,8 @@
   counter, and allows one active samples-passed query at a time. So from then on a chain of such queries runs
   all the time, cut wherever someone takes the count (`SampleCounter`); an occlusion query is then the
   difference of two counts, which is the thesis's emulation (4.4.2).
+- llvmpipe adds what a query still counts to what it is begun with anew, so a query that is begun before its last
+  answer was there gets another name.
 - Fences are sync objects in a queue; only the oldest ones are looked at.
 """
 
@@ -131,13 +133,17 @@ class SampleCounter:
 
 
 @dataclass(slots=True)
-class _Query:
+class Query:
+    """A query of the device."""
+
     kind: QueryKind
     name: int = 0
     """GL's query, for occlusion and timestamps."""
     begin: Count | None = None
     """Set when the sample counter does the counting for an occlusion query."""
     end: Count | None = None
+    is_pending: bool = False
+    """Whether GL's query was begun and not yet seen to be finished."""
 
 
 class Queries:
@@ -145,25 +151,34 @@ class Queries:
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
-        self._queries: dict[Id, _Query] = {}
+        self._queries: dict[Id, Query] = {}
         self._result = ctypes.c_uint64()
         self._result_reference = ctypes.byref(self._result)
         self._spare: list[int] = []
+        self._left: deque[int] = deque()  # GL may still count for these
         self._counters = 0  # COUNTER queries that exist
         self._counter = SampleCounter(self._begin_segment, self._end_segment, self._poll, self._spare.append)
-        self._active: _Query | None = None
+        self._active: Query | None = None
         self._no_samples = self._begin_segment()  # a query that counted none
         self._end_segment()
 
+    @property
+    def is_counting(self) -> bool:
+        """Whether the sample counter runs, so that occlusion queries are differences of it."""
+        return self._counter.is_running
+
+    def __getitem__(self, query: Id) -> Query:
+        return self._queries[query]
+
     def create(self, query: Id, kind: QueryKind) -> None:
         if kind is QueryKind.COUNTER:
-            self._queries[query] = _Query(kind)
+            self._queries[query] = Query(kind)
             self._counters += 1
             if not self._counter.is_running:
                 self._start_counter()
             return
         target = enums.SAMPLES_PASSED if kind is QueryKind.OCCLUSION else enums.TIMESTAMP
-        self._queries[query] = _Query(kind, self._gl.create(self._gl.CreateQueries, target))
+        self._queries[query] = Query(kind, self._gl.create(self._gl.CreateQueries, target))
 
     def destroy(self, query: Id) -> None:
         made = self._queries.pop(query)
@@ -179,7 +194,25 @@ class Queries:
         if self._counter.is_running:
             made.begin = self._counter.take()
         else:
+            if made.is_pending:
+                self.renew(made)
+            made.is_pending = True
             self._gl.BeginQuery(enums.SAMPLES_PASSED, made.name)
+
+    def renew(self, query: Query) -> None:
+        """Before a query is begun that was begun before: another name, if GL may still count for it."""
+        if self._poll(query.name) is None:
+            name = self._take_name()
+            self._left.append(query.name)
+            query.name = name
+
+    def _take_name(self) -> int:
+        """A query of GL that nobody uses."""
+        if self._spare:
+            return self._spare.pop()
+        if self._left and self._poll(self._left[0]) is not None:
+            return self._left.popleft()
+        return self._gl.create(self._gl.CreateQueries, enums.SAMPLES_PASSED)
 
     def end(self, query: Id) -> None:
         made = self._queries[query]
@@ -200,7 +233,9 @@ class Queries:
     def read(self, query: Id) -> int | None:
         made = self._queries[query]
         if made.end is None:
-            return self._poll(made.name)
+            samples = self._poll(made.name)
+            made.is_pending = made.is_pending and samples is None
+            return samples
         self._counter.collect()
         return _difference(made)
 
@@ -230,9 +265,8 @@ class Queries:
             self._counter.stop()
 
     def _begin_segment(self) -> int:
-        gl = self._gl
-        name = self._spare.pop() if self._spare else gl.create(gl.CreateQueries, enums.SAMPLES_PASSED)
-        gl.BeginQuery(enums.SAMPLES_PASSED, name)
+        name = self._take_name()
+        self._gl.BeginQuery(enums.SAMPLES_PASSED, name)
         return name
 
     def _end_segment(self) -> None:
@@ -251,7 +285,7 @@ class Queries:
         return self._result.value
 
 
-def _difference(query: _Query) -> int | None:
+def _difference(query: Query) -> int | None:
     """Of the counts at a query's end and begin; the one at the begin is known first."""
     assert query.end is not None
     if query.end.value is None or query.begin is None:

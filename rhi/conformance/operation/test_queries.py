@@ -185,6 +185,18 @@ def test_a_query_may_be_used_again(device: Device, query: OcclusionQuery) -> Non
         assert count(device, query, texel_rectangle(0, 0, size, 1, SIZE, depth=0.75)) == size
 
 
+def test_a_query_begun_before_its_answer_was_there_counts_anew(device: Device, query: OcclusionQuery) -> None:
+    """The device may still be at work for it."""
+    size, layers = (512, 512), 40
+    with device.texture(size, Format.R8) as image, device.mesh(np.tile(rectangle(), layers)) as mesh:
+        for _ in range(5):
+            for count in (layers, 1):
+                with device.render_pass(image), query:
+                    device.draw(device.program(Colored), mesh.view(0, 6 * count))
+                device.signal()
+            assert query.wait() == 512 * 512
+
+
 def test_many_queries_keep_their_own_counts(device: Device, query: OcclusionQuery) -> None:
     queries = [device.occlusion_query(emulated=query.emulated) for _ in range(50)]
     with device.texture(SIZE, Format.R8) as image:
