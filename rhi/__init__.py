@@ -40,6 +40,7 @@ from rhi.mesh import DRAW, DRAW_UNINDEXED, Mesh
 from rhi.passes import RenderPass
 from rhi.program import Program
 from rhi.queries import OcclusionQuery, TimerNode
+from rhi.query_sets import QuerySet
 from rhi.recorder import Recorder
 from rhi.registry import backend_names, create_device, report
 from rhi.state_cache import StateChange, StateScope, StateVector
@@ -122,6 +123,7 @@ __all__ = [
     "Primitive",
     "Program",
     "ProgramDescriptor",
+    "QuerySet",
     "Recorder",
     "Refusal",
     "Region",

@@ -120,6 +120,28 @@ class PreparesDraws(Protocol):
         of the process became current."""
 
 
+class PreparedQueries(Protocol):
+    """Occlusion queries that are asked together and read together. Rows are places among them."""
+
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], rows: NDArray[np.int64]
+    ) -> None:
+        """What `Backend.begin_query`, a `Backend.draw` for each of `draws` (`rhi.DRAW` or, without indices,
+        `rhi.DRAW_UNINDEXED`) and `Backend.end_query` would, for each run of equal `rows`. No row comes twice; there
+        is at least one draw. A COUNTER counts these draws, too."""
+
+    def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        """The samples of those that the latest `draw` asked for, in its order, or None while they aren't all there;
+        never waits."""
+
+
+class PreparesQueries(Protocol):
+    """What a backend may offer besides its contract: many queries in one call, where each has its price."""
+
+    def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
+        """For OCCLUSION queries that exist. It isn't used any more once they are destroyed."""
+
+
 class Backend(Protocol):
     """One platform. All sizes and offsets are in bytes unless said otherwise.
 

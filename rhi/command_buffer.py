@@ -20,9 +20,13 @@ from __future__ import annotations
 import weakref
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from functools import partial
 from operator import length_hint
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rhi.buffers import Buffer, StorageBuffer
 from rhi.commands import CommandStream, find_site
@@ -34,6 +38,7 @@ from rhi.immediate import Arena, TransientMemory
 from rhi.ops import WIDTHS, Op
 from rhi.program import Program
 from rhi.queries import Conditional, OcclusionQuery, QueryDesk, Timers
+from rhi.query_sets import QuerySet
 from rhi.recorder import CommandWriter, Recorder
 from rhi.recording import RecordedProgram, RecordingCore
 from rhi.rules import (
@@ -85,7 +90,7 @@ class CommandBuffer(Encoder):
         self._programs: dict[Program[Any], RecordedProgram] = {}
         self._calls: list[Call] | None = None
         self._dead: dict[Id, str] = {}
-        self._draws = self._dispatches = 0
+        self._draws = self._dispatches = self._queries = 0
         self._owned: list[Id] = []
         weakref.finalize(self, _retire, device.timeline, self._owned).atexit = False
         device.timeline.watch(self)
@@ -128,6 +133,7 @@ class CommandBuffer(Encoder):
             self._writer.pop_label()
         statistics = core.statistics()
         self._draws, self._dispatches = statistics.draws, statistics.dispatches
+        self._queries = statistics.queries
         self._state = _READY
 
     def _find_open(self) -> list[str]:
@@ -157,6 +163,14 @@ class CommandBuffer(Encoder):
         """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is
         that of the latest submission."""
         return QueryUse(self._recorder, self._desk, query)
+
+    def _check_query_set(self, queries: QuerySet, call: str) -> None:
+        super()._check_query_set(queries, call)
+        if queries.id in self._recorder.queries:
+            refuse(QUERY_STATE, call, "the same query set twice in a command buffer", "each set once")
+
+    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
+        self._recorder.queries[queries.id] = partial(queries.take_recorded, asked)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
         """`with commands.conditional(query):` draws that the GPU drops if the query counted nothing.
@@ -231,11 +245,11 @@ class CommandBuffer(Encoder):
         device.states.software_changes += core.states.software_changes
         device.draws += self._draws
         device.dispatches += self._dispatches
-        device.counters.queries += len(core.queries)
+        device.counters.queries += self._queries
         if core.queries:
             fence = device.signal()
-            for query in core.queries.values():
-                query.take_submission(fence)
+            for take_submission in core.queries.values():
+                take_submission(fence)
 
     def _make_resources(self) -> None:
         """What the commands need that could not be made while they were recorded. What can't be made now is tried
@@ -349,7 +363,8 @@ class QueryUse:
         if self._desk.open is self:
             self._desk.open = None
             self._query.write_end(self._core)
-            self._core.queries[self._query.id] = self._query
+            self._core.counters.queries += 1
+            self._core.queries[self._query.id] = self._query.take_submission
 
     def abandon(self) -> None:
         """End it, as its pass ends."""

@@ -38,6 +38,7 @@ from rhi.layout import Layout, element_dtype
 from rhi.mesh import Mesh, MeshData, VertexSource
 from rhi.program import Program
 from rhi.queries import OcclusionQuery, TimerNode, Timers
+from rhi.query_sets import QuerySet
 from rhi.recorder import Recorder
 from rhi.refusals import RefusalLog
 from rhi.rules import (
@@ -395,6 +396,10 @@ class Device(Encoder):
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """A counter of visible samples; `emulated` asks for the thesis's emulation (4.4.2) where it can be had."""
         return OcclusionQuery(self._core, self._desk, emulated)
+
+    def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
+        """So many counters of visible samples, to be asked in one call: `device.draw_counted(…, queries)`."""
+        return QuerySet(self._core, size, emulated)
 
     @property
     def timing(self) -> bool:

@@ -23,7 +23,15 @@ from rhi.mesh import Mesh, check_draws
 from rhi.passes import Clear, RenderPass, Target
 from rhi.program import Program
 from rhi.queries import Conditional, Event, OcclusionQuery, QueryDesk, Timers
-from rhi.rules import DEVICE_ARGUMENT, DEVICE_CAPABILITY, DISPATCH_SIZE, INDIRECT_RANGE, RESOURCE_FOREIGN
+from rhi.query_sets import QuerySet
+from rhi.rules import (
+    DEVICE_ARGUMENT,
+    DEVICE_CAPABILITY,
+    DISPATCH_SIZE,
+    INDIRECT_RANGE,
+    QUERY_NESTED,
+    RESOURCE_FOREIGN,
+)
 from rhi.state_cache import StateScope
 from rhi.states import State
 from rhi.textures import Texture
@@ -138,6 +146,52 @@ class Encoder:
             vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
         )
         core.draws += 1
+
+    def draw_counted(
+        self,
+        program: Program[P],
+        mesh: Mesh,
+        draws: NDArray[Any],
+        queries: QuerySet,
+        rows: NDArray[Any] | Sequence[int] | None = None,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Draw parts of `mesh`, each in an occlusion query, in one call.
+
+        Args:
+            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
+                `draw_index()` is 0.
+            queries: what they are counted by; it forgets all that it was asked before.
+            rows: (n,) integers, the row of `queries` that each draw is counted by: by default the first for the
+                first, and so on. A row may have several draws, one after the other.
+
+        Raises:
+            ValidationError: `query-rows`, `query-nested` inside another query, and what `draw` and `draw_many`
+                raise; nothing was drawn, bound or forgotten then.
+        """
+        call = f"{self.NAME}.draw_counted"
+        own = self._own(program, call)
+        check_mesh(mesh, call)
+        array = check_draws(mesh, draws, call)
+        if not isinstance(queries, QuerySet):
+            refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet, as device.query_set(…) makes it")
+        self._check_query_set(queries, call)
+        each = queries.check_rows(rows, len(array), call)
+        vertex_array = self._bind_draws(own, mesh, bindings)
+        core = self._core
+        asked = queries.draw(core, vertex_array, mesh.primitive, array, each)
+        core.draws += len(array)
+        self._note_asked(queries, asked)
+
+    def _check_query_set(self, queries: QuerySet, call: str) -> None:
+        self._core.check_usable(queries, call)
+        if self._desk.open is not None:
+            refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
+
+    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
+        queries.take_draws(asked)
 
     def draw_indirect(
         self,

@@ -15,7 +15,7 @@ import time
 from collections import deque
 from dataclasses import dataclass, field
 from types import TracebackType
-from typing import Final, Protocol, Self
+from typing import Final, Generic, Protocol, Self, TypeVar
 
 from rhi.core import Core, describe
 from rhi.descriptors import Id, QueryKind
@@ -33,6 +33,8 @@ from rhi.rules import (
 )
 
 __rhi_internal__ = True
+
+T = TypeVar("T")
 
 ANSWER_SECONDS: Final = 10.0
 """How long after its fence a query's answer may be late."""
@@ -63,26 +65,22 @@ class QueryDesk:
         return True
 
 
-class OcclusionQuery:
-    """How many samples of the draws between begin and end passed all tests.
+class Awaited(Generic[T]):
+    """What a query and a set of queries have in common: an answer that comes some time after its end."""
 
-    One object may be used again and again; begin forgets the earlier answer. `with query:` is begin and end.
-    """
+    __slots__ = ("_answer", "_core", "_fence", "_ids", "_state", "destroyed", "emulated")
 
-    __slots__ = ("_answer", "_core", "_desk", "_fence", "_ids", "_state", "destroyed", "emulated")
-
-    def __init__(self, core: Core, desk: QueryDesk, emulated: bool) -> None:
+    def __init__(self, core: Core, count: int, emulated: bool, call: str) -> None:
+        """For `count` OCCLUSION queries or, emulated, one COUNTER more."""
         capabilities = core.capabilities
         self.emulated = emulated or not capabilities.occlusion_queries
         if self.emulated and not capabilities.sample_counter:
-            refuse(DEVICE_CAPABILITY, "device.occlusion_query", "an emulated query",
-                   "needs capabilities.sample_counter")  # fmt: skip
+            refuse(DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
         self._core = core
-        self._desk = desk
-        kind, count = (QueryKind.COUNTER, 2) if self.emulated else (QueryKind.OCCLUSION, 1)
         self._ids: list[Id] = []
+        kind = QueryKind.COUNTER if self.emulated else QueryKind.OCCLUSION
         try:
-            for _ in range(count):
+            for _ in range(count + self.emulated):
                 query = core.create_id()
                 core.backend.create_query(query, kind)
                 self._ids.append(query)
@@ -91,14 +89,9 @@ class OcclusionQuery:
                 core.timeline.retire(query)
             raise
         self._state = _IDLE
-        self._answer: int | None = None
+        self._answer: T | None = None
         self._fence = 0
         self.destroyed = False
-
-    @property
-    def id(self) -> Id:
-        """Its name in the command stream (of an emulated query, the second counter's)."""
-        return self._ids[-1]
 
     @property
     def ids(self) -> tuple[Id, ...]:
@@ -114,6 +107,95 @@ class OcclusionQuery:
     def label(self) -> str:
         """It has none."""
         return ""
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the answer is there; never blocks. False where nothing was asked."""
+        if self._answer is None and self._state is _ENDED and not self.destroyed:
+            self._core.check_open()
+            if not self.emulated or self._core.timeline.completed >= self._fence:
+                self._answer = self._read()
+        return self._answer is not None
+
+    @property
+    def visible_samples(self) -> T:
+        """The answer, once it is there.
+
+        Raises:
+            ValidationError: `query-unfinished` while it isn't, `query-state` if there is none to come.
+        """
+        if not self.is_finished:
+            call = f"{type(self).__name__}.visible_samples"
+            self._check_ended(call)
+            refuse(QUERY_UNFINISHED, call, "an unfinished query")
+        assert self._answer is not None
+        return self._answer
+
+    def wait(self) -> T:
+        """Block until the answer is there.
+
+        Raises:
+            DeviceError: `device-no-answer` if it isn't, 10 s after the GPU has passed the query's end.
+        """
+        if not self.is_finished:
+            call = f"{type(self).__name__}.wait"
+            self._check_ended(call)
+            self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
+            deadline = time.monotonic() + ANSWER_SECONDS
+            while not self.is_finished:  # a driver may publish the result a moment after the fence
+                if time.monotonic() > deadline:
+                    given = f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
+                    raise DeviceError(DEVICE_ANSWER, call, given)
+                time.sleep(0)
+        assert self._answer is not None
+        return self._answer
+
+    def destroy(self) -> None:
+        """Give it back; an open query can't be destroyed."""
+        if self._state is _OPEN:
+            refuse(QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended")
+        if not self.destroyed:
+            self.destroyed = True
+            for query in self._ids:
+                self._core.timeline.retire(query)
+
+    def forget(self) -> None:
+        """What is asked now isn't what was asked before."""
+        self._answer = None
+        self._state = _IDLE
+
+    def take_submission(self, fence: int) -> None:
+        """It was asked, all before `fence`."""
+        self._answer = None
+        self._state = _ENDED
+        self._fence = fence
+
+    def _read(self) -> T | None:
+        """The answer, or None while it isn't there."""
+        raise NotImplementedError
+
+    def _check_ended(self, call: str) -> None:
+        if self._state is not _ENDED or self.destroyed:
+            state = "destroyed" if self.destroyed else self._state
+            refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
+
+
+class OcclusionQuery(Awaited[int]):
+    """How many samples of the draws between begin and end passed all tests.
+
+    One object may be used again and again; begin forgets the earlier answer. `with query:` is begin and end.
+    """
+
+    __slots__ = ("_desk",)
+
+    def __init__(self, core: Core, desk: QueryDesk, emulated: bool) -> None:
+        super().__init__(core, 1, emulated, "device.occlusion_query")
+        self._desk = desk
+
+    @property
+    def id(self) -> Id:
+        """Its name in the command stream (of an emulated query, the second counter's)."""
+        return self._ids[-1]
 
     def begin(self) -> None:
         """Count from here; inside a render pass, one query at a time."""
@@ -154,53 +236,6 @@ class OcclusionQuery:
         self._finish()
         self._state = _IDLE
 
-    @property
-    def is_finished(self) -> bool:
-        """Whether the answer is there; never blocks. False for a query never ended."""
-        if self._answer is None and self._state is _ENDED and not self.destroyed:
-            self._poll()
-        return self._answer is not None
-
-    @property
-    def visible_samples(self) -> int:
-        """The answer of a finished query.
-
-        Raises:
-            ValidationError: `query-unfinished` while it isn't there, `query-state` if there is none to come.
-        """
-        if not self.is_finished:
-            self._check_ended("OcclusionQuery.visible_samples")
-            refuse(QUERY_UNFINISHED, "OcclusionQuery.visible_samples", "an unfinished query")
-        assert self._answer is not None
-        return self._answer
-
-    def wait(self) -> int:
-        """Block until the answer is there.
-
-        Raises:
-            DeviceError: `device-no-answer` if it isn't, 10 s after the GPU has passed the query's end.
-        """
-        self._check_ended("OcclusionQuery.wait")
-        if not self.is_finished:
-            self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
-            deadline = time.monotonic() + ANSWER_SECONDS
-            while not self.is_finished:  # a driver may publish the result a moment after the fence
-                if time.monotonic() > deadline:
-                    given = f"query {self.id}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
-                    raise DeviceError(DEVICE_ANSWER, "OcclusionQuery.wait", given)
-                time.sleep(0)
-        assert self._answer is not None
-        return self._answer
-
-    def destroy(self) -> None:
-        """Give it back; an open query can't be destroyed."""
-        if self._state is _OPEN:
-            refuse(QUERY_STATE, "OcclusionQuery.destroy", "an open query", "a query that was ended")
-        if not self.destroyed:
-            self.destroyed = True
-            for query in self._ids:
-                self._core.timeline.retire(query)
-
     def __enter__(self) -> Self:
         self.begin()
         return self
@@ -210,6 +245,13 @@ class OcclusionQuery:
     ) -> None:
         if self._state is _OPEN:
             self.end()
+
+    def _read(self) -> int | None:
+        backend = self._core.backend
+        if not self.emulated:
+            return backend.read_query(self._ids[0])
+        first, second = (backend.read_query(query) for query in self._ids)
+        return None if first is None or second is None else second - first
 
     # -- in command buffers --------------------------------------------------------------------------------
 
@@ -233,27 +275,6 @@ class OcclusionQuery:
             core.backend.write_query(self._ids[1])
         else:
             core.backend.end_query(self._ids[0])
-
-    def take_submission(self, fence: int) -> None:
-        """It was begun and ended by a command buffer, all before `fence`."""
-        self._answer = None
-        self._state = _ENDED
-        self._fence = fence
-
-    def _check_ended(self, call: str) -> None:
-        if self._state is not _ENDED or self.destroyed:
-            state = "destroyed" if self.destroyed else self._state
-            refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
-
-    def _poll(self) -> None:
-        core = self._core
-        core.check_open()
-        if not self.emulated:
-            self._answer = core.backend.read_query(self._ids[0])
-        elif core.timeline.completed >= self._fence:
-            first, second = (core.backend.read_query(query) for query in self._ids)
-            if first is not None and second is not None:
-                self._answer = second - first
 
 
 @dataclass(slots=True)

@@ -46,7 +46,7 @@ class RecordingCore(Core):
         vertex_arrays: those of meshes that haven't any for a program yet, to be made before the first submission.
         own_arrays: those on the arena.
         conditions: queries that must have been ended when the buffer is carried out.
-        queries: those that it begins and ends.
+        queries: those that it begins and ends, and query sets that it asks: what to tell the fence to, by id.
     """
 
     __slots__ = (
@@ -66,7 +66,7 @@ class RecordingCore(Core):
         self.vertex_arrays: dict[tuple[Program[Any], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
-        self.queries: dict[Id, OcclusionQuery] = {}
+        self.queries: dict[Id, Callable[[int], None]] = {}
 
     def new_id(self) -> Id:
         return self.device.new_id()

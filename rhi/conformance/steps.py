@@ -66,7 +66,7 @@ STEPS: Final = (
     Step(
         "occlusion queries",
         ("begin_query", "end_query", "begin_conditional", "end_conditional"),
-        ("operation · queries",),
+        ("operation · queries", "operation · query sets", "validation · query sets"),
     ),
     Step(
         "all together",

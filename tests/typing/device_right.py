@@ -3,6 +3,7 @@
 from typing import assert_type
 
 import numpy as np
+from numpy.typing import NDArray
 
 import rhi
 from rhi import (
@@ -64,6 +65,9 @@ def use(device: rhi.Device) -> None:
             device.draw(flat, mesh, tint=tint, many=many, albedo=image)
         flat.draw(mesh, 2, tint=objects[0], many=many, albedo=image.sampled(smooth))
         device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)
+        counted = device.query_set(2)
+        device.draw_counted(flat, mesh, mesh.draws(), counted, [1], tint=tint, many=many, albedo=image)
+        assert_type(counted.wait(), NDArray[np.int64])
         with device.immediate(flat, Primitive.QUADS, tint=tint, many=many, albedo=image) as quads:
             quads.vertex(position=(0, 0))
     device.dispatch(plain, (1, 1, 1))

@@ -32,6 +32,7 @@ MISTAKES = [
         'expected "UniformRange[Tint]"',
     ),
     ("device.render_pass(image", "device.render_pass(tint", 'Argument 1 to "render_pass"'),
+    ("counted, [1], tint", "image, [1], tint", 'Argument 4 to "draw_counted"'),
     ("device.conditional(query)", "device.conditional(image)", 'Argument 1 to "conditional"'),
     # a missing or misspelt argument
     (DRAW, DRAW.replace(", albedo=image", ""), 'Missing named argument "albedo"'),

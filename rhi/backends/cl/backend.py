@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backend import Capabilities
+from rhi.backend import Capabilities, PreparedQueries
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.programs import Programs
 from rhi.backends.cl.queries import Fence, Timestamps
+from rhi.backends.cl.query_sets import QuerySet
 from rhi.backends.cl.rasteriser import Rasteriser
 from rhi.backends.cl.resources import Buffers, Staging, Textures, alignment
 from rhi.backends.cl.samplers import Samplers
@@ -235,6 +236,10 @@ class ClBackend:
         return self._rasteriser.prepare_draw(
             vertex_array, primitive, first, count, base_vertex, base_instance
         )
+
+    def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
+        """See `rhi.backend.PreparesQueries`."""
+        return QuerySet(self._rasteriser, len(queries))
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Nobody interrupts: nothing is shared with other contexts."""

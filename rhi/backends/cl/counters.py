@@ -5,6 +5,8 @@
 - An occlusion query's answer is the sum of its segments; a COUNTER's is that of all segments up to it, while there are
   COUNTER queries. An answer is there when the batch that holds its last segment's draws is done, and is then read
   without waiting.
+- Draws of a query set are one segment with as many counters as the set has rows; for the running counter it is their
+  sum that matters.
 - Counters come from pages, zero at first; a page's memory is zeroed and used again when nobody needs its segments any
   more.
 """
@@ -17,6 +19,7 @@ from typing import Final
 
 import numpy as np
 import pyopencl as cl
+from numpy.typing import NDArray
 
 from rhi.backends.cl.context import Context, allocate_pages
 from rhi.backends.cl.memory import Addresses
@@ -31,27 +34,27 @@ _PAGE_COUNTERS: Final = 512
 class _Memory:
     """Counters' memory; what was added to it last came before the end of batch `batch`."""
 
-    __slots__ = ("_buffer", "_host", "_queue", "_shared", "address", "batch", "words")
+    __slots__ = ("_buffer", "_queue", "_shared", "address", "batch", "host", "words")
 
-    def __init__(self, context: Context, addresses: Addresses) -> None:
-        self._host = allocate_pages(8 * _PAGE_COUNTERS).view(np.uint64)
-        self.words = self._host.data
+    def __init__(self, context: Context, addresses: Addresses, counters: int) -> None:
+        self.host = allocate_pages(8 * counters).view(np.uint64)
+        self.words = self.host.data
         self._shared = context.shares_memory
         share = cl.mem_flags.USE_HOST_PTR if self._shared else cl.mem_flags.COPY_HOST_PTR
-        self._buffer = cl.Buffer(context.context, cl.mem_flags.READ_WRITE | share, hostbuf=self._host)
+        self._buffer = cl.Buffer(context.context, cl.mem_flags.READ_WRITE | share, hostbuf=self.host)
         self.address = addresses.find(self._buffer)
         self._queue = addresses.queue  # one that doesn't stand behind draws
         self.batch = 0
 
     def fetch(self) -> None:
-        """Bring `words` up to date."""
+        """Bring `host` and `words`, which are the same memory, up to date."""
         if not self._shared:
-            cl.enqueue_copy(self._queue, self._host, self._buffer)
+            cl.enqueue_copy(self._queue, self.host, self._buffer)
 
     def clear(self) -> None:
-        self._host[:] = 0
+        self.host[:] = 0
         if not self._shared:
-            cl.enqueue_copy(self._queue, self._buffer, self._host)
+            cl.enqueue_copy(self._queue, self._buffer, self.host)
 
 
 class _Page:
@@ -69,22 +72,31 @@ class _Page:
 
 
 class Segment:
-    """Draws whose samples are counted together; kernels add to `address`."""
+    """Draws whose samples are counted together; kernels add to `address`, or to one of the `size` counters there."""
 
-    __slots__ = ("_page", "_place", "address", "batch")
+    __slots__ = ("_page", "_place", "address", "batch", "size")
 
-    def __init__(self, page: _Page, batch: int) -> None:
+    def __init__(self, page: _Page, batch: int, size: int) -> None:
         self._page = page
         self._place = page.used
         self.address = page.memory.address + 8 * page.used
         self.batch = batch
-        page.used += 1
+        self.size = size
+        page.used += size
 
     def read(self) -> int:
         """The samples, once the batch is done."""
+        if self.size > 1:
+            return int(self.read_each().sum())
         memory = self._page.memory
         memory.fetch()
         return memory.words[self._place]
+
+    def read_each(self) -> NDArray[np.uint64]:
+        """Those of each counter, once the batch is done; a view."""
+        memory = self._page.memory
+        memory.fetch()
+        return memory.host[self._place : self._place + self.size]
 
 
 class _Query:
@@ -167,6 +179,25 @@ class Counters:
         self._active = None
         self._cut(None)
 
+    def begin_set(self, size: int) -> Segment:
+        """So many counters, for draws that the caller spreads over them."""
+        if self._takers:
+            self._cut(None)
+        return self._make(size)
+
+    def end_set(self, segment: Segment) -> None:
+        """All of its draws were gathered."""
+        segment.batch = self._find_latest()
+        if self._takers:
+            self._chain.append((segment, [None]))
+
+    def read_set(self, segment: Segment) -> NDArray[np.uint64] | None:
+        """What each counter counted, or None while it isn't there; starts the draws."""
+        if self.is_done(segment.batch):
+            return segment.read_each()
+        self._flush()
+        return None
+
     def take(self, query: Id) -> None:
         """A COUNTER: the running count at this point."""
         total: list[int | None] = [None]
@@ -207,7 +238,7 @@ class Counters:
         """End the segment that runs, and begin another one if anybody counts."""
         ended, active, takers = self._segment, self._active, self._takers
         if ended is not None:
-            ended.batch = self.gathering if self._is_gathering() else self.gathering - 1
+            ended.batch = self._find_latest()
         if takers and (ended is not None or total is not None):
             self._chain.append((ended, total or [None]))
         if active is None and not takers:
@@ -219,6 +250,10 @@ class Counters:
             active.segments.append(begun)
         self._count_into(begun.address)
 
+    def _find_latest(self) -> int:
+        """The batch of the draws gathered last."""
+        return self.gathering if self._is_gathering() else self.gathering - 1
+
     def _add_up(self) -> None:
         while self._chain:
             segment, total = self._chain[0]
@@ -229,18 +264,19 @@ class Counters:
             total[0] = self._passed
             self._chain.popleft()
 
-    def _make(self) -> Segment:
+    def _make(self, size: int = 1) -> Segment:
         page = self._page
-        if page is None or page.used == _PAGE_COUNTERS:
-            page = self._page = _Page(self, self._find_memory())
-        return Segment(page, self.gathering)
+        if page is None or page.used + size > len(page.memory.host):
+            page = self._page = _Page(self, self._find_memory(size))
+        return Segment(page, self.gathering, size)
 
-    def _find_memory(self) -> _Memory:
+    def _find_memory(self, size: int) -> _Memory:
         for place, memory in enumerate(self._free):
-            if self.is_done(memory.batch):
+            if len(memory.host) >= size and self.is_done(memory.batch):
                 memory.clear()
                 return self._free.pop(place)
-        return _Memory(self._context, self._addresses)
+        pages = max(1, -(-size // _PAGE_COUNTERS))
+        return _Memory(self._context, self._addresses, pages * _PAGE_COUNTERS)
 
     def give_back(self, memory: _Memory) -> None:
         """No segment needs it; draws gathered until now may still add to it."""

@@ -21,6 +21,7 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.cl.assembly import Assembler
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.counters import Counters
+from rhi.backends.cl.draw_lists import DrawLists, Place
 from rhi.backends.cl.draws import (
     CONDITION,
     FIXED_COLUMNS,
@@ -62,7 +63,6 @@ _SLOTS: Final = {
     BindingKind.IMAGE: 8,
 }
 _MAX_MEMO: Final = 4096
-_MAX_LISTED: Final = 1 << 16
 _COMMAND_WORDS: Final = 5
 
 
@@ -119,20 +119,6 @@ class _Program:
         self.written = [binding for binding in self.descriptor.bindings if binding.writes]
 
 
-class _Place:
-    """A prepared draw's place in the table; given back with its holder."""
-
-    __slots__ = ("_leave", "memory", "number")
-
-    def __init__(self, batch: Batch) -> None:
-        self.number = batch.prepared.add()
-        self.memory: object = None  # the index list, while the table has its address
-        self._leave = batch.prepared.leave
-
-    def __del__(self) -> None:
-        self._leave(self.number)
-
-
 class Rasteriser:
     """All that draws on one device.
 
@@ -157,7 +143,7 @@ class Rasteriser:
         self._arrays: dict[Id, _Array] = {}
         self._versions: dict[Id, list[int]] = {}
         self._found: dict[Id, dict[object, int]] = {}  # addresses, by resource and part
-        self._listed: dict[object, _Place] = {}
+        self._lists = DrawLists(self._batch.prepared)
         self._device_wrote: set[Id] = set()
         self._bound: list[int] = [0] * (FIXED_COLUMNS + 2 * sum(_SLOTS.values()))
         self._slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
@@ -324,7 +310,7 @@ class Rasteriser:
         base_instance: int,
     ) -> None:  # fmt: skip
         array = self._arrays[vertex_array]
-        place = _Place(self._batch)
+        place = Place(self._batch.prepared)
         self._assemble(place, array, primitive, first, count, base_vertex, base_instance, 0)
         self._gather(array, place.number, instances)
 
@@ -335,7 +321,7 @@ class Rasteriser:
         array = self._arrays[vertex_array]
         program = self._programs[array.descriptor.program]
         batch, bound, version = self._batch, self._bound, array.version
-        place = _Place(batch)
+        place = Place(batch.prepared)
         number, known = place.number, -1
         extend, pick = batch.rows.extend, program.pick
 
@@ -372,23 +358,28 @@ class Rasteriser:
         )
         rows = np.lib.stride_tricks.as_strided(data, (draws, 4 * _COMMAND_WORDS), (stride, 1))
         arguments = np.ascontiguousarray(rows).view(np.uint32)
+        self._gather_list(vertex_array, primitive, arguments, numbered=True)
+
+    def draw_counted(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], counters: NDArray[np.int64]
+    ) -> None:
+        """Draws of an array, each counted by the counter at its address."""
+        arguments = draws.view(np.uint32).reshape(-1, _COMMAND_WORDS)
+        self._gather_list(vertex_array, primitive, arguments, numbered=False, counters=counters)
+
+    def _gather_list(
+        self, vertex_array: Id, primitive: Primitive, arguments: NDArray[np.uint32], numbered: bool,
+        counters: NDArray[np.int64] | None = None,
+    ) -> None:  # fmt: skip
         array = self._arrays[vertex_array]
+
+        def fill(place: Place, *draw: int) -> None:
+            self._assemble(place, array, primitive, *draw)
+
+        key = vertex_array, primitive, array.version[0]
         indexed = bool(array.descriptor.index_buffer)
-        count, instances, first, third, fourth = (arguments[:, column].tolist() for column in range(5))
-        base_vertices = arguments[:, 3].view(np.int32).tolist() if indexed else [0] * draws
-        base_instances = fourth if indexed else third
-        listed, version = self._listed, array.version[0]
-        if len(listed) + draws > _MAX_LISTED:
-            listed.clear()
-        places = []
-        numbered = zip(first, count, base_vertices, base_instances, range(draws), strict=True)
-        for key in numbered:
-            place = listed.get((vertex_array, primitive, version, *key))
-            if place is None:
-                place = listed[vertex_array, primitive, version, *key] = _Place(self._batch)
-                self._assemble(place, array, primitive, *key)
-            places.append(place.number)
-        self._gather(array, np.array(places), np.array(instances))
+        places = self._lists.find(key, arguments, indexed, numbered, fill)
+        self._gather(array, places, arguments[:, 1], counters)
 
     def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:
         host = self._buffers[buffer].host
@@ -396,8 +387,8 @@ class Rasteriser:
             return host[offset : offset + size].tobytes()
         return self._read(buffer, offset, size)
 
-    def _gather(self, array: _Array, places: Any, instances: Any) -> None:
-        """Add draws, one or many, to the batch."""
+    def _gather(self, array: _Array, places: Any, instances: Any, counters: Any = None) -> None:
+        """Add draws, one or many, to the batch. Many may have counters of their own."""
         if self.stale or self._batch.vertex is not array.kernel:
             self._get_ready(array)
         program = self._program
@@ -412,6 +403,8 @@ class Rasteriser:
         else:
             rows = np.tile(np.array(program.pick(bound), np.uint64), (len(places), 1))
             rows[:, PREPARED], rows[:, INSTANCES] = places, instances
+            if counters is not None:
+                rows[:, SAMPLES] = counters
             self._batch.rows.frombytes(rows.tobytes())
         if program.descriptor.writes_memory:
             self.flush()
@@ -441,7 +434,7 @@ class Rasteriser:
         self.stale = False
 
     def _assemble(
-        self, place: _Place, array: _Array, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self, place: Place, array: _Array, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int, number: int,
     ) -> None:  # fmt: skip
         """Fill in a prepared draw."""

@@ -18,23 +18,23 @@ import ctypes
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backend import Capabilities
+from rhi.backend import Capabilities, PreparedQueries
 from rhi.backends.gl import enums
 from rhi.backends.gl.capabilities import query_capabilities
+from rhi.backends.gl.draws import MODES, Calls, Draws
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.formats import INDEX_TYPES
 from rhi.backends.gl.framebuffers import Framebuffers
 from rhi.backends.gl.heap import keep_freed_memory
 from rhi.backends.gl.programs import Pipeline, Programs, VertexArrays
-from rhi.backends.gl.quads import QuadIndices, expand_indices
 from rhi.backends.gl.queries import Fence, Queries
+from rhi.backends.gl.query_sets import QuerySet
 from rhi.backends.gl.resources import Buffers, Samplers, Textures
 from rhi.backends.gl.states import States
 from rhi.descriptors import (
@@ -50,23 +50,14 @@ from rhi.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
-from rhi.formats import IndexFormat, Kind
+from rhi.formats import Kind
 from rhi.state_cache import StateChange
 from rhi.states import AlphaFunction, AlphaReference, AlphaTest
 
 __rhi_internal__ = True
 
-_MODES: Final = {
-    Primitive.POINTS: enums.POINTS,
-    Primitive.LINES: enums.LINES,
-    Primitive.LINE_STRIP: enums.LINE_STRIP,
-    Primitive.TRIANGLES: enums.TRIANGLES,
-    Primitive.TRIANGLE_STRIP: enums.TRIANGLE_STRIP,
-    Primitive.TRIANGLE_FAN: enums.TRIANGLE_FAN,
-}
 _QUADS: Final = Primitive.QUADS
 _TESTS_ALPHA: Final = AlphaTest.ON
-_COMMAND_BYTES: Final = 20
 _MAX_LABELS: Final = 60  # open at a time; GL promises 64
 _MAX_LABEL_BYTES: Final = 255
 
@@ -109,7 +100,7 @@ class GlBackend:
         self._programs = Programs(context, gl, self._arrays)
         self._queries = Queries(gl)
         self._fence = Fence(gl)
-        self._quads = QuadIndices(context)
+        self._draws = Draws(context, gl, self._arrays, self._buffers)
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
 
         self._interrupted: Callable[[], None] = lambda: None
@@ -138,6 +129,11 @@ class GlBackend:
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         self._interrupted = call
+
+    def activate(self) -> None:
+        """Make its context the current one."""
+        if _current is not self:
+            self._activate()
 
     def close(self) -> None:
         global _current
@@ -374,9 +370,11 @@ class GlBackend:
         if _current is not self:
             self._activate()
         if base_vertex or base_instance or primitive is _QUADS:
-            self._draw_from_base(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+            self._draws.draw(
+                self._pipeline, vertex_array, primitive, first, count, instances, base_vertex, base_instance
+            )
         else:
-            self._pipeline[vertex_array](_MODES[primitive], count, first, instances)
+            self._pipeline[vertex_array](MODES[primitive], count, first, instances)
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         return self._bind_uniform[buffer]
@@ -391,54 +389,17 @@ class GlBackend:
             return lambda instances: self.draw(
                 vertex_array, primitive, first, count, instances, base_vertex, base_instance
             )
-        return partial(self._programs[program][vertex_array], _MODES[primitive], count, first)
+        return partial(self._programs[program][vertex_array], MODES[primitive], count, first)
 
-    def _draw_from_base(
-        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
-        base_instance: int,
-    ) -> None:  # fmt: skip
-        """What moderngl's draw can't do."""
-        gl, pipeline = self.gl, self._pipeline
-        array = self._arrays.descriptors[vertex_array]
-        name = pipeline.use(vertex_array)
-        if primitive is _QUADS:
-            self._draw_quads(name, array, first, count, instances, base_vertex, base_instance)
-        elif array.index_buffer:
-            index_type, offset = INDEX_TYPES[array.index_format], first * array.index_format.size
-            gl.DrawElementsInstancedBaseVertexBaseInstance(
-                _MODES[primitive], count, index_type, offset, instances, base_vertex, base_instance
-            )
-        else:
-            gl.DrawArraysInstancedBaseInstance(_MODES[primitive], first, count, instances, base_instance)
-        if pipeline.writes_memory:
-            pipeline.publish()
+    def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
+        """See `rhi.backend.PreparesQueries`."""
+        return QuerySet(self, self.gl, self._queries, queries)
 
-    def _draw_quads(
-        self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
-        base_instance: int,
-    ) -> None:  # fmt: skip
-        """As triangles. The indices of indexed quads are expanded by the CPU, which waits for them."""
-        gl, count = self.gl, count // 4 * 6
-        if not count:  # no indices to read
-            return
-
-        def draw(index_format: IndexFormat, base: int) -> None:
-            index_type = INDEX_TYPES[index_format]
-            gl.DrawElementsInstancedBaseVertexBaseInstance(
-                enums.TRIANGLES, count, index_type, 0, instances, base, base_instance
-            )
-
-        if not array.index_buffer:
-            gl.VertexArrayElementBuffer(name, self._quads.reserve(count // 6))
-            draw(IndexFormat.UINT32, first)
-            return
-        size = array.index_format.size
-        indices = self._buffers.read(array.index_buffer, first * size, count // 6 * 4 * size)
-        expanded = self.context.buffer(expand_indices(indices, array.index_format))
-        gl.VertexArrayElementBuffer(name, expanded.glo)
-        draw(array.index_format, base_vertex)
-        gl.VertexArrayElementBuffer(name, self._buffers.objects[array.index_buffer].glo)
-        expanded.release()
+    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> Calls:
+        """As `Draws.prepare_calls`, of the bound program."""
+        if _current is not self:
+            self._activate()
+        return self._draws.prepare_calls(self._pipeline, vertex_array, primitive, draws)
 
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
@@ -446,26 +407,9 @@ class GlBackend:
     ) -> None:  # fmt: skip
         if _current is not self:
             self._activate()
-        gl, pipeline, mode = self.gl, self._pipeline, _MODES[primitive]
-        array = self._arrays.descriptors[vertex_array]
-        stride = stride or _COMMAND_BYTES
-        pipeline.use(vertex_array)
-        gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, self._buffers.objects[buffer].glo)
-        if count_buffer:
-            gl.BindBuffer(enums.PARAMETER_BUFFER, self._buffers.objects[count_buffer].glo)
-            if array.index_buffer:
-                index_type = INDEX_TYPES[array.index_format]
-                gl.MultiDrawElementsIndirectCountARB(mode, index_type, offset, count_offset, draws, stride)
-            else:
-                gl.MultiDrawArraysIndirectCountARB(mode, offset, count_offset, draws, stride)
-            # Mesa takes the count from a bound parameter buffer in draws without a count, too.
-            gl.BindBuffer(enums.PARAMETER_BUFFER, 0)
-        elif array.index_buffer:
-            gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
-        else:
-            gl.MultiDrawArraysIndirect(mode, offset, draws, stride)
-        if pipeline.writes_memory:
-            pipeline.publish()
+        self._draws.draw_indirect(
+            self._pipeline, vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
+        )
 
     def dispatch(self, x: int, y: int, z: int) -> None:
         if _current is not self:

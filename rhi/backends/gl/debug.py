@@ -11,12 +11,14 @@ from __future__ import annotations
 
 import ctypes
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import moderngl
+import numpy as np
+from numpy.typing import NDArray
 
-from rhi.backend import Backend
+from rhi.backend import Backend, PreparedQueries
 from rhi.backends.gl import enums
 from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
@@ -82,14 +84,13 @@ class DebugGlBackend(GlBackend):
             vertex_array, primitive, first, count, instances, base_vertex, base_instance
         )
 
+    def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
+        return _CheckedQueries(super().prepare_queries(queries), self)
 
-def _checked(name: str) -> Callable[..., Any]:
-    method = getattr(GlBackend, name)
-
-    @functools.wraps(method)
-    def checked(self: DebugGlBackend, *arguments: object) -> object:
+    def check(self, call: Callable[..., object], name: str, *arguments: object) -> Any:
+        """Call, and raise what the driver says about it."""
         try:
-            result = method(self, *arguments)
+            result = call(*arguments)
         except Exception:
             self._debug.clear()
             raise
@@ -98,6 +99,31 @@ def _checked(name: str) -> Callable[..., Any]:
             shown = ", ".join(map(_show, arguments))
             raise DeviceError(DEVICE_DEBUG, f"{name}({shown})", message)
         return result
+
+
+class _CheckedQueries:
+    """Prepared queries, checked as the methods are."""
+
+    def __init__(self, queries: PreparedQueries, backend: DebugGlBackend) -> None:
+        self._queries = queries
+        self._backend = backend
+
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
+    ) -> None:
+        self._backend.check(self._queries.draw, "draw_counted", vertex_array, primitive, draws, rows)
+
+    def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        samples: NDArray[np.int64] | None = self._backend.check(self._queries.read, "read_queries", rows)
+        return samples
+
+
+def _checked(name: str) -> Callable[..., Any]:
+    method = getattr(GlBackend, name)
+
+    @functools.wraps(method)
+    def checked(self: DebugGlBackend, *arguments: object) -> object:
+        return self.check(method.__get__(self), name, *arguments)
 
     return checked
 

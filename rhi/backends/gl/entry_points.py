@@ -150,7 +150,7 @@ class EntryPoints:
     VertexArrayAttribIFormat: Callable[[Int, Int, Int, Int, Int], None]
     EnableVertexArrayAttrib: Callable[[Int, Int], None]
     DrawArraysInstancedBaseInstance: Callable[[Int, Int, Int, Int, Int], None]
-    DrawElementsInstancedBaseVertexBaseInstance: Callable[[Int, Int, Int, Size, Int, Int, Int], None]
+    DrawElementsInstancedBaseVertexBaseInstance: Callable[[Int, Int, Int, Reference, Int, Int, Int], None]
     MultiDrawArraysIndirect: Callable[[Int, Size, Int, Int], None]
     MultiDrawElementsIndirect: Callable[[Int, Int, Size, Int, Int], None]
     MultiDrawArraysIndirectCountARB: Callable[[Int, Size, Size, Int, Int], None]  # ARB_indirect_parameters

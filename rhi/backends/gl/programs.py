@@ -107,7 +107,7 @@ class Pipeline(dict[Id, Render]):
     def __missing__(self, vertex_array: Id) -> Render:
         made = self._made[vertex_array] = self._arrays.make(vertex_array, self.program)
         render: Render = made.mglo.render
-        self[vertex_array] = self._then_publish(render) if self.writes_memory else render
+        self[vertex_array] = self.then_publish(render) if self.writes_memory else render
         return self[vertex_array]
 
     def prepare(self, vertex_array: Id) -> None:
@@ -144,14 +144,15 @@ class Pipeline(dict[Id, Render]):
             self.forget(vertex_array)
         self.program.release()
 
-    def _then_publish(self, render: Render) -> Render:
+    def then_publish(self, draw: Callable[..., object]) -> Callable[..., object]:
+        """A draw, and what it wrote made visible."""
         publish = self.publish
 
-        def render_and_publish(mode: int, count: int, first: int, instances: int) -> None:
-            render(mode, count, first, instances)
+        def draw_and_publish(*arguments: object) -> None:
+            draw(*arguments)
             publish()
 
-        return render_and_publish
+        return draw_and_publish
 
 
 class _Program:

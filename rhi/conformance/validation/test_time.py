@@ -256,6 +256,7 @@ CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
     "event": lambda d, r: d.event("late").__enter__(),
     "present": lambda d, r: d.present(),
     "query": lambda d, r: d.occlusion_query(),
+    "query set": lambda d, r: d.query_set(2),
     "buffer read": lambda d, r: r["buffer"].read(),
     "buffer write": lambda d, r: r["buffer"].write(np.zeros(4, "u1")),
     "buffer lock": lambda d, r: r["buffer"].lock(rhi.Access.READ).__enter__(),
@@ -267,6 +268,7 @@ CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
 
 CLOSED_NEEDS = {
     "draw": "draws", "draw many": "draws", "immediate": "draws", "query": "occlusion_queries",
+    "query set": "occlusion_queries",
 }  # fmt: skip
 
 

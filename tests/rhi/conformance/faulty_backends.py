@@ -14,6 +14,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 import rhi
@@ -57,6 +58,26 @@ class PreparedAtZero(Preparing):
     def prepare_uniform(self, buffer: int) -> Any:
         bind = self._inner.prepare_uniform(buffer)
         return lambda slot, offset, size: bind(slot, 0, size)
+
+
+class OneRowForAll(Preparing):
+    """Counts all draws of a query set together."""
+
+    def prepare_queries(self, queries: Any) -> Any:
+        prepared = self._inner.prepare_queries(queries)
+
+        def draw(array: int, primitive: Any, draws: Any, rows: Any) -> None:
+            prepared.draw(array, primitive, draws, rows * 0)
+
+        return SimpleNamespace(draw=draw, read=lambda rows: prepared.read(rows * 0))
+
+
+class RowsInOrder(Preparing):
+    """Answers in the order of a query set's rows, not in that of the draws."""
+
+    def prepare_queries(self, queries: Any) -> Any:
+        prepared = self._inner.prepare_queries(queries)
+        return SimpleNamespace(draw=prepared.draw, read=lambda rows: prepared.read(np.sort(rows)))
 
 
 class UpsideDown(Faulty):
@@ -155,6 +176,8 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "prepared from the first": (PreparedFromTheFirst, "meshes"),
     "prepared once": (PreparedOnce, "meshes"),
     "prepared at zero": (PreparedAtZero, "transient"),
+    "one row for all": (OneRowForAll, "query_sets"),
+    "rows in order": (RowsInOrder, "query_sets"),
     "no mipmaps": (NoMipmaps, "textures"),
     "copy to corner": (CopyToCorner, "textures"),
     "short write": (ShortWrite, "buffers"),

@@ -85,6 +85,7 @@ CALLS: dict[str, tuple[Callable[[House], object], str]] = {
         "state-duplicate",
     ),
     "query": (lambda house: house.device.occlusion_query().wait(), "query-state"),
+    "query set": (lambda house: house.device.query_set(2).wait(), "query-state"),
     "lock": (lambda house: house.light.owner.lock(Access.WRITE).__exit__(None, None, None), "lock-closed"),
     "immediate": (break_immediate, "immediate-vertex"),
     "command buffer": (break_record, "pass-empty"),

@@ -77,6 +77,10 @@ def record_much(device: rhi.Device) -> rhi.Texture:
                 device.draw(device.program(Pictured), house.walls, picture=picture.sampled(sampler))
             draws = house.walls.draws(np.zeros(2, int), np.full(2, 3))
             device.draw_many(device.program(Pictured), house.walls, draws, picture=picture.sampled(sampler))
+            queries = device.query_set(2)
+            device.draw_counted(
+                device.program(Pictured), house.walls, draws, queries, picture=picture.sampled(sampler)
+            )
         with device.immediate(house.lit, Primitive.TRIANGLES, light=house.light, tint=house.tint) as corners:
             for place in ((-1, -1), (1, -1), (0, 1)):
                 corners.vertex(position=place)

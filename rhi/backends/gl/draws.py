@@ -1,0 +1,148 @@
+"""Draws that moderngl's own can't do: base vertices and instances, quads, arguments in memory, whole arrays."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Iterable
+from itertools import repeat
+from typing import Any, Final, TypeAlias
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.backends.gl import enums
+from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.formats import INDEX_TYPES
+from rhi.backends.gl.programs import Pipeline, VertexArrays
+from rhi.backends.gl.quads import QuadIndices, expand_indices
+from rhi.backends.gl.resources import Buffers
+from rhi.descriptors import Id, Primitive, VertexArrayDescriptor
+from rhi.formats import IndexFormat
+
+__rhi_internal__ = True
+
+MODES: Final = {
+    Primitive.POINTS: enums.POINTS,
+    Primitive.LINES: enums.LINES,
+    Primitive.LINE_STRIP: enums.LINE_STRIP,
+    Primitive.TRIANGLES: enums.TRIANGLES,
+    Primitive.TRIANGLE_STRIP: enums.TRIANGLE_STRIP,
+    Primitive.TRIANGLE_FAN: enums.TRIANGLE_FAN,
+}
+_COMMAND_BYTES: Final = 20
+
+Calls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
+"""A function, and its arguments for each draw."""
+
+
+class Draws:
+    """Of one context; each method is given the bound program."""
+
+    def __init__(
+        self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
+    ) -> None:
+        self._context = context
+        self._gl = gl
+        self._arrays = arrays
+        self._buffers = buffers
+        self._quads = QuadIndices(context)
+
+    def draw(
+        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        base_vertex: int, base_instance: int,
+    ) -> None:  # fmt: skip
+        """Quads, or with bases."""
+        gl, array = self._gl, self._arrays.descriptors[vertex_array]
+        name = pipeline.use(vertex_array)
+        if primitive is Primitive.QUADS:
+            self._draw_quads(name, array, first, count, instances, base_vertex, base_instance)
+        elif array.index_buffer:
+            index_type = INDEX_TYPES[array.index_format]
+            offset = ctypes.c_void_p(first * array.index_format.size)
+            gl.DrawElementsInstancedBaseVertexBaseInstance(
+                MODES[primitive], count, index_type, offset, instances, base_vertex, base_instance
+            )
+        else:
+            gl.DrawArraysInstancedBaseInstance(MODES[primitive], first, count, instances, base_instance)
+        if pipeline.writes_memory:
+            pipeline.publish()
+
+    def _draw_quads(
+        self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
+        base_instance: int,
+    ) -> None:  # fmt: skip
+        """As triangles. The indices of indexed quads are expanded by the CPU, which waits for them."""
+        gl, count = self._gl, count // 4 * 6
+        if not count:  # no indices to read
+            return
+
+        def draw(index_format: IndexFormat, base: int) -> None:
+            index_type = INDEX_TYPES[index_format]
+            gl.DrawElementsInstancedBaseVertexBaseInstance(
+                enums.TRIANGLES, count, index_type, None, instances, base, base_instance
+            )
+
+        if not array.index_buffer:
+            gl.VertexArrayElementBuffer(name, self._quads.reserve(count // 6))
+            draw(IndexFormat.UINT32, first)
+            return
+        size = array.index_format.size
+        indices = self._buffers.read(array.index_buffer, first * size, count // 6 * 4 * size)
+        expanded = self._context.buffer(expand_indices(indices, array.index_format))
+        gl.VertexArrayElementBuffer(name, expanded.glo)
+        draw(array.index_format, base_vertex)
+        gl.VertexArrayElementBuffer(name, self._buffers.objects[array.index_buffer].glo)
+        expanded.release()
+
+    def draw_indirect(
+        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int,
+        stride: int, count_buffer: Id, count_offset: int,
+    ) -> None:  # fmt: skip
+        gl, mode = self._gl, MODES[primitive]
+        array = self._arrays.descriptors[vertex_array]
+        stride = stride or _COMMAND_BYTES
+        pipeline.use(vertex_array)
+        gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, self._buffers.objects[buffer].glo)
+        if count_buffer:
+            gl.BindBuffer(enums.PARAMETER_BUFFER, self._buffers.objects[count_buffer].glo)
+            if array.index_buffer:
+                index_type = INDEX_TYPES[array.index_format]
+                gl.MultiDrawElementsIndirectCountARB(mode, index_type, offset, count_offset, draws, stride)
+            else:
+                gl.MultiDrawArraysIndirectCountARB(mode, offset, count_offset, draws, stride)
+            # Mesa takes the count from a bound parameter buffer in draws without a count, too.
+            gl.BindBuffer(enums.PARAMETER_BUFFER, 0)
+        elif array.index_buffer:
+            gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
+        else:
+            gl.MultiDrawArraysIndirect(mode, offset, draws, stride)
+        if pipeline.writes_memory:
+            pipeline.publish()
+
+    def prepare_calls(
+        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
+    ) -> Calls:
+        """What draws an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`: a function, and its arguments for each draw.
+        Not for QUADS. It holds until something else is bound or drawn."""
+        array, mode = self._arrays.descriptors[vertex_array], repeat(MODES[primitive])
+        indexed = bool(array.index_buffer)
+        count, first, instances, base_instance = (
+            draws[name].tolist() for name in ("count", "first", "instances", "base_instance")
+        )
+        if not draws["base_instance"].any() and not (indexed and draws["base_vertex"].any()):
+            return pipeline[vertex_array], zip(mode, count, first, instances, strict=False)
+        pipeline.use(vertex_array)
+        call: Callable[..., object]
+        if indexed:
+            call, form = self._gl.DrawElementsInstancedBaseVertexBaseInstance, array.index_format
+            offsets = map(ctypes.c_void_p, (form.size * draws["first"].astype(np.int64)).tolist())
+            base_vertex = draws["base_vertex"].tolist()
+            arguments: Iterable[tuple[Any, ...]] = zip(
+                mode, count, repeat(INDEX_TYPES[form]), offsets, instances, base_vertex, base_instance,
+                strict=False,
+            )  # fmt: skip
+        else:
+            call = self._gl.DrawArraysInstancedBaseInstance
+            arguments = zip(mode, first, count, instances, base_instance, strict=False)
+        return pipeline.then_publish(call) if pipeline.writes_memory else call, arguments

@@ -1,0 +1,146 @@
+"""Query sets as gl and cl take them, without a recorder or a driver's checks: beside counters, and in memory."""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import Device, Format, Mesh, QuerySet
+from rhi.backends.cl.backend import ClBackend
+from rhi.backends.gl.backend import GlBackend
+from rhi.backends.gl.query_sets import QuerySet as GlQuerySet
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import texel_rectangle
+from rhi.descriptors import QueryKind
+
+SIZE = (16, 16)
+SAMPLES = np.arange(1, 17)
+
+
+@pytest.fixture(params=["gl", "cl"])
+def device(request: pytest.FixtureRequest) -> Iterator[Device]:
+    try:
+        device = rhi.create_device(request.param)
+    except rhi.DeviceError as error:
+        pytest.skip(f"no {request.param} device here: {error.given or error.rule.sentence}")
+    with device:
+        yield device
+
+
+@pytest.fixture
+def bars(device: Device) -> Mesh:
+    """16 rectangles; the i-th has i + 1 texels."""
+    return device.mesh(np.concatenate([texel_rectangle(0, 0, i + 1, 1, SIZE) for i in range(16)]))
+
+
+def draw(device: Device, bars: Mesh, queries: QuerySet, rows: Any) -> None:
+    """The rectangles `rows`, each counted by the row of its number."""
+    first: NDArray[Any] = 6 * np.array(rows)
+    device.draw_counted(device.program(Colored), bars, bars.draws(first, 6), queries, rows)
+
+
+def test_a_backend_takes_all_queries_at_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Else the tests here would be about the methods for one."""
+    backend: Any = device._core.backend
+    assert isinstance(backend, (GlBackend, ClBackend))
+    bars = device.mesh(texel_rectangle(0, 0, 3, 1, SIZE))
+    queries = device.query_set(2)
+    for method in ("begin_query", "end_query", "read_query", "draw"):
+        monkeypatch.delattr(type(backend), method)
+    with device.texture(SIZE, Format.R8) as image:
+        with device.render_pass(image):
+            device.draw_counted(device.program(Colored), bars, bars.draws([0, 0]), queries)
+        assert queries.wait().tolist() == [3, 3]
+
+
+def test_a_running_counter_counts_what_a_set_counts(device: Device, bars: Mesh) -> None:
+    """Before it, in it and after it, in whichever order they are read."""
+    backend, core = device._core.backend, device._core
+    queries, program = device.query_set(16), device.program(Colored)
+    counters = [core.create_id() for _ in range(4)]
+    for counter in counters:
+        backend.create_query(counter, QueryKind.COUNTER)
+    with device.texture(SIZE, Format.R8) as image:
+        for _ in range(3):
+            with device.render_pass(image):
+                backend.write_query(counters[0])
+                device.draw(program, bars.view(6 * 9, 6))
+                backend.write_query(counters[1])
+                draw(device, bars, queries, range(5))
+                draw(device, bars, queries, range(16))
+                backend.write_query(counters[2])
+                device.draw(program, bars.view(6 * 3, 6))
+                backend.write_query(counters[3])
+            device.finish()
+            counts = [backend.read_query(counter) for counter in counters]
+            assert np.diff(np.array(counts)).tolist() == [10, SAMPLES[:5].sum() + SAMPLES.sum(), 4]
+            assert queries.wait().tolist() == SAMPLES.tolist()
+
+
+def test_a_counter_that_begins_to_run_between_draws_and_answers_changes_neither(
+    device: Device, bars: Mesh
+) -> None:
+    first, second = device.query_set(16), device.query_set(16)
+    with device.texture(SIZE, Format.R8) as image:
+        with device.render_pass(image):
+            draw(device, bars, first, range(16))
+            emulated = device.query_set(16, emulated=True)
+            draw(device, bars, second, range(16))
+            draw(device, bars, emulated, range(16))
+        assert [each.wait().tolist() for each in (first, second, emulated)] == [SAMPLES.tolist()] * 3
+        emulated.destroy()
+        device.finish()
+        with device.render_pass(image):
+            draw(device, bars, first, range(16))
+        assert first.wait().tolist() == SAMPLES.tolist()
+
+
+def test_sets_that_are_gone_give_their_memory_back(device: Device, bars: Mesh) -> None:
+    """Also those that were asked for again before they were read."""
+    with device.texture(SIZE, Format.R8) as image:
+        for _ in range(50):
+            queries = device.query_set(400)
+            for rows in (range(8), range(16)):
+                with device.render_pass(image):
+                    draw(device, bars, queries, rows)
+            assert queries.wait()[:16].tolist() == SAMPLES.tolist()
+            queries.destroy()
+            del queries
+        device.finish()
+        gc.collect()
+    backend: Any = device._core.backend
+    if isinstance(backend, ClBackend):
+        assert len(backend._rasteriser.counters._free) <= 3
+    else:
+        assert not backend._queries._queries
+
+
+def test_queries_of_gl_are_not_waited_for_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only the last one is asked whether it is there."""
+    try:
+        device = rhi.create_device("gl")
+    except rhi.DeviceError as error:
+        pytest.skip(f"no gl device here: {error.given or error.rule.sentence}")
+    with device, device.texture(SIZE, Format.R8) as image:
+        bars = device.mesh(np.concatenate([texel_rectangle(0, 0, i + 1, 1, SIZE) for i in range(16)]))
+        queries = device.query_set(16)
+        assert isinstance(queries._prepared, GlQuerySet)
+        with device.render_pass(image):
+            draw(device, bars, queries, range(16))
+        device.finish()
+        gl, asked = queries._prepared._gl, []
+        get = gl.GetQueryObjectui64v
+
+        def note(name: int, what: int, place: Any) -> None:
+            asked.append(what)
+            get(name, what, place)
+
+        monkeypatch.setattr(gl, "GetQueryObjectui64v", note)
+        assert queries.wait().tolist() == SAMPLES.tolist()
+    assert len(asked) == 17
