@@ -22,15 +22,26 @@ from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import PARTS, Object, Place, Vertex, View, forward_variant, relative_position
 from renderer.techniques.forward import bind_forward
 from renderer.visibility.bounds import pad_boxes
-from rhi import ColorWrite, DepthFunction, DepthWrite, Device, Mesh, OcclusionQuery, Program, refuse
+from rhi import (
+    ColorWrite,
+    DepthFunction,
+    DepthWrite,
+    Device,
+    Mesh,
+    OcclusionQuery,
+    Program,
+    QuerySet,
+    StateScope,
+    refuse,
+)
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
 PASSES: Final = {
     "depth": "depth alone",
     "lit": "the forward shader without images",
     "textured": "the forward shader with the scene's images",
-    "queries": "a query for each of up to 1,000 objects' boxes, all asked before the first is read",
-    "waited": "the same, each read before the next is asked",
+    "queries": "a query for each of up to 1,000 objects' boxes, asked and read as one query set",
+    "waited": "the same one by one, each read before the next is asked",
 }
 """What can be timed."""
 _QUERIES: Final = 1000
@@ -106,7 +117,9 @@ class BackendPasses:
         self._box = device.program(BoxShader)
         self._boxes: Mesh | None = None
         self._parts: list[Mesh] = []
-        self._queries: list[OcclusionQuery] = []
+        self._draws = np.zeros(0, rhi.DRAW)
+        self._query: OcclusionQuery | None = None
+        self._queries: QuerySet | None = None
 
     def work(self, name: str) -> Callable[[int], object]:
         """What to time for a pass of `PASSES`; it takes a round's number, and waits for the device."""
@@ -116,7 +129,7 @@ class BackendPasses:
             return lambda _: self.draw_depth()
         self.draw_depth()
         self._prepare_boxes()
-        return lambda _: self.count_boxes(waits=name == "waited")
+        return lambda _: self.wait_for_boxes() if name == "waited" else self.count_boxes()
 
     def draw_depth(self) -> None:
         """All objects' depth."""
@@ -156,30 +169,44 @@ class BackendPasses:
             {"position": corners.reshape(-1, 3).astype(np.float32)}, indices.reshape(-1).astype(np.uint32)
         )
         self._parts = [self._boxes.view(36 * i, 36) for i in range(count)]
-        self._queries = [self.device.occlusion_query() for _ in range(count)]
+        self._draws = self._boxes.draws(36 * np.arange(count), 36)
+        self._query = self.device.occlusion_query()
+        self._queries = self.device.query_set(count)
 
-    def count_boxes(self, waits: bool) -> list[int]:
-        """Samples of each box that are nearer than the depth that was drawn last."""
-        device, view, program = self.device, self.resources.view.buffer, self._box
-        samples: list[int] = []
-        nearer = (
-            DepthFunction.GREATER if self.camera.projection.depth is Depth.REVERSED else DepthFunction.LESS
-        )
-        states = device.states(ColorWrite.OFF, DepthWrite.OFF, nearer)
-        with device.render_pass(depth=self.targets.depth), states:
-            for query, part in zip(self._queries, self._parts, strict=True):
+    def count_boxes(self) -> list[int]:
+        """Samples of each box that are nearer than the depth that was drawn last, all at once."""
+        boxes, queries = self._boxes, self._queries
+        assert boxes is not None
+        assert queries is not None
+        with self.device.render_pass(depth=self.targets.depth), self._box_states():
+            self.device.draw_counted(self._box, boxes, self._draws, queries, view=self.resources.view.buffer)
+        samples: list[int] = queries.wait().tolist()
+        return samples
+
+    def wait_for_boxes(self) -> list[int]:
+        """The same, one by one."""
+        device, view, program, query = self.device, self.resources.view.buffer, self._box, self._query
+        assert query is not None
+        samples = []
+        with device.render_pass(depth=self.targets.depth), self._box_states():
+            for part in self._parts:
                 with query:
                     device.draw(program, part, view=view)
-                if waits:
-                    samples.append(query.wait())
-        return samples or [query.wait() for query in self._queries]
+                samples.append(query.wait())
+        return samples
+
+    def _box_states(self) -> StateScope:
+        reverses = self.camera.projection.depth is Depth.REVERSED
+        nearer = DepthFunction.GREATER if reverses else DepthFunction.LESS
+        return self.device.states(ColorWrite.OFF, DepthWrite.OFF, nearer)
 
     def destroy(self) -> None:
         """Give back what was made on the device."""
         if self._boxes is not None:
             self._boxes.destroy()
-        for query in self._queries:
-            query.destroy()
+        for queries in (self._query, self._queries):
+            if queries is not None:
+                queries.destroy()
         self.resources.destroy()
         self.targets.destroy()
 

@@ -109,8 +109,8 @@ def test_queries_find_some_boxes_and_not_others() -> None:
     with rhi.create_device("gl") as device:
         passes = BackendPasses(device, scene, camera, (96, 64))
         passes.work("queries")(0)
-        answers = passes.count_boxes(waits=False)
-        assert answers == passes.count_boxes(waits=True)
+        answers = passes.count_boxes()
+        assert answers == passes.wait_for_boxes()
         assert 0 < sum(count > 0 for count in answers) < len(answers)
         passes.destroy()
 

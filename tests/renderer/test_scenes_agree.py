@@ -77,7 +77,7 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
     for device in devices:
         passes = BackendPasses(device, scene, find_path(path, scene).camera(900), SIZE)
         passes.work("queries")(0)
-        counts.append(np.array(passes.count_boxes(waits=False)))
+        counts.append(np.array(passes.count_boxes()))
         passes.destroy()
     gl, cl = counts
     assert (gl > 0).sum() > 20
