@@ -25,6 +25,7 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // one that lies anywhere
 
 // A depth bound is kept for each PART × PART texels.
 #define PART_BITS 4
+#define PART (1 << PART_BITS)
 #define PARTS (TILE >> PART_BITS)  // in a row of a tile
 
 enum { POINTS = 1, LINES = 2, TRIANGLES = 3 };
@@ -118,12 +119,14 @@ static inline __attribute__((always_inline, overloadable)) type name(type##16 la
     return combine(two.x, two.y); \
 }
 #define AND(a, b) ((a) & (b))
+#define ADD(a, b) ((a) + (b))
 
 REDUCTION(find_least, int, min)
 REDUCTION(find_least, float, fmin)
 REDUCTION(find_greatest, int, max)
 REDUCTION(find_greatest, float, fmax)
 REDUCTION(find_common, int, AND)
+REDUCTION(find_sum, int, ADD)
 
 // The lanes of a mask as bits.
 INLINE uint bits_of(int16 mask) {

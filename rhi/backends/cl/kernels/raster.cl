@@ -1,7 +1,8 @@
 // Records to fragments: a work-item per tile, which nobody else writes, record after record in order.
 //
-// - Within a tile a record's box is walked in blocks of 4 × 4 texels, lane = x + 4 y. A block's edges, depth and shading
-//   are each a vector of 16.
+// - A tile is 4 × 4 parts, a part 4 × 4 blocks, a block 4 × 4 texels: 16 lanes each, lane = x + 4 y. Of the parts and
+//   then the blocks that a record's box touches, those that lie outside of an edge are dropped 16 at a time. In the
+//   blocks that are left, coverage, depth and shading are each a vector of 16.
 // - Large primitives find their edges at the tile in 64 bits; an edge that all of the tile lies inside of is dropped, one
 //   that all lies outside of ends the record. What is left fits in 32 bits. A polygon is a fan of such triangles.
 // - Multi-sampled: four coverages, one shading.
@@ -59,6 +60,7 @@ INLINE int next_record(Records *records) {
 typedef struct {
     int a[3], b[3];        // per texel
     int c[SAMPLES][3];     // at the corner of the first block, rounded down to whole texels
+    int16 lanes[3];        // what is added for the texels of a block
 } Edges;
 
 #if SAMPLES == 4
@@ -85,6 +87,28 @@ INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
             edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * sample_x[sample] + (long)b * sample_y[sample]) >> 8);
     }
     return true;
+}
+
+// 4 × 4 squares, a bit for each: the parts of a tile, the blocks of a part. A square has 2^`bits` texels a side.
+
+// Those that a box touches, whose first and last texel are given from the first square on.
+INLINE uint touch_squares(int x0, int y0, int x1, int y1, const int bits) {
+    const uint columns = (2u << (x1 >> bits)) - (1u << (x0 >> bits));
+    return columns * (((16u << (y1 >> bits) * 4) - (1u << (y0 >> bits) * 4)) & 0x1111u);
+}
+
+// Those that no edge lies wholly outside of; the first begins `x`, `y` texels after where the edges do. `starts`: the
+// edges at each one's first texel.
+INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int16 *starts) {
+    int16 innermost = (int16)(0);
+    UNROLL for (int i = 0; i < 3; ++i) {
+        const int a = edges->a[i], b = edges->b[i];
+        starts[i] = (edges->lanes[i] << bits) + (edges->c[0][i] + a * x + b * y);
+        int16 most = starts[i] + (max(a, 0) + max(b, 0)) * ((1 << bits) - 1);
+        if (SAMPLES > 1) most = add_sat(most, (int16)(abs(a) + abs(b)));  // samples lie off the centres
+        innermost |= most;
+    }
+    return bits_of(innermost >= 0);
 }
 
 #if SHADES
@@ -115,26 +139,30 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
 #endif
 
 #if STAGES_DEPTH
-// The tile's depths, block by block: a block is one vector, and in the first cache. The plane's rows are read and
-// written once per tile, 16 texels of 4 rows at a time.
-#define TILE_BLOCKS (TILE / 4)
+// The tile's depths, part by part and block by block: a block is one vector, and in the first cache. The plane's rows are
+// read and written once per tile, 16 texels of 4 rows at a time.
+#define PART_BLOCKS 16
 
 // Bounds: of each PART × PART texels, a depth that all stored ones lie nearer than. What lies behind the bounds of all
 // parts that its box touches is dropped before its edges are looked at. A bound is found anew after some writes. The last
 // ones are left for set-up, which drops what the batch's later primitives hide behind them.
 #define WRITES_BEFORE_BOUND 16  // records
 #define NEAR_IS_LESS (DEPTH_PASSES < 4)
-#define FARTHER(a, b) (NEAR_IS_LESS ? fmax(a, b) : fmin(a, b))
+// A compare is cheaper than fmax. A NaN that is stored lets nothing pass; as `b` it is left out.
+#define FARTHER(a, b) (NEAR_IS_LESS ? ((b) > (a) ? (b) : (a)) : ((b) < (a) ? (b) : (a)))
+#define BEHIND(depth, bound) (NEAR_IS_LESS ? (depth) > (bound) : (depth) < (bound))
+#define NEARER (NEAR_IS_LESS ? -INFINITY : INFINITY)  // than all depths
+
+REDUCTION(find_farthest, float, FARTHER)
 
 INLINE float find_bound(const float16 *blocks, int part) {
-    const float16 *block = blocks + (part / PARTS * TILE_BLOCKS + part % PARTS) * (1 << PART_BITS) / 4;
-    float16 farthest = *block;
-    UNROLL for (int i = 0; i < (1 << PART_BITS) / 4; ++i)
-        UNROLL for (int j = 0; j < (1 << PART_BITS) / 4; ++j) farthest = FARTHER(farthest, block[i * TILE_BLOCKS + j]);
-    float8 half_way = FARTHER(farthest.lo, farthest.hi);
-    float4 quarter = FARTHER(half_way.lo, half_way.hi);
-    float2 pair = FARTHER(quarter.lo, quarter.hi);
-    return FARTHER(pair.x, pair.y);
+    const float16 *block = blocks + part * PART_BLOCKS;
+    float16 farthest = (float16)(NEARER);
+    UNROLL for (int i = 0; i < PART_BLOCKS; ++i) {
+        float16 other = block[i];
+        farthest = FARTHER(farthest, other);
+    }
+    return find_farthest(farthest);
 }
 
 // Between the plane and a tile's blocks; `width` and `height` are what of the tile lies in the plane, whole blocks.
@@ -142,9 +170,9 @@ INLINE void stage_depth(const Targets *targets, int x, int y, int width, int hei
     const ulong pitch = targets->depth.pitch;
     for (int row = 0; row < height; row += 4) {
         global float *line = (global float *)locate(&targets->depth, x, y + row, 0, 4);
-        float16 *block = blocks + row / 4 * TILE_BLOCKS;
+        float16 *block = blocks + row / PART * (PARTS * PART_BLOCKS) + row % PART;  // a row of 4 blocks is 4 texels high
         int column = 0;
-        for (; column + 16 <= width; column += 16, line += 16, block += 4) {
+        for (; column + 16 <= width; column += 16, line += 16, block += PART_BLOCKS) {
             float16 rows[4], four[4];
             if (back) {
                 UNROLL for (int i = 0; i < 4; ++i) four[i] = block[i];
@@ -164,8 +192,10 @@ INLINE void stage_depth(const Targets *targets, int x, int y, int width, int hei
 }
 #endif
 
-INLINE void count_samples(ulong address, uint count) {
-    if (!address || !count) return;
+// Add what each lane has passed to a counter, if there is one.
+INLINE void count_samples(ulong address, int16 passed) {
+    uint count = address ? find_sum(passed) : 0;
+    if (!count) return;
     volatile global uint *counter = AT(volatile uint, address);
     if (atomic_add(counter, count) + count < count) atomic_inc(counter + 1);
 }
@@ -176,23 +206,23 @@ SINGLE raster(ulong address) {
     Records records = find_records(batch, tile);
     int place = next_record(&records);
     const int tile_x = tile % batch->tiles_x * TILE, tile_y = tile / batch->tiles_x * TILE;
-#if STAGES_DEPTH && BOUNDS_DEPTH
+#if BOUNDS_DEPTH
     const int bounds_pitch = batch->tiles_x * PARTS;
     global float *left_bounds = AT(float, batch->bounds) + (tile_y >> PART_BITS) * bounds_pitch + (tile_x >> PART_BITS);
     if (place < 0 && !batch->bounded)
         for (int part = 0; part < PARTS * PARTS; ++part)
-            left_bounds[part / PARTS * bounds_pitch + part % PARTS] = NEAR_IS_LESS ? INFINITY : -INFINITY;
+            left_bounds[part / PARTS * bounds_pitch + part % PARTS] = -NEARER;
 #endif
     if (place < 0) return;
     OPEN_SURFACES
     const Targets targets = open_targets(TARGET_ARGUMENTS);
 #if STAGES_DEPTH
-    float16 blocks[TILE_BLOCKS * TILE_BLOCKS];
+    float16 blocks[PARTS * PARTS * PART_BLOCKS];
     const int staged_width = min(TILE, ((batch->width + 3) & ~3) - tile_x);
     const int staged_height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
     stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, false);
 #if BOUNDS_DEPTH
-    float bounds[PARTS * PARTS];
+    float bounds[PARTS * PARTS] __attribute__((aligned(64)));
     uchar writes[PARTS * PARTS];
     for (int part = 0; part < PARTS * PARTS; ++part) {
         bounds[part] = find_bound(blocks, part);
@@ -208,7 +238,7 @@ SINGLE raster(ulong address) {
     global const ulong *row = 0;
     int number = -1;
     ulong counter = 0;
-    uint counted = 0;
+    int16 passed = (int16)(0);  // by each lane, for this counter
     for (; place >= 0; place = next_record(&records)) {
         global const int *record = record_memory + (long)place * 16;
         if (records.list) {
@@ -220,14 +250,11 @@ SINGLE raster(ulong address) {
         const int box_x = first & 0xFFFF, box_y = first >> 16, end_x = last & 0xFFFF, end_y = last >> 16;
         const int x0 = max(box_x, tile_x) & ~3, y0 = max(box_y, tile_y) & ~3;
         const int x1 = min(end_x, tile_x + TILE - 1), y1 = min(end_y, tile_y + TILE - 1);
-#if STAGES_DEPTH && BOUNDS_DEPTH
-        const int part_x0 = (x0 - tile_x) >> PART_BITS, part_x1 = (x1 - tile_x) >> PART_BITS;
-        const int part_y0 = (y0 - tile_y) >> PART_BITS, part_y1 = (y1 - tile_y) >> PART_BITS;
-        float bound = bounds[part_y0 * PARTS + part_x0];
-        for (int part_y = part_y0; part_y <= part_y1; ++part_y)
-            for (int part_x = part_x0; part_x <= part_x1; ++part_x) bound = FARTHER(bound, bounds[part_y * PARTS + part_x]);
-        const float nearest = as_float(record[NEAREST]);
-        if (NEAR_IS_LESS ? nearest > bound : nearest < bound) continue;
+        uint parts = touch_squares(x0 - tile_x, y0 - tile_y, x1 - tile_x, y1 - tile_y, PART_BITS);
+#if BOUNDS_DEPTH
+        const float16 bound = *(const float16 *)bounds;
+        parts &= ~bits_of(BEHIND(as_float(record[NEAREST]), bound));
+        if (!parts) continue;
 #endif
         if (flags >> 4 != number) {
             number = flags >> 4;
@@ -236,14 +263,28 @@ SINGLE raster(ulong address) {
             state = view->state;
             row = AT(const ulong, batch->rows) + (long)draw->row * batch->row_words;
             if (draw->samples != counter) {
-                count_samples(counter, counted);
+                count_samples(counter, passed);
                 counter = draw->samples;
-                counted = 0;
+                passed = (int16)(0);
             }
         }
         global const float *depth_plane = (global const float *)(record + DEPTH_PLANE);
         const float depth_x = depth_plane[0], depth_y = depth_plane[1];
-        const float depth_start = depth_plane[2] + depth_x * (float)(x0 - box_x) + depth_y * (float)(y0 - box_y);
+        const float16 lane_depth = depth_x * LANE_FX + depth_y * LANE_FY;
+#if BOUNDS_DEPTH
+        if (parts & (parts - 1)) {
+            // The nearest that the plane comes to in each part, less what rounding may add.
+            const int away_x = tile_x - box_x, away_y = tile_y - box_y;
+            const float slope_x = fabs(depth_x), slope_y = fabs(depth_y), middle = (PART - 1) / 2.0f;
+            float reach = (slope_x + slope_y) * middle + 1e-6f + batch->depth_step +
+                          0x1p-20f * (slope_x * (abs(away_x) + TILE) + slope_y * (abs(away_y) + TILE));
+            float start = depth_plane[2] + depth_x * (away_x + middle) + depth_y * (away_y + middle);
+            float16 nearest = start + lane_depth * PART;
+            nearest = clamp_to(NEAR_IS_LESS ? nearest - reach : nearest + reach, 0.0f, 1.0f);
+            parts &= ~bits_of(BEHIND(nearest, bound));
+            if (!parts) continue;
+        }
+#endif
 #if SHADES
         global const float *planes = AT(const float, batch->planes) + (long)place * 16;
 #if VARYING_WORDS
@@ -261,6 +302,9 @@ SINGLE raster(ulong address) {
             UNROLL for (int i = 0; i < 3; ++i) clips[i] = vload4(record[POLYGON_SLOTS + i], AT(const float, batch->clips));
             pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], points) - 2;
         }
+#if BOUNDS_DEPTH
+        uint written = 0;  // parts
+#endif
         for (int piece = 0; piece < pieces; ++piece) {
             Edges edges;
             if (kind == SMALL) {
@@ -284,15 +328,31 @@ SINGLE raster(ulong address) {
                 }
                 if (!find_edges(triangle, x0, y0, &edges)) continue;
             }
-            int16 row0 = edges.c[0][0] + edges.a[0] * LANE_X + edges.b[0] * LANE_Y;
-            int16 row1 = edges.c[0][1] + edges.a[1] * LANE_X + edges.b[1] * LANE_Y;
-            int16 row2 = edges.c[0][2] + edges.a[2] * LANE_X + edges.b[2] * LANE_Y;
-            float16 row_depth = depth_start + depth_x * LANE_FX + depth_y * LANE_FY;
-            for (int y = y0; y <= y1; y += 4) {
-                int16 edge0 = row0, edge1 = row1, edge2 = row2;
-                float16 z = row_depth;
-                for (int x = x0; x <= x1; x += 4, edge0 += 4 * edges.a[0], edge1 += 4 * edges.a[1],
-                         edge2 += 4 * edges.a[2], z += 4.0f * depth_x) {
+            UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
+            int16 starts[3];
+            uint crossed = parts;
+            if (crossed & (crossed - 1)) crossed &= cross_squares(&edges, tile_x - x0, tile_y - y0, PART_BITS, starts);
+#if BOUNDS_DEPTH
+            written |= crossed;
+#endif
+            for (; crossed; crossed &= crossed - 1) {
+                const int part = 31 - clz(crossed & -crossed);
+                const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
+                uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
+                                          min(y1 - part_y, PART - 1), 2);
+                todo &= cross_squares(&edges, part_x - x0, part_y - y0, 2, starts);
+                int start[3][16] __attribute__((aligned(64)));
+                float start_depth[16] __attribute__((aligned(64)));
+                UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
+                *(float16 *)start_depth = lane_depth * 4.0f + (depth_plane[2] + depth_x * (float)(part_x - box_x) +
+                                                               depth_y * (float)(part_y - box_y));
+                for (; todo; todo &= todo - 1) {
+                    const int place_in_part = 31 - clz(todo & -todo);
+                    const int x = part_x + place_in_part % 4 * 4, y = part_y + place_in_part / 4 * 4;
+                    const int16 edge0 = edges.lanes[0] + start[0][place_in_part];
+                    const int16 edge1 = edges.lanes[1] + start[1][place_in_part];
+                    const int16 edge2 = edges.lanes[2] + start[2][place_in_part];
+                    const float16 z = lane_depth + start_depth[place_in_part];
                     int16 box = (int16)(-1);
                     if (flags & 8)
                         box = (x + LANE_X >= box_x) & (x + LANE_X <= end_x) & (y + LANE_Y >= box_y) & (y + LANE_Y <= end_y);
@@ -305,7 +365,7 @@ SINGLE raster(ulong address) {
                     }
 #if STAGES_DEPTH
                     // One sample and no stencil: what merge_depth_stencil does, on the staged block.
-                    float16 *block = blocks + ((y - tile_y) / 4 * TILE_BLOCKS + (x - tile_x) / 4);
+                    float16 *block = blocks + part * PART_BLOCKS + place_in_part;
                     float16 stored = *block, fresh = quantize_depth(z);
 #if TEST_ORDER != TEST_LATE || !SHADES
                     covered &= compare_depth(fresh, stored);
@@ -317,7 +377,7 @@ SINGLE raster(ulong address) {
                     *block = covered ? fresh : stored;
 #endif
 #if TEST_ORDER == TEST_EARLY || !SHADES
-                    if (counter) counted += popcount(bits_of(covered));
+                    passed -= covered;
 #endif
 #endif
 #endif
@@ -331,7 +391,7 @@ SINGLE raster(ulong address) {
 #if TEST_ORDER == TEST_EARLY || !SHADES
                         masks[sample] =
                             merge_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-                        if (counter) counted += popcount(bits_of(masks[sample]));
+                        passed -= masks[sample];
 #else
                         masks[sample] =
                             test_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
@@ -363,11 +423,11 @@ SINGLE raster(ulong address) {
                         fresh = quantize_depth(GIVES_DEPTH ? depth : z);
                         mask &= compare_depth(fresh, stored);
                         if (DEPTH_WRITES) *block = mask ? fresh : stored;
-                        if (counter) counted += popcount(bits_of(mask));
+                        passed -= mask;
 #elif TEST_ORDER != TEST_EARLY
                         mask = merge_depth_stencil(&targets, state, x, y, sample, front, mask,
                                                    GIVES_DEPTH ? depth : SAMPLE_DEPTH);
-                        if (counter) counted += popcount(bits_of(mask));
+                        passed -= mask;
 #endif
 #if COLOR_COUNT
                         if (SAMPLES == 1 || bits_of(mask)) merge_colors(&targets, state, x, y, sample, mask, outputs);
@@ -375,27 +435,22 @@ SINGLE raster(ulong address) {
                     }
 #endif
                 }
-                row0 += 4 * edges.b[0];
-                row1 += 4 * edges.b[1];
-                row2 += 4 * edges.b[2];
-                row_depth += 4.0f * depth_y;
             }
         }
-#if STAGES_DEPTH && BOUNDS_DEPTH && DEPTH_WRITES
-        for (int part_y = part_y0; part_y <= part_y1; ++part_y)
-            for (int part_x = part_x0; part_x <= part_x1; ++part_x) {
-                int part = part_y * PARTS + part_x;
-                if (++writes[part] < WRITES_BEFORE_BOUND) continue;
-                writes[part] = 0;
-                bounds[part] = find_bound(blocks, part);
-            }
+#if BOUNDS_DEPTH && DEPTH_WRITES
+        for (; written; written &= written - 1) {
+            const int part = 31 - clz(written & -written);
+            if (++writes[part] < WRITES_BEFORE_BOUND) continue;
+            writes[part] = 0;
+            bounds[part] = find_bound(blocks, part);
+        }
 #endif
     }
-    count_samples(counter, counted);
+    count_samples(counter, passed);
 #if STAGES_DEPTH && DEPTH_WRITES
     stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, true);
 #endif
-#if STAGES_DEPTH && BOUNDS_DEPTH
+#if BOUNDS_DEPTH
     for (int part = 0; part < PARTS * PARTS; ++part)
         left_bounds[part / PARTS * bounds_pitch + part % PARTS] = writes[part] ? find_bound(blocks, part) : bounds[part];
 #endif
