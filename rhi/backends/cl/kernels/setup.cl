@@ -10,6 +10,8 @@
 
 // Up to this extent, products of two distances and their sums fit in 31 bits.
 #define SMALL_EXTENT 23000
+// Depth per texel from which on a corner's rounding would move depth by more than 2^-18 or so.
+#define STEEP 0x1p-9f
 
 FIND_DRAW(find_draw_of_primitives, primitive_group)
 
@@ -85,9 +87,9 @@ INLINE float offset_depth(global const View *view, float slope_x, float slope_y,
 }
 
 // Planes in scalars, from clip positions, whose places in the window aren't rounded: for polygons, and for triangles so
-// wide that a far corner's rounding would tilt them. Everything is linear in the window for the whole primitive, clipped
-// or not: with P its corners {x, y, w} before the division, the weight of corner i / w is (Pj × Pk) · {x, y, 1} / det P
-// (Olano & Greer 1997). `left` and `top` are the texel that planes begin at.
+// wide or so steep that a corner's rounding would be seen in their depth. Everything is linear in the window for the
+// whole primitive, clipped or not: with P its corners {x, y, w} before the division, the weight of corner i / w is
+// (Pj × Pk) · {x, y, 1} / det P (Olano & Greer 1997). `left` and `top` are the texel that planes begin at.
 void find_planes(
     global const View *view, const float4 *clips, const uint *slots, int primitive, int number, int left, int top,
     int *record, float *planes
@@ -285,8 +287,6 @@ SINGLE set_up(ulong address) {
             if (bits_of(wide & kept))
                 area = convert_float16(convert_long16(ax) * convert_long16(by) - convert_long16(bx) * convert_long16(ay));
             else area = convert_float16(ax * by - bx * ay);
-            // Not those so thin that rounding changes their area much: their planes would reach far off.
-            const uint tilted = bits_of(wide & (fabs(area) > 16.0f * convert_float16(extent)));
             int16 flipped = area < 0.0f;
             kept &= area != 0.0f;
             if (culled & 1) kept &= flipped;
@@ -340,6 +340,9 @@ SINGLE set_up(ulong address) {
             float16 rise1 = z[1] - z[0], rise2 = z[2] - z[0];
             float16 depth_x = rise1 * weight1_x + rise2 * weight2_x, depth_y = rise1 * weight1_y + rise2 * weight2_y;
             float16 depth = z[0] + rise1 * weight1 + rise2 * weight2;
+            // Not those thinner than a subtexel: what covers them lies beside them, where their planes reach far off.
+            int16 tilts = (wide | (fabs(depth_x) + fabs(depth_y) > STEEP)) & (area > convert_float16(extent));
+            const uint tilted = bits_of(tilts);
             float16 offset = (float16)(0.0f);
             if (biased) {
                 float slope_x[GROUP], slope_y[GROUP], largest[GROUP], offsets[GROUP];
@@ -353,7 +356,7 @@ SINGLE set_up(ulong address) {
             // What depth the primitive reaches, and what rounding in its plane may add to that.
             float16 slack = 1e-6f + 0x1p-21f * (fabs(depth_x) * convert_float16((high_x - low_x) >> 8) +
                                                 fabs(depth_y) * convert_float16((high_y - low_y) >> 8));
-            slack += wide ? (fabs(depth_x) + fabs(depth_y)) * (1.0f / 128.0f) : 0.0f;  // by what corners are rounded
+            slack += tilts ? (fabs(depth_x) + fabs(depth_y)) * (1.0f / 128.0f) : 0.0f;  // by what corners are rounded
             slack += batch->depth_step;
             float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
                                            : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;

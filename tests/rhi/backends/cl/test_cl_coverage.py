@@ -1,0 +1,232 @@
+"""What triangles cover, how deep it is and how many samples are counted, judged by whole numbers where nothing is
+clipped, else by float64.
+
+A window position is float32, rounded to 1/256 pixel; from there on coverage is exact. Of what is clipped, corners are
+rounded where they are cut, so that an edge may lie up to 1/256 pixel off, and only that is allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import BlendFunction, ColorWrite, CullMode, DepthFunction, DepthWrite, Device, Format, Mesh
+from rhi.conformance.shaders import FlatColored
+from rhi.conformance.shapes import corners, rectangle
+
+Floats = NDArray[np.float64]
+SIZE = (256, 256)  # powers of two: window positions are rounded once
+NEAR = 0.1
+FACES = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[Device]:
+    with rhi.create_device("cl") as made:
+        yield made
+
+
+def project(points: Floats) -> Floats:
+    """Clip positions, as the device gets them, of points (…, 3) seen from the origin along -z; near 1, far 0."""
+    clip = np.stack(
+        [1.5 * points[..., 0], 1.5 * points[..., 1], np.full(points.shape[:-1], NEAR), -points[..., 2]], -1
+    )
+    return clip.astype(np.float32).astype(np.float64)
+
+
+def random_boxes(count: int, seed: int, nearest: float) -> Floats:
+    """(count, 12, 3, 4) clip positions of boxes' triangles, of which the nearest begins so far from the eye; they are
+    turned as the camera is."""
+    rng = np.random.default_rng(seed)
+    size = 2.0 ** rng.uniform(-3, 1.5, (count, 1, 3))
+    low = np.stack(
+        [*rng.uniform(-3, 3, (2, count)), -nearest - size[:, 0, 2] - 2.0 ** rng.uniform(-3, 3, count)], -1
+    )
+    if nearest < 0:  # through the near plane, or behind it
+        low[:, 2] = -rng.uniform(0, 1, count) * size[:, 0, 2]
+        low[:, :2] = -rng.uniform(-0.2, 1.2, (count, 2)) * size[:, 0, :2]
+    unit = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)])
+    points = low[:, None] + unit * size
+    turn = np.linalg.qr(rng.normal(size=(3, 3)))[0] if nearest > 4 else np.eye(3)
+    middle = np.array([0, 0, -nearest])
+    triangles = FACES[:, [0, 1, 2, 0, 2, 3]].reshape(12, 3)
+    return project((points - middle) @ turn.T + middle)[:, triangles]
+
+
+def plains(count: int, seed: int) -> Floats:
+    """(count, 3, 4): wide triangles below and around the eye, as far as the horizon."""
+    rng = np.random.default_rng(seed)
+    reach, height = 10.0 ** rng.uniform(2, 4, count), 10.0 ** rng.uniform(-1, 2.5, count)
+    points = np.stack([*rng.uniform(-1, 1, (2, count, 3))], -1) * reach[:, None, None]
+    points = np.stack([points[..., 0], np.broadcast_to(-height[:, None], (count, 3)), points[..., 1]], -1)
+    pitch, roll = rng.uniform(-0.6, 0.6, count), rng.uniform(-0.5, 0.5, count)
+    one, none = np.ones(count), np.zeros(count)
+    rows = [[one, none, none], [none, np.cos(pitch), -np.sin(pitch)], [none, np.sin(pitch), np.cos(pitch)]]
+    tilt = np.moveaxis(np.array(rows), -1, 0)
+    rows = [[np.cos(roll), -np.sin(roll), none], [np.sin(roll), np.cos(roll), none], [none, none, one]]
+    return project(points @ np.swapaxes(np.moveaxis(np.array(rows), -1, 0) @ tilt, 1, 2))
+
+
+def cover_exactly(triangle: Floats) -> NDArray[np.bool_]:
+    """(h, w): which samples a triangle (3, 4) in front of the eye covers: whole numbers and the top-left rule."""
+    single = triangle.astype(np.float32)
+    divided = (single[:, :2] * (np.float32(1) / single[:, 3:])).astype(np.float64)
+    window = ((divided * (1, -1) + 1) * np.array(SIZE) / 2).astype(np.float32)
+    fixed = np.rint((window - np.float32(0.5)) * np.float32(256)).astype(np.int64)
+    (ax, ay), (bx, by), (cx, cy) = fixed
+    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] * 256
+    inside = np.full(SIZE[::-1], area < 0)  # y counts downwards: a front
+    for (sx, sy), (ex, ey) in zip(fixed, np.roll(fixed, -1, axis=0), strict=True):
+        dx, dy = sx - ex, sy - ey
+        inside &= dx * (y - sy) - dy * (x - sx) >= (0 if dy < 0 or (dy == 0 and dx > 0) else 1)
+    return inside
+
+
+def find_planes(triangle: Floats) -> tuple[Floats, Floats]:
+    """In the window, for a triangle (3, 4) clipped or not: (3, 3) planes of the corners' weights divided by w, and the
+    plane of depth; of a plane's numbers, the dot product with (x, y, 1) is the value."""
+    width, height = SIZE
+    x, y, z, w = triangle.T
+    window = np.stack([(x + w) * width / 2, (w - y) * height / 2, w], 1)
+    planes = np.array([np.cross(window[(i + 1) % 3], window[(i + 2) % 3]) for i in range(3)])
+    planes /= window[0] @ planes[0]
+    return planes, z @ planes
+
+
+def cover(triangle: Floats) -> tuple[NDArray[np.bool_], Floats]:
+    """(h, w): which samples a triangle (3, 4) covers, clipped by near and far, in float64; and how many pixels each
+    lies from the nearest edge or cut."""
+    weights, depth = find_planes(triangle)
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] + 0.5
+    inside, distance = np.full(SIZE[::-1], True), np.full(SIZE[::-1], np.inf)
+    for plane in (*weights, depth, np.array([0, 0, 1]) - depth, weights.sum(0)):
+        value = plane[0] * x + plane[1] * y + plane[2]
+        inside &= value >= 0
+        distance = np.minimum(distance, np.abs(value) / max(float(np.hypot(*plane[:2])), 1e-30))
+    return inside, distance
+
+
+def draw_alone(device: Device, mesh: Mesh, depth: rhi.Texture, *states: Any) -> NDArray[np.int64]:
+    """(h, w): how many samples of a mesh pass at each pixel."""
+    with device.texture(SIZE, Format.R32F) as image:
+        with (
+            device.render_pass(image, depth, clear=(0, 0, 0, 0)),
+            device.states(DepthFunction.GREATER, DepthWrite.OFF, BlendFunction.ADDITIVE, *states),
+        ):
+            device.draw(device.program(FlatColored), mesh)
+        return image.read().astype(np.int64)
+
+
+def draw_counted(device: Device, meshes: list[Mesh], depth: rhi.Texture, waits: bool) -> list[int]:
+    """The samples of each mesh that pass, asked in one batch or one by one."""
+    program, queries = device.program(FlatColored), [device.occlusion_query() for _ in meshes]
+    counts = []
+    with (
+        device.render_pass(depth=depth),
+        device.states(DepthFunction.GREATER, DepthWrite.OFF, ColorWrite.OFF),
+    ):
+        for query, mesh in zip(queries, meshes, strict=True):
+            with query:
+                device.draw(program, mesh)
+            if waits:
+                counts.append(query.wait())
+    counts = counts or [query.wait() for query in queries]
+    for query in queries:
+        query.destroy()
+    return counts
+
+
+@pytest.mark.parametrize("nearest", [1.0, 6.0, -1.0])
+def test_counts_are_those_of_boxes_drawn_alone(device: Device, nearest: float) -> None:
+    """In one batch, one by one, and by their pixels; whole boxes, turned ones, and such that the near plane cuts;
+    before and behind a wall."""
+    boxes = random_boxes(60, 1, nearest)
+    meshes = [device.mesh(corners(box.reshape(-1, 4))) for box in boxes]
+    for wall in (0.0, NEAR / (abs(nearest) + 2)):
+        with device.texture(SIZE, Format.D32F) as depth:
+            with device.render_pass(depth=depth, clear_depth=wall):
+                pass
+            alone = [int(draw_alone(device, mesh, depth).sum()) for mesh in meshes]
+            assert draw_counted(device, meshes, depth, waits=False) == alone
+            assert draw_counted(device, meshes, depth, waits=True) == alone
+        assert sum(count > 0 for count in alone) > 15
+        if wall == 0.0 and nearest > 0:
+            exact = [sum(int(cover_exactly(triangle).sum()) for triangle in box) for box in boxes]
+            assert alone == exact
+
+
+def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
+    """Triangles of a batch of their own each, some behind one another."""
+    rng = np.random.default_rng(3)
+    middle, size = rng.uniform(-1, 1, (80, 1, 2)), 2.0 ** rng.uniform(-6, 1, (80, 1, 1))
+    flat = middle + size * rng.uniform(-1, 1, (80, 3, 2))
+    sides = flat[:, 1:] - flat[:, :1]
+    turned = np.linalg.det(sides) < 0
+    flat[turned] = flat[turned][:, ::-1]
+    clip = np.concatenate([flat, np.full((80, 3, 1), 0.5), np.ones((80, 3, 1))], -1).astype(np.float32)
+    places = clip.astype(np.float64)
+    meshes = [device.mesh(corners(place)) for place in places]
+    wall = np.zeros(SIZE[::-1], bool)
+    wall[:, : SIZE[0] // 2] = True
+    with device.texture(SIZE, Format.D32F) as depth:
+        with (
+            device.render_pass(depth=depth, clear_depth=0.0),
+            device.states(DepthFunction.ALWAYS),
+            device.mesh(rectangle(-1, -1, 0, 1, depth=0.75)) as nearer,
+        ):
+            device.draw(device.program(FlatColored), nearer)
+        counts = draw_counted(device, meshes, depth, waits=False)
+    assert counts == [int((cover_exactly(place) & ~wall).sum()) for place in places]
+    assert sum(count > 0 for count in counts) > 20
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_what_is_clipped_covers_what_float64_says(device: Device, seed: int) -> None:
+    """Plains to the horizon, and boxes that the near plane cuts: only samples within 1/256 pixel of an edge may
+    differ."""
+    triangles = np.concatenate([plains(40, seed), random_boxes(6, seed, -1.0).reshape(-1, 3, 4)])
+    covered = 0
+    with device.texture(SIZE, Format.D32F) as depth:
+        for triangle in triangles:
+            with device.mesh(corners(triangle)) as mesh:
+                with device.render_pass(depth=depth, clear_depth=0.0):
+                    pass
+                drawn = draw_alone(device, mesh, depth, CullMode.NONE) > 0
+            inside, distance = cover(triangle)
+            covered += int(inside.sum())
+            assert (distance[drawn != inside] <= 1 / 256).all(), triangle.tolist()
+    assert covered > 300_000
+
+
+def test_depth_of_steep_slivers_is_that_of_unrounded_corners(device: Device) -> None:
+    """Triangles a few subtexels thin, across which depth rises steeply, give the depth of float64's plane."""
+    rng = np.random.default_rng(0)
+    errors, slopes = [], []
+    with device.texture(SIZE, Format.D32F) as depth:
+        for _ in range(60):
+            start, along = rng.uniform(-0.9, 0.9, 2), rng.uniform(-1, 1, 2)
+            across = np.array([-along[1], along[0]]) / np.hypot(*along) * rng.uniform(8, 24) / 256 / 128
+            triangle = np.zeros((3, 4))
+            triangle[:, :2] = start, start + along, start + 0.5 * along + across
+            triangle[:, 2], triangle[:, 3] = (0.5, 0.5, 0.5 + rng.uniform(0.001, 0.02)), 1.0
+            triangle = triangle.astype(np.float32).astype(np.float64)
+            with device.mesh(corners(triangle)) as mesh:
+                with (
+                    device.render_pass(depth=depth, clear_depth=0.0),
+                    device.states(CullMode.NONE, DepthFunction.ALWAYS),
+                ):
+                    device.draw(device.program(FlatColored), mesh)
+            drawn = depth.read().astype(np.float64)
+            y, x = np.nonzero(drawn)
+            plane = find_planes(triangle)[1]
+            errors.append(np.abs(plane[0] * (x + 0.5) + plane[1] * (y + 0.5) + plane[2] - drawn[y, x]))
+            slopes.append(np.hypot(*plane[:2]))
+    assert np.median(slopes) > 0.05  # a pixel: rounding of corners would be seen
+    assert sum(map(len, errors)) > 150
+    assert np.concatenate(errors).max() < 1e-5
