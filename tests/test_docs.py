@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import runpy
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -43,9 +44,10 @@ def test_links_between_pages_lead_somewhere(page: Path) -> None:
             assert (page.parent / target).exists(), target
 
 
-def test_the_examples_of_the_readme_pass_mypy_strict(tmp_path: Path) -> None:
-    api = pytest.importorskip("mypy.api")
+def test_the_examples_of_the_readme_pass_mypy_strict(
+    mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
+) -> None:
     program = tmp_path / "readme.py"
     program.write_text("\n".join(EXAMPLES[ROOT / "README.md"]))
-    out, _, _ = api.run(["--strict", "--no-error-summary", str(program)])
+    out, _ = mypy_strict(program)
     assert [line for line in out.splitlines() if program.name in line] == []

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -75,8 +76,8 @@ def test_what_it_lacks_is_refused_by_name() -> None:
 @pytest.mark.slow
 def test_it_passes_every_group_that_it_declares() -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--tb=short", "--rhi-backend", FUNCTION,
-         "--pyargs", "rhi.conformance"],
+        [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--color=no", "--tb=short",
+         "--rhi-backend", FUNCTION, "--pyargs", "rhi.conformance"],
         capture_output=True, text=True, check=False, cwd=PACKAGE, env=os.environ | {"PYTHONPATH": str(PACKAGE)},
     )  # fmt: skip
     assert run.returncode == 0, run.stdout
@@ -92,9 +93,8 @@ def test_it_passes_every_group_that_it_declares() -> None:
 
 
 @pytest.mark.slow
-def test_it_passes_mypy_strict() -> None:
-    api = pytest.importorskip("mypy.api")
-    out, _, _ = api.run(["--strict", "--no-error-summary", str(PACKAGE / "rhi_numpy")])
+def test_it_passes_mypy_strict(mypy_strict: Callable[..., tuple[str, int]]) -> None:
+    out, _ = mypy_strict(PACKAGE / "rhi_numpy")
     assert [line for line in out.splitlines() if "numpy_backend" in line] == []
 
 

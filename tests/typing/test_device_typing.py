@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
-import pytest
-
-api = pytest.importorskip("mypy.api")
-
+Mypy = Callable[..., tuple[str, int]]
 RIGHT = Path(__file__).with_name("device_right.py")
 DRAW = "device.draw(flat, mesh, tint=tint, many=many, albedo=image)"
 MANY = "device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)"
@@ -59,23 +57,18 @@ MISTAKES = [
 ]
 
 
-def check(*paths: Path) -> tuple[str, int]:
-    out, _, status = api.run(["--strict", "--no-error-summary", "--hide-error-context", *map(str, paths)])
-    return out, status
+def test_right_use_passes_mypy_strict(mypy_strict: Mypy) -> None:
+    assert mypy_strict("--hide-error-context", RIGHT) == ("", 0)
 
 
-def test_right_use_passes_mypy_strict() -> None:
-    assert check(RIGHT) == ("", 0)
-
-
-def test_every_mistake_is_refused_on_its_line(tmp_path: Path) -> None:
+def test_every_mistake_is_refused_on_its_line(mypy_strict: Mypy, tmp_path: Path) -> None:
     source = RIGHT.read_text()
     paths = []
     for number, (old, new, _) in enumerate(MISTAKES):
         assert source.count(old) >= 1, old
         paths.append(tmp_path / f"device_mistake_{number}.py")
         paths[-1].write_text(source.replace(old, new, 1))
-    out, _ = check(*paths)
+    out, _ = mypy_strict("--hide-error-context", *paths)
     for path, (old, new, says) in zip(paths, MISTAKES, strict=True):
         line = source[: source.index(old)].count("\n") + 1
         errors = [row for row in out.splitlines() if re.search(rf"{path.name}:{line}: error", row)]

@@ -3,11 +3,7 @@
 import re
 from pathlib import Path
 
-import pytest
-
 from rhi.shading.stubs import stub_texts
-
-api = pytest.importorskip("mypy.api")
 
 RIGHT = Path(__file__).with_name("shading_right.py")
 DRAW = "device.draw(lit, None, light=light, lights=lights, counts=counts, albedo=texture, target=target)"
@@ -48,24 +44,18 @@ MISTAKES = [
 ]
 
 
-def check(*paths):
-    out, _, status = api.run(["--strict", "--no-error-summary", "--hide-error-context", *map(str, paths)])
-    return out, status
+def test_right_shaders_pass_mypy_strict(mypy_strict):
+    assert mypy_strict("--hide-error-context", RIGHT) == ("", 0)
 
 
-def test_right_shaders_pass_mypy_strict():
-    out, status = check(RIGHT)
-    assert (out, status) == ("", 0)
-
-
-def test_every_mistake_is_refused_on_its_line(tmp_path):
+def test_every_mistake_is_refused_on_its_line(mypy_strict, tmp_path):
     source = RIGHT.read_text()
     paths = []
     for number, (old, new, _) in enumerate(MISTAKES):
         assert source.count(old) >= 1, old
         paths.append(tmp_path / f"mistake_{number}.py")
         paths[-1].write_text(source.replace(old, new, 1))
-    out, _ = check(*paths)
+    out, _ = mypy_strict("--hide-error-context", *paths)
     for path, (old, new, says) in zip(paths, MISTAKES, strict=True):
         line = source[: source.index(old)].count("\n") + 1
         errors = [row for row in out.splitlines() if re.search(rf"{path.name}:\d+: error", row)]

@@ -6,7 +6,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -69,8 +69,8 @@ def test_the_guide_goes_through_the_steps_with_their_methods_and_groups() -> Non
 def take_the_kit(package: Path, name: str, *groups: str) -> str:
     """What a run of groups of the kit prints for a backend in a folder."""
     command = [
-        sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--tb=line", "--rhi-backend", name, "--pyargs",
-        *groups,
+        sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "-q", "--color=no", "--tb=line",
+        "--rhi-backend", name, "--pyargs", *groups,
     ]  # fmt: skip
     paths = [str(package), *filter(None, [os.environ.get("PYTHONPATH")])]
     run = subprocess.run(
@@ -112,14 +112,15 @@ def test_a_new_backend_registers_itself_when_it_is_installed(tmp_path: Path) -> 
 
 
 @pytest.mark.slow
-def test_a_new_backend_passes_mypy_strict(tmp_path: Path) -> None:
-    api = pytest.importorskip("mypy.api")
+def test_a_new_backend_passes_mypy_strict(
+    mypy_strict: Callable[..., tuple[str, int]], tmp_path: Path
+) -> None:
     right, wrong = (write_package(name, tmp_path) / f"rhi_{name}" for name in ("right", "wrong"))
-    out, _, _ = api.run(["--strict", "--no-error-summary", str(right)])
+    out, _ = mypy_strict(right)
     assert [line for line in out.splitlines() if "rhi_right" in line] == []
     file = wrong / "backend.py"
     file.write_text(file.read_text().replace("def signal(self, value: int)", "def signal(self, value: str)"))
-    out, _, _ = api.run(["--strict", "--no-error-summary", str(wrong)])
+    out, _ = mypy_strict(wrong)
     assert "Incompatible return value type" in out
 
 

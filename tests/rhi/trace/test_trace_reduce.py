@@ -115,7 +115,7 @@ def test_an_error_of_the_library_means_that_the_fault_is_not_there(trace: Trace)
 
 def run_pytest(folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "."],
+        [sys.executable, "-m", "pytest", "-q", "--color=no", "-p", "no:cacheprovider", "."],
         cwd=folder, capture_output=True, text=True, check=False,
     )  # fmt: skip
 
