@@ -210,23 +210,25 @@ def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
     """Let every query be looked at (`is_finished`) so many times before its answer is there, and no more often, as
     quick or slow as the GPU may be; waiting for it always helps."""
     left: dict[int, int] = {}
-    begin, poll, wait = OcclusionQuery.begin, OcclusionQuery._poll, OcclusionQuery.wait
+    begin, read, wait = OcclusionQuery.begin, OcclusionQuery._read, OcclusionQuery.wait
 
     def begin_late(query: OcclusionQuery) -> None:
         begin(query)
         left[query.id] = looks
 
-    def poll_late(query: OcclusionQuery) -> None:
+    def read_late(query: OcclusionQuery) -> int | None:
         left[query.id] -= 1
-        while left[query.id] < 0 and query._answer is None:
-            poll(query)
+        samples = None
+        while left[query.id] < 0 and samples is None:
+            samples = read(query)
+        return samples
 
     def wait_late(query: OcclusionQuery) -> int:
         left[query.id] = 0
         return wait(query)
 
     monkeypatch.setattr(OcclusionQuery, "begin", begin_late)
-    monkeypatch.setattr(OcclusionQuery, "_poll", poll_late)
+    monkeypatch.setattr(OcclusionQuery, "_read", read_late)
     monkeypatch.setattr(OcclusionQuery, "wait", wait_late)
 
 
