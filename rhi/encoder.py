@@ -316,13 +316,15 @@ class Encoder:
 
     def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
         """Everything a draw needs but the draw itself; returns the vertex array."""
-        core = self._core
-        core.program = None  # many draws at once are worth a full check
         program.ready_to_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
-        program.bind(program.ready_to_draw, mesh, bindings)
-        core.flush_states()
+        program.bind(_is_ready, mesh, bindings)
+        self._core.flush_states()
         return vertex_array
+
+
+def _is_ready(mesh: object) -> None:
+    """In place of a check that was done before."""
 
 
 def check_mesh(mesh: object, call: str) -> None:

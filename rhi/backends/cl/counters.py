@@ -173,7 +173,12 @@ class Counters:
     def begin(self, query: Id) -> None:
         made = self._active = self._queries[query]
         made.segments = []
-        self._cut(None)
+        if self._takers:
+            self._cut(None)
+        else:
+            begun = self._segment = self._make()
+            made.segments.append(begun)
+            self._count_into(begun.address)
 
     def end(self, query: Id) -> None:
         self._active = None

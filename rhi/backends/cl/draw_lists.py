@@ -45,20 +45,20 @@ class DrawLists:
         self._listed = 0  # draws of all arrays
 
     def find(
-        self, key: object, arguments: NDArray[np.uint32], indexed: bool, numbered: bool, fill: Callable[..., None]
-    ) -> NDArray[np.int64]:  # fmt: skip
+        self, key: object, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
+    ) -> NDArray[np.int64]:
         """The places of draws.
 
         Args:
-            key: all that the places depend on besides the arguments.
-            arguments: (n, 5), as an indirect draw reads them.
-            numbered: whether each draw has its number in the array; else all have 0.
-            fill: prepares a place: `fill(place, first, count, base_vertex, base_instance, number)`.
+            key: all that the places depend on besides the draws.
+            draws: (n,) of five uint32, as an indirect draw reads them: count, instances, first, and what depends on
+                whether they are indexed, third and fourth.
+            fill: prepares a place: `fill(place, first, count, base_vertex, base_instance)`.
         """
-        whole = key, numbered, arguments.tobytes()
+        whole = key, draws.tobytes()
         known = self._arrays.get(whole)
         if known is None:
-            places = self._find_each(key, arguments, indexed, numbered, fill)
+            places = self._find_each(key, draws, indexed, fill)
             known = np.array([place.number for place in places], np.int64), places
             self._listed += len(places)
             if self._listed > _MAX_KNOWN:
@@ -68,18 +68,18 @@ class DrawLists:
         return known[0]
 
     def _find_each(
-        self, key: object, arguments: NDArray[np.uint32], indexed: bool, numbered: bool, fill: Callable[..., None]
-    ) -> list[Place]:  # fmt: skip
-        draws, made = self._draws, []
-        if len(draws) + len(arguments) > _MAX_KNOWN:
-            draws.clear()
-        count, _, first, third, fourth = (arguments[:, column].tolist() for column in range(5))
-        base_vertex: Any = arguments[:, 3].view(np.int32).tolist() if indexed else [0] * len(count)
-        numbers: Any = range(len(count)) if numbered else [0] * len(count)
-        for draw in zip(first, count, base_vertex, fourth if indexed else third, numbers, strict=True):
-            place = draws.get((key, draw))
+        self, key: object, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
+    ) -> list[Place]:
+        known, made = self._draws, []
+        if len(known) + len(draws) > _MAX_KNOWN:
+            known.clear()
+        for count, _, first, third, fourth in draws.tolist():
+            # With indices third is a base vertex, which is signed.
+            bases = (third - (third >> 31 << 32), fourth) if indexed else (0, third)
+            draw = first, count, *bases
+            place = known.get((key, draw))
             if place is None:
-                place = draws[key, draw] = Place(self._prepared)
+                place = known[key, draw] = Place(self._prepared)
                 fill(place, *draw)
             made.append(place)
         return made

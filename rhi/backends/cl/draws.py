@@ -51,7 +51,7 @@ _LIST_WORDS: Final = 1 << 20  # at the least
 _LISTED_PER_PRIMITIVE: Final = 4
 _FIRST_GREATER: Final = 4  # of the numbers of comparisons, see targets.py
 
-# Columns of a row before what is bound.
+# Columns of a row before what is bound. The upper half of INSTANCES is the draw's number among those of its array.
 PREPARED, INSTANCES, VIEW, SAMPLES, CONDITION, INVERTED = range(6)
 FIXED_COLUMNS: Final = 6
 
@@ -202,7 +202,7 @@ class Batch:
         places = rows[:, PREPARED].astype(np.int64)
         draws, streams = self.prepared.take(places), self.prepared.streams[places, : self._streams]
         self.prepared.recycle()
-        instances = rows[:, INSTANCES].astype(np.int64)
+        instances = rows.view(np.uint32)[:, 2 * INSTANCES].astype(np.int64)
         ends = np.cumsum(draws["vertex_groups"] * instances)
         self._table["bounded"] = False
         event, begin, room = None, 0, min(_FIRST_PIECE_GROUPS, _PIECE_GROUPS)
@@ -310,6 +310,7 @@ def _number_groups(
     numbered["view"], numbered["samples"] = rows[:, VIEW], rows[:, SAMPLES]
     numbered["condition"], numbered["inverted"] = rows[:, CONDITION], rows[:, INVERTED]
     numbered["row"] = np.arange(len(rows))
+    numbered["number"] = rows.view(np.uint32)[:, 2 * INSTANCES + 1]
     draws["vertex_group"][0] = draws["primitive_group"][0] = 0
     np.cumsum(prepared["vertex_groups"] * instances, out=draws["vertex_group"][1:], dtype=np.int32)
     np.cumsum(prepared["primitive_groups"] * instances, out=draws["primitive_group"][1:], dtype=np.int32)

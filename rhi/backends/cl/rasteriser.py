@@ -63,7 +63,7 @@ _SLOTS: Final = {
     BindingKind.IMAGE: 8,
 }
 _MAX_MEMO: Final = 4096
-_COMMAND_WORDS: Final = 5
+_COMMAND: Final = np.dtype([(name, "u4") for name in ("count", "instances", "first", "third", "fourth")])
 
 
 def _columns() -> dict[tuple[BindingKind, int], int]:
@@ -311,7 +311,7 @@ class Rasteriser:
     ) -> None:  # fmt: skip
         array = self._arrays[vertex_array]
         place = Place(self._batch.prepared)
-        self._assemble(place, array, primitive, first, count, base_vertex, base_instance, 0)
+        self._assemble(place, array, primitive, first, count, base_vertex, base_instance)
         self._gather(array, place.number, instances)
 
     def prepare_draw(
@@ -328,7 +328,7 @@ class Rasteriser:
         def draw(instances: int) -> None:
             nonlocal known
             if version[0] != known:
-                self._assemble(place, array, primitive, first, count, base_vertex, base_instance, 0)
+                self._assemble(place, array, primitive, first, count, base_vertex, base_instance)
                 known = version[0]
             if self.stale or batch.vertex is not array.kernel:
                 self._get_ready(array)
@@ -352,25 +352,22 @@ class Rasteriser:
             draws = min(draws, int(words[0]))
         if not draws:
             return
-        stride = stride or 4 * _COMMAND_WORDS
-        data = np.frombuffer(
-            self._read_arguments(buffer, offset, (draws - 1) * stride + 4 * _COMMAND_WORDS), np.uint8
-        )
-        rows = np.lib.stride_tricks.as_strided(data, (draws, 4 * _COMMAND_WORDS), (stride, 1))
-        arguments = np.ascontiguousarray(rows).view(np.uint32)
-        self._gather_list(vertex_array, primitive, arguments, numbered=True)
+        stride = stride or _COMMAND.itemsize
+        data = self._read_arguments(buffer, offset, (draws - 1) * stride + _COMMAND.itemsize)
+        arguments = np.ndarray((draws,), _COMMAND, data, strides=(stride,))
+        self._gather_list(vertex_array, primitive, arguments)
 
     def draw_counted(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], counters: NDArray[np.int64]
     ) -> None:
         """Draws of an array, each counted by the counter at its address."""
-        arguments = draws.view(np.uint32).reshape(-1, _COMMAND_WORDS)
-        self._gather_list(vertex_array, primitive, arguments, numbered=False, counters=counters)
+        self._gather_list(vertex_array, primitive, draws.view(_COMMAND), counters)
 
     def _gather_list(
-        self, vertex_array: Id, primitive: Primitive, arguments: NDArray[np.uint32], numbered: bool,
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any],
         counters: NDArray[np.int64] | None = None,
     ) -> None:  # fmt: skip
+        """Draws that are numbered or, with counters, each counted by its own."""
         array = self._arrays[vertex_array]
 
         def fill(place: Place, *draw: int) -> None:
@@ -378,8 +375,8 @@ class Rasteriser:
 
         key = vertex_array, primitive, array.version[0]
         indexed = bool(array.descriptor.index_buffer)
-        places = self._lists.find(key, arguments, indexed, numbered, fill)
-        self._gather(array, places, arguments[:, 1], counters)
+        places = self._lists.find(key, draws, indexed, fill)
+        self._gather(array, places, draws["instances"], counters)
 
     def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:
         host = self._buffers[buffer].host
@@ -388,7 +385,7 @@ class Rasteriser:
         return self._read(buffer, offset, size)
 
     def _gather(self, array: _Array, places: Any, instances: Any, counters: Any = None) -> None:
-        """Add draws, one or many, to the batch. Many may have counters of their own."""
+        """Add draws, one or many, to the batch. Many are numbered or have counters of their own."""
         if self.stale or self._batch.vertex is not array.kernel:
             self._get_ready(array)
         program = self._program
@@ -401,9 +398,13 @@ class Rasteriser:
             bound[PREPARED], bound[INSTANCES] = places, instances
             self._batch.rows.extend(program.pick(bound))
         else:
-            rows = np.tile(np.array(program.pick(bound), np.uint64), (len(places), 1))
+            row = program.pick(bound)
+            rows = np.empty((len(places), len(row)), np.uint64)
+            rows[:] = row
             rows[:, PREPARED], rows[:, INSTANCES] = places, instances
-            if counters is not None:
+            if counters is None:
+                rows.view(np.uint32)[:, 2 * INSTANCES + 1] = np.arange(len(places))
+            else:
                 rows[:, SAMPLES] = counters
             self._batch.rows.frombytes(rows.tobytes())
         if program.descriptor.writes_memory:
@@ -435,7 +436,7 @@ class Rasteriser:
 
     def _assemble(
         self, place: Place, array: _Array, primitive: Primitive, first: int, count: int, base_vertex: int,
-        base_instance: int, number: int,
+        base_instance: int,
     ) -> None:  # fmt: skip
         """Fill in a prepared draw."""
         made = array.descriptor
@@ -463,7 +464,7 @@ class Rasteriser:
             row["lowest"], row["vertices"] = assembly.lowest, assembly.highest - assembly.lowest + 1
             row["first_vertex"] = assembly.lowest + base
         row["vertex_groups"] = -(-int(row["vertices"]) // GROUP)
-        row["base_instance"], row["number"] = base_instance, number
+        row["base_instance"] = base_instance
         self._batch.prepared.streams[place.number, : len(made.streams)] = [
             self.find_buffer(stream.buffer) + stream.offset for stream in made.streams
         ]

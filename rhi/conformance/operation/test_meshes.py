@@ -459,6 +459,18 @@ def test_many_draws_draw_what_each_says(device: Device) -> None:
     assert_same(row[4:], [(4 + i, 7, 2, 1) for i in range(4)])
 
 
+def test_the_same_draws_in_another_order_have_other_numbers(device: Device) -> None:
+    with (
+        device.texture(ROW, Format.RGBA32F) as image,
+        device.mesh(corners(CENTERS), np.arange(8, dtype="u2"), primitive=Primitive.POINTS) as mesh,
+    ):
+        for order in ([0, 1, 2], [2, 0, 1], [1], [2, 0, 1]):
+            with device.render_pass(image, clear=(0, 0, 0, 0)):
+                device.draw_many(device.program(Numbered), mesh, mesh.draws(order, 1))
+            for number, first in enumerate(order):
+                assert_same(image.read()[0, first], (first, 0, number, 1))
+
+
 def test_many_draws_without_indices(device: Device) -> None:
     with (
         device.texture(ROW, Format.RGBA32F) as image,
