@@ -42,6 +42,7 @@ from rhi.query_sets import QuerySet
 from rhi.recorder import CommandWriter, Recorder
 from rhi.recording import RecordedProgram, RecordingCore
 from rhi.rules import (
+    CONDITION_NESTED,
     DEVICE_ARGUMENT,
     DRAW_OUTSIDE_PASS,
     LOCK_OPEN,
@@ -144,6 +145,7 @@ class CommandBuffer(Encoder):
             *(["a render pass"] if core.render_pass is not None else []),
             *([f"{depth} scopes of states"] if depth else []),
             *([f"{self._timers.depth} events"] if self._timers.depth else []),
+            *(["a condition"] if self._desk.conditional else []),
         ]
 
     if not TYPE_CHECKING:
@@ -177,7 +179,7 @@ class CommandBuffer(Encoder):
 
         The query must be ended before this place, in the buffer or before it is submitted (`query-state`).
         """
-        return _RecordedConditional(self._recorder, query, inverted)
+        return _RecordedConditional(self._recorder, self._desk, query, inverted)
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
         """As `Buffer.clear`."""
@@ -385,8 +387,9 @@ class _RecordedConditional(Conditional):
             self._core.conditions.append(self._query)
 
 
-def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
-    """Refuse command buffers that can't be carried out one after the other; see `Device.submit`."""
+def check_submissions(buffers: Iterable[CommandBuffer], device: Core, conditional: bool) -> None:
+    """Refuse command buffers that can't be carried out one after the other, where a condition holds or none does;
+    see `Device.submit`."""
     call = "device.submit"
     ended: set[Id] = set()
     for buffer in buffers:
@@ -409,6 +412,9 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
         for use in core.uses.values() if device.locked else ():
             if use.owner in device.locked:
                 refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
+        if conditional and buffer._desk.conditions:
+            given = f"{buffer!r} with a condition of its own, inside device.conditional"
+            refuse(CONDITION_NESTED, call, given)
         for query in core.conditions:
             if query.id not in ended:
                 query._check_ended(call)

@@ -358,13 +358,14 @@ class Device(Encoder):
 
         Raises:
             ValidationError: `record-state` for one that isn't whole, `resource-destroyed` for one that uses what
-                is gone, `lock-open`, `query-state`, `pass-open` inside a render pass; nothing was carried out.
+                is gone, `lock-open`, `query-state`, `pass-open` inside a render pass, `condition-nested` for one with
+                a condition inside another; nothing was carried out.
         """
         core = self._core
         core.check_open()
         if core.render_pass is not None:
             refuse(PASS_OPEN, "device.submit", "an open render pass")
-        check_submissions(buffers, core)
+        check_submissions(buffers, core, self._desk.conditional)
         for buffer in buffers:
             buffer.carry_out()
 

@@ -104,8 +104,8 @@ class Encoder:
         return Event(self._core, self._timers, label)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing."""
-        return Conditional(self._core, query, inverted)
+        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing. One at a time."""
+        return Conditional(self._core, self._desk, query, inverted)
 
     # -- work --------------------------------------------------------------------------------------------
 

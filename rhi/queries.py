@@ -21,6 +21,7 @@ from rhi.core import Core, describe
 from rhi.descriptors import Id, QueryKind
 from rhi.errors import DeviceError, refuse
 from rhi.rules import (
+    CONDITION_NESTED,
     DEVICE_ANSWER,
     DEVICE_CAPABILITY,
     DRAW_OUTSIDE_PASS,
@@ -49,12 +50,18 @@ class Counting(Protocol):
 
 
 class QueryDesk:
-    """Knows which occlusion query is open: there can be one."""
+    """Knows which occlusion query is open, and whether a condition holds: there can be one of each.
 
-    __slots__ = ("open",)
+    Attributes:
+        conditions: how many were ever begun.
+    """
+
+    __slots__ = ("conditional", "conditions", "open")
 
     def __init__(self) -> None:
         self.open: Counting | None = None
+        self.conditional = False
+        self.conditions = 0
 
     def abandon(self) -> bool:
         """End a query that is still open as its pass ends; whether there was one."""
@@ -417,9 +424,9 @@ class Event:
 class Conditional:
     """`with device.conditional(query):` draws happen only if the query counted samples."""
 
-    __slots__ = ("_core", "_inverted", "_query")
+    __slots__ = ("_core", "_desk", "_inverted", "_query")
 
-    def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
+    def __init__(self, core: Core, desk: QueryDesk, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
         if not core.capabilities.conditional_rendering:
             refuse(
@@ -428,6 +435,7 @@ class Conditional:
         if query.emulated:
             refuse(DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
         self._core = core
+        self._desk = desk
         self._query = query
         self._inverted = inverted
 
@@ -436,11 +444,17 @@ class Conditional:
 
     def __enter__(self) -> None:
         self._core.check_open()
+        desk = self._desk
+        if desk.conditional:
+            refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
         self._core.backend.begin_conditional(self._query.id, self._inverted)
+        desk.conditional = True
+        desk.conditions += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._desk.conditional = False
         if not self._core.closed:
             self._core.backend.end_conditional()

@@ -165,6 +165,9 @@ QUERY_NESTED: Final = Rule("query-nested", "another occlusion query is open", "e
 QUERY_UNFINISHED: Final = Rule(
     "query-unfinished", "the query has no answer yet", "ask is_finished first, or call wait()"
 )
+CONDITION_NESTED: Final = Rule(
+    "condition-nested", "draws depend on one query at a time", "leave the first condition's `with` block"
+)
 QUERY_ROWS: Final = Rule("query-rows", "the rows don't fit the draws or the query set")
 SCOPE_ORDER: Final = Rule("scope-order", "scopes must be left in the reverse order of entry", "use `with`")
 BINDING_NAME: Final = Rule("binding-name", "a binding can't have this name", "rename the shader's field")

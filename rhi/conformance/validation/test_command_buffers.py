@@ -134,13 +134,27 @@ def test_a_closed_device_records_nothing(backend: str) -> None:
 # -- both ends ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["pass", "states", "event"])
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "pass",
+        "states",
+        "event",
+        pytest.param("condition", marks=pytest.mark.needs("occlusion_queries", "conditional_rendering")),
+    ],
+)
 def test_a_buffer_ends_with_nothing_open(recording: Device, kind: str) -> None:
     with recording.texture(SIZE, Format.R8) as image:
+        if kind == "condition":
+            query = recording.occlusion_query()
+            with recording.render_pass(image), query:
+                pass
 
         def open_one(commands: CommandBuffer) -> AbstractContextManager[None]:
             if kind == "pass":
                 return commands.render_pass(image)
+            if kind == "condition":
+                return commands.conditional(query)
             return commands.states(CullMode.NONE) if kind == "states" else commands.event("sun")
 
         with refuses(rules.RECORD_OPEN, recording) as refusal, recording.record() as commands:
@@ -278,6 +292,25 @@ def test_a_condition_needs_a_query_that_was_ended(recording: Device) -> None:
             recording.submit(asking, counting)
         recording.submit(counting, asking)
         recording.submit(asking)
+    query.destroy()
+
+
+@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+def test_conditions_of_buffer_and_device_do_not_nest(recording: Device) -> None:
+    query = recording.occlusion_query()
+    with recording.texture(SIZE, Format.R8) as image:
+        with recording.render_pass(image), query:
+            pass
+        with recording.record() as plain:
+            clear(plain, image)
+        with recording.record() as commands, commands.render_pass(image), commands.conditional(query):
+            with refuses(rules.CONDITION_NESTED, recording), commands.conditional(query):
+                pass
+        with recording.conditional(query):
+            with refuses(rules.CONDITION_NESTED, recording):
+                recording.submit(plain, commands)
+            recording.submit(plain)
+        recording.submit(plain, commands)
     query.destroy()
 
 

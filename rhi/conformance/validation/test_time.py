@@ -142,6 +142,23 @@ def test_a_condition_needs_an_ended_query(recording: Device, image: Any) -> None
             pass
 
 
+@pytest.mark.needs("occlusion_queries", "conditional_rendering")
+def test_conditions_do_not_nest(recording: Device, image: Any) -> None:
+    one, two = recording.occlusion_query(), recording.occlusion_query()
+    with recording.render_pass(image):
+        for query in (one, two):
+            with query:
+                pass
+        with recording.conditional(one):
+            for query in (one, two):
+                with refuses(rules.CONDITION_NESTED, recording), recording.conditional(query):
+                    pass
+        with recording.conditional(two):
+            pass
+        with recording.conditional(two, inverted=True):
+            pass
+
+
 @pytest.mark.needs("sample_counter", "conditional_rendering")
 def test_a_condition_needs_a_native_query(recording: Device, image: Any) -> None:
     query = recording.occlusion_query(emulated=True)
