@@ -126,17 +126,20 @@ class ScenePass:
         self.drawn.batches.append(rows)
         resources = self._resources
         resources.simulate(rows)
-        objects, forward = resources.scene.objects, self._camera.forward
-        far = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
-        rows = rows[np.argsort(far, kind="stable")]
-        mirrored = resources.mirrored[rows]
+        if len(rows) > 1:
+            objects, forward = resources.scene.objects, self._camera.forward
+            far = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
+            rows = rows[np.argsort(far, kind="stable")]
         for turned, winding in _WINDINGS:
-            part = rows[mirrored == turned]
-            if part.size:
-                with self._device.states(winding):
-                    self._device.draw_many(
-                        self._program, resources.mesh, resources.draws[part], **self._bindings
-                    )
+            if resources.has_winding(mirrored=turned):
+                part = rows
+                if resources.has_winding(mirrored=not turned):
+                    part = rows[resources.mirrored[rows] == turned]
+                if part.size:
+                    with self._device.states(winding):
+                        self._device.draw_many(
+                            self._program, resources.mesh, resources.draws[part], **self._bindings
+                        )
 
     def draw_list(self, draws: DeviceList) -> None:
         """Draw what the device has listed; of what is simulated, it may list all that is not outside the view."""

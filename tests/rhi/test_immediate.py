@@ -108,6 +108,26 @@ def test_draw_many_sends_its_array_as_one_indirect_draw(kit: Kit) -> None:
     assert (draw["draws"], draw["stride"]) == (5, 20)
 
 
+def test_draw_many_again_sends_its_arguments_alone(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image):
+        for _ in range(2):
+            before = len(kit.device.stream)
+            kit.device.draw_many(kit.program, kit.mesh, kit.mesh.draws([0], 3), **bindings(kit))
+    sent = list(kit.device.stream)[before:]
+    assert [c.op for c in sent if c.op is not rhi.Op.WRITE_BUFFER] == [rhi.Op.DRAW_INDIRECT, rhi.Op.END_PASS]
+
+
+@pytest.mark.parametrize("name", ["objects", "camera", "mesh", "program"])
+def test_draw_many_again_refuses_what_was_destroyed_since(kit: Kit, name: str) -> None:
+    draws, arguments = kit.mesh.draws([0], 3), bindings(kit)
+    with kit.device.render_pass(kit.image):
+        kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
+        getattr(kit, name).destroy()
+        with pytest.raises(rhi.ValidationError) as error:
+            kit.device.draw_many(kit.program, kit.mesh, draws, **arguments)
+    assert error.value.rule.id == "resource-destroyed"
+
+
 def test_draw_many_refuses_draws_beyond_the_mesh(kit: Kit) -> None:
     draws = np.zeros(1, rhi.DRAW_UNINDEXED)
     draws["count"] = 4
