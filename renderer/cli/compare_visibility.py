@@ -27,7 +27,7 @@ from renderer.cli.arguments import (
 from renderer.cli.output import note, prepare_image, show_progress
 from renderer.measure import format_table, measure_frame
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, CameraPath, Simulator, find_path, load_scene
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Simulator, find_path, load_scene
 from renderer.visibility import (
     ALGORITHMS,
     NoCulling,
@@ -57,27 +57,12 @@ The null device answers no queries, so there `auto` is frustum culling, and othe
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What an algorithm costs; means per frame but for the median `milliseconds` and `ratio`, and the most
-    `wrong_pixels` and `tied_pixels` of any frame (None where the device draws nothing)."""
+    """What an algorithm costs in a frame; of several, means but for the median `milliseconds` and `ratio`, and the
+    most `wrong_pixels` and `tied_pixels` of any frame (None where the device draws nothing)."""
 
     algorithm: str
     milliseconds: float
     ratio: float
-    triangles: int
-    draws: int
-    queries: int
-    software_state_changes: int
-    hardware_state_changes: int
-    wrong_pixels: int | None
-    tied_pixels: int | None
-    stalled_milliseconds: float
-    simulation_steps: int
-    skipped_simulations: int
-
-
-@dataclass(frozen=True, slots=True)
-class _Sample:
-    milliseconds: float
     triangles: int
     draws: int
     queries: int
@@ -138,7 +123,9 @@ def add_to(subjects: Any) -> None:
         metavar="N",
         help="after every N frames jump to the other half of the path, or back",
     )
-    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    form = parser.add_mutually_exclusive_group()
+    form.add_argument("--json", action="store_true", help="print the result as JSON")
+    form.add_argument("--markdown", action="store_true", help="print the table as Markdown")
     parser.add_argument("--plot", type=Path, metavar="F.png", help="draw times and triangles as a chart")
 
 
@@ -173,7 +160,7 @@ def run(given: argparse.Namespace) -> None:
     if given.plot is not None:
         plot(rows, f"{scene.name}, {given.camera_path}, {report['device']}", given.plot)
         note(f"wrote {given.plot}")
-    print(json.dumps(report) if given.json else show_rows(rows))
+    print(json.dumps(report) if given.json else show_rows(rows, markdown=given.markdown))
 
 
 def list_frames(first: int, count: int, length: int, teleport: int | None) -> list[int]:
@@ -195,7 +182,7 @@ def measure(
     reference = NoCulling(scene)
     draws_pixels = device.capabilities.shading
     names = list(algorithms)
-    samples: dict[str, list[_Sample]] = {name: [] for name in names}
+    rows: dict[str, list[Row]] = {name: [] for name in names}
     # Each has its own, so that none draws what another has stepped.
     simulators = {name: Simulator(scene.simulated, len(scene.objects)) for name in ("", *names)}
     for turn, frame in enumerate(show_progress(frames, len(frames), "compare")):
@@ -203,67 +190,70 @@ def measure(
         renderer.visibility, renderer.simulator = reference, simulators[""]
         expected = Picture.of(renderer.render(camera, seconds)) if draws_pixels else None
         start = turn % len(names)
+        found: dict[str, Row] = {}
         for name in names[start:] + names[:start]:
             renderer.visibility, renderer.simulator = algorithms[name], simulators[name]
-            result, cost = measure_frame(renderer, camera, seconds)
-            found, counters = result.visibility, cost.statistics
-            assert found is not None
-            wrong, tied = (None, None) if expected is None else Picture.of(result).compare(expected)
-            sample = _Sample(
-                milliseconds=cost.milliseconds,
-                triangles=counters.triangles + TRIANGLES * found.boxes,
-                draws=counters.draws + found.box_draws,
-                queries=counters.queries,
-                software_state_changes=counters.software_state_changes,
-                hardware_state_changes=counters.hardware_state_changes,
-                wrong_pixels=wrong,
-                tied_pixels=tied,
-                stalled_milliseconds=found.stalled_milliseconds,
-                simulation_steps=counters.simulation_steps,
-                skipped_simulations=counters.skipped_simulations,
-            )
-            if turn:
-                samples[name].append(sample)
-        if not device.capabilities.shading:
+            found[name] = _measure_row(name, renderer, camera, seconds, expected)
+        if turn:
+            base = found[names[0]].milliseconds
+            for name, row in found.items():
+                rows[name].append(replace(row, ratio=row.milliseconds / base))
+        if not draws_pixels:
             device.stream.clear()
-    return [_summarize(name, samples[name], samples[names[0]]) for name in names]
+    return [_summarize(rows[name]) for name in names]
 
 
-def _summarize(name: str, samples: list[_Sample], base: list[_Sample]) -> Row:
-    def average(counter: str) -> float:
-        return float(mean(getattr(sample, counter) for sample in samples))
-
-    def most(counter: str) -> int | None:
-        counts = [getattr(sample, counter) for sample in samples]
-        return None if None in counts else max(counts)
-
+def _measure_row(
+    name: str, renderer: Renderer, camera: Camera, seconds: float, expected: Picture | None
+) -> Row:
+    """One frame, in which the algorithm `name` is the renderer's."""
+    result, cost = measure_frame(renderer, camera, seconds)
+    found, counters = result.visibility, cost.statistics
+    assert found is not None
+    wrong, tied = (None, None) if expected is None else Picture.of(result).compare(expected)
     return Row(
         algorithm=name,
-        milliseconds=round(median(sample.milliseconds for sample in samples), 3),
-        ratio=round(
-            median(one.milliseconds / other.milliseconds for one, other in zip(samples, base, strict=True)), 3
-        ),
-        triangles=round(average("triangles")),
-        draws=round(average("draws")),
-        queries=round(average("queries")),
-        software_state_changes=round(average("software_state_changes")),
-        hardware_state_changes=round(average("hardware_state_changes")),
-        wrong_pixels=most("wrong_pixels"),
-        tied_pixels=most("tied_pixels"),
-        stalled_milliseconds=round(average("stalled_milliseconds"), 3),
-        simulation_steps=round(average("simulation_steps")),
-        skipped_simulations=round(average("skipped_simulations")),
+        milliseconds=cost.milliseconds,
+        ratio=1.0,
+        triangles=counters.triangles + TRIANGLES * found.boxes,
+        draws=counters.draws + found.box_draws,
+        queries=counters.queries,
+        software_state_changes=counters.software_state_changes,
+        hardware_state_changes=counters.hardware_state_changes,
+        wrong_pixels=wrong,
+        tied_pixels=tied,
+        stalled_milliseconds=found.stalled_milliseconds,
+        simulation_steps=counters.simulation_steps,
+        skipped_simulations=counters.skipped_simulations,
     )
 
 
-def show_rows(rows: list[Row]) -> str:
-    """The table for people."""
+def _summarize(frames: list[Row]) -> Row:
+    """Of an algorithm's rows, frame by frame, one."""
+    found: dict[str, Any] = {}
+    for field in fields(Row)[1:]:
+        values = [getattr(row, field.name) for row in frames]
+        match field.name:
+            case "milliseconds" | "ratio":
+                found[field.name] = round(median(values), 3)
+            case "wrong_pixels" | "tied_pixels":
+                found[field.name] = None if None in values else max(values)
+            case "stalled_milliseconds":
+                found[field.name] = round(float(mean(values)), 3)
+            case _:
+                found[field.name] = round(mean(values))
+    return Row(frames[0].algorithm, **found)
+
+
+def show_rows(rows: list[Row], *, markdown: bool = False) -> str:
+    """The table for people, or for a page."""
     names = [field.name for field in fields(Row)]
     if not any(row.simulation_steps or row.skipped_simulations for row in rows):
         names = names[:-2]  # nothing is simulated
     header = [name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s") for name in names]
     values = [[getattr(row, name) for name in names] for row in rows]
-    return format_table(header, [["-" if value is None else value for value in row] for row in values])
+    cells = [["-" if value is None else value for value in row] for row in values]
+    return format_table(header, cells, markdown=markdown)
 
 
 def plot(rows: list[Row], title: str, path: Path) -> None:

@@ -25,6 +25,7 @@ from renderer.renderer import Renderer
 from renderer.scene import (
     FRAMES_PER_SECOND,
     Camera,
+    CameraPath,
     Depth,
     Orthographic,
     Perspective,
@@ -42,6 +43,7 @@ _EXAMPLES = """\
   python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
   python -m renderer render city --backend null --json
   python -m renderer render city --backend null --frames 10 --trace city.zip
+  python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
 Times are from the scene's update until the GPU is done, after one frame that isn't counted, or with `auto`
 after the frames in which it looks for the fastest algorithm. Counters are those of one frame, and with several
@@ -85,6 +87,9 @@ def add_to(commands: Any) -> None:
     parser.add_argument(
         "--trace", type=Path, metavar="F.zip", help="record all commands (see python -m rhi trace)"
     )
+    parser.add_argument(
+        "--record", type=Path, metavar="F.json", help="write the frames' cameras as a walk-through (see tune)"
+    )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
@@ -98,6 +103,10 @@ def run(given: argparse.Namespace) -> None:
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))
         for frame in range(given.frame, given.frame + given.frames)
     ]
+    if given.record is not None:
+        given.record.parent.mkdir(parents=True, exist_ok=True)
+        CameraPath.record(cameras).save(given.record)
+        note(f"wrote {given.record}: {len(cameras)} frames")
     with (
         rhi.create_device(given.backend, record=True if given.trace is not None else None) as device,
         Renderer(

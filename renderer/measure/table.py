@@ -5,8 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 
-def format_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Aligned columns: text to the left, numbers to the right, whole ones in groups of three."""
+def format_table(header: Sequence[str], rows: Sequence[Sequence[object]], *, markdown: bool = False) -> str:
+    """Aligned columns: text to the left, numbers to the right, whole ones in groups of three. In Markdown, bars
+    between them."""
+    if markdown:
+        lines = [header, ["---"] * len(header), *([_shown(value) for value in row] for row in rows)]
+        return "\n".join("| " + " | ".join(line) + " |" for line in lines)
     cells = [[_shown(value) for value in row] for row in rows]
     widths = [max(len(line[column]) for line in [list(header), *cells]) for column in range(len(header))]
     numeric = [all(not isinstance(row[column], str) for row in rows) for column in range(len(header))]

@@ -19,7 +19,8 @@ from PIL import Image
 from renderer.cli import main
 from renderer.cli.output import OutputError
 from renderer.cli.tune import make_executor
-from renderer.measure.tuning import Pair, Trial, find_best, search, try_pairs
+from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
+from renderer.scene import load_scene
 from renderer.visibility import Settings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
@@ -96,6 +97,26 @@ def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.Cap
     assert main(["compare", "visibility", *shared, "--frames", "1", "--algorithms", "chc_plus_plus"]) == 0
     assert json.loads(capsys.readouterr().out)["settings"] == report["visibility"]
     assert main(["render", *shared, "--visibility", "chc_plus_plus"]) == 0
+
+
+@pytest.mark.usefixtures("gl")
+def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    record = ["--camera", "sky", "--frame", "700", "--frames", "5", "--record", "walks/one.json"]
+    assert main(["render", COMMAND[1], "--backend", "null", "--size", "64x36", *record]) == 0
+    walks: list[Walk] = []
+
+    def try_none(walk: Walk, pairs: list[Pair]) -> list[Trial]:
+        walks.append(walk)
+        return [Trial(*pair, 1.0, 1.0, 1.0, 0, 0, 0, 0) for pair in pairs]
+
+    monkeypatch.setattr("renderer.cli.tune.try_pairs", try_none)
+    assert main([*COMMAND, "--rounds", "1", "--camera-path", "walks/one.json"]) == 0
+    sky = load_scene(COMMAND[1]).paths["sky"]
+    for walk in walks:
+        assert len(walk.path) == 4
+        assert all(np.allclose(walk.path.camera(i).position, sky.camera(700 + i).position) for i in range(4))
+        assert all(np.allclose(walk.path.camera(i).rotation, sky.camera(700 + i).rotation) for i in range(4))
+    assert len(walks) == 5  # four pairs, and those that decide
 
 
 class Counter(Executor):
