@@ -113,7 +113,7 @@ class Writer:
             ]
             texts.append(prelude.last_text(self.width))
             texts += [prelude.QUADS] if any(name in body for name in prelude.QUAD_NAMES) else []
-        textures = textures_text(self.width, self.textures) if self.textures else ""
+        textures = textures_text(self.width, self.textures, self.precision) if self.textures else ""
         called = prelude.functions_in(body + textures)
         texts += [prelude.function_text(name, self.width) for name in called] + [textures] * bool(textures)
         for memory in self.code.memories:

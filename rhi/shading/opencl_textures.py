@@ -15,6 +15,7 @@ from functools import cache
 from typing import Final
 
 from rhi.descriptors import TextureKind
+from rhi.shading.builtins import Precision
 from rhi.shading.opencl_prelude import HEX
 from rhi.shading.texture_words import enumerations
 
@@ -43,26 +44,35 @@ static RHI_INLINE int rhi_size(rhi_description w, int number, int axis) {
     return w[RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, w[RHI_LEVEL_COUNT] - 1) + RHI_WIDTH + axis];
 }"""
 
-# Minimax: sRGB's curve at the 256 stored values above its straight part, within 1.8e-6, 1 at 1; and log2 of 1…2,
-# within 1.2e-4, exact at both ends.
-_SRGB: Final = (
-    0.0008737221360206604, 0.034559786319732666, 0.4953084886074066, 0.7994788289070129, -0.6501849293708801,
+# Minimax: sRGB's curve at the 256 stored values above its straight part, within 1.8e-6, 1 at 1; llvmpipe's, within a
+# third of a stored step; and log2 of 1…2, within 1.2e-4, exact at both ends.
+_SRGB: Final[tuple[float, ...]] = (
+    0.000873782, 0.034559786319732666, 0.4953084886074066, 0.7994788289070129, -0.6501849293708801,
     0.5261836647987366, -0.264753520488739, 0.058533925563097,
 )  # fmt: skip
+_FAST_SRGB: Final[tuple[float, ...]] = (0.0023, 0.0030, 0.6935, 0.3012)
 _LOG2: Final = (-0.43872565031051636, 0.23905783891677856, -0.08213036507368088)
 
 
-def textures_text(width: int, shapes: Iterable[TextureKind]) -> str:
-    """The functions for so many lanes and what serves textures of these shapes."""
+def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precision) -> str:
+    """The functions for so many lanes and what serves textures of these shapes. FAST has shorter curves for sRGB and
+    for levels."""
     known = set(shapes)
-    has = f"enum {{ RHI_SOLIDS = {int(TextureKind.D3 in known)}, RHI_CUBES = {int(TextureKind.CUBE in known)} }};"
+    knows = {
+        "SOLIDS": TextureKind.D3 in known,
+        "CUBES": TextureKind.CUBE in known,
+        "FAST": precision is Precision.FAST,
+    }
+    has = "enum { " + ", ".join(f"RHI_{name} = {int(value)}" for name, value in knows.items()) + " };"
     return "\n".join([enumerations(), has, _HEAD, _text(width)])
 
 
 @cache
 def _text(width: int) -> str:
     template = importlib.resources.files(__package__).joinpath("opencl_textures.cl").read_text("utf-8")
-    template = template.replace("SRGB_CURVE", _polynomial(_SRGB, "c"))
+    for name, coefficients in (("FAST_SRGB_CURVE", _FAST_SRGB), ("SRGB_CURVE", _SRGB)):
+        scaled = tuple(coefficient / 255**power for power, coefficient in enumerate(coefficients))
+        template = template.replace(name, _polynomial(scaled, "c"))
     curve = _polynomial(_LOG2, "m")
     template = template.replace("LOG2_CURVE", f"m * fma(m - 1.0f, {curve}, (FLOAT)1.0f)")
     return _sized("\n".join([_memory_text(width), template]), width)
@@ -103,12 +113,28 @@ def _memory_text(width: int) -> str:
             f"static RHI_INLINE void rhi_scatter{bits}(rhi_image p, INT i, INT mask, UINT v) {{\n"
             f"    global {type} *q = (global {type} *)p;\n    {stores}\n}}"
         )
-    texts += [_pair_text(lanes), _least_text(width)]
+    texts += [_machine_text(width), _pair_text(lanes), _long_pair_text(lanes), _least_text(width)]
+    return "\n".join(texts)
+
+
+def _machine_text(width: int) -> str:
+    """What some machines do in one instruction and OpenCL C has no word for. Of loads that it finds by itself, the
+    compiler gathers a part and inserts the others; and `vload_half` goes through memory."""
+    texts = []
+    if width == 16:
+        texts.append("""#if defined(__AVX512F__) && __has_builtin(__builtin_ia32_gathersiv8di)
+#define RHI_GATHER64(p, i) as_ulong8(__builtin_ia32_gathersiv8di((long8)0, (const void *)(size_t)(p), i, 255, 4))
+#endif""")
+    if width > 1:
+        texts.append(f"""#ifdef __F16C__
+typedef __fp16 rhi_halves __attribute__((ext_vector_type({width})));
+#define RHI_FROM_HALF(x) __builtin_convertvector(__builtin_astype(convert_ushort{width}(x), rhi_halves), FLOAT)
+#endif""")
     return "\n".join(texts)
 
 
 def _pair_text(lanes: list[str]) -> str:
-    """The two words at each lane's word number."""
+    """The two words from each lane's word number on."""
     head = "static RHI_INLINE void rhi_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
     half = len(lanes) // 2
     if not half:
@@ -117,12 +143,33 @@ def _pair_text(lanes: list[str]) -> str:
             "    *left = (uint)both, *right = (uint)(both >> 32);",
         ]
         return "\n".join([head, *lines, "}"])
-    lines = ["    global const uint *q = (global const uint *)p;"]
-    for name, part in (("low", lanes[:half]), ("high", lanes[half:])):
+    loads, gathers = ["    global const uint *q = (global const uint *)p;"], []
+    for name, part, which in (("low", lanes[:half], "lo"), ("high", lanes[half:], "hi")):
         parts = ", ".join(f"*(global const rhi_wide *)(q + {lane})" for lane in part)
-        lines.append(f"    ulong{half} {name} = (ulong{half})({parts});")
+        loads.append(f"    ulong{half} {name} = (ulong{half})({parts});")
+        gathers.append(f"    ulong{half} {name} = RHI_GATHER64(p, i.{which});")
+    lines = ["#ifdef RHI_GATHER64", *gathers, "#else", *loads, "#endif"]
     for name, which in (("left", "even"), ("right", "odd")):
         lines.append(f"    *{name} = (UINT)(as_UINT(low).{which}, as_UINT(high).{which});")
+    return "\n".join([head, *lines, "}"])
+
+
+def _long_pair_text(lanes: list[str]) -> str:
+    """The two pairs of words from each lane's number of pairs on."""
+    head = "static RHI_INLINE void rhi_long_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
+    lines = ["    global const ulong *q = (global const ulong *)p;"]
+    half = len(lanes) // 2
+    if not half:
+        for name, texel in (("left", "q[i]"), ("right", "q[i + 1]")):
+            lines.append(f"    {name}[0] = (uint){texel}, {name}[1] = (uint)({texel} >> 32);")
+        return "\n".join([head, *lines, "}"])
+    for name, part in (("low", lanes[:half]), ("high", lanes[half:])):
+        parts = ", ".join(f"vload2(0, q + {lane})" for lane in part)
+        lines.append(f"    ulong{len(lanes)} {name} = (ulong{len(lanes)})({parts});")
+    for name, which in (("left", "even"), ("right", "odd")):
+        for number, word in enumerate(("even", "odd")):
+            words = ", ".join(f"as_UINT({half_lanes}.{which}).{word}" for half_lanes in ("low", "high"))
+            lines.append(f"    {name}[{number}] = (UINT)({words});")
     return "\n".join([head, *lines, "}"])
 
 

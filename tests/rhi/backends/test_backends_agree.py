@@ -51,6 +51,7 @@ from rhi import (
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import corners, window_to_clip
 from rhi.shading import Shader
+from rhi.texels import decode
 
 Devices = tuple[Device, Device]
 NUMBERS = itertools.count()
@@ -309,6 +310,23 @@ def test_random_states_give_the_same_targets(
     np.testing.assert_array_equal(gl_stencil, cl_stencil)
     np.testing.assert_allclose(gl_depth, cl_depth, atol=1e-5)
     assert np.abs(gl_color - cl_color).max() <= 2
+
+
+# -- levels ----------------------------------------------------------------------------------------------------
+
+
+def test_levels_are_means_of_the_ones_before(devices: Devices) -> None:
+    """In linear light, stored to the nearest step on cl; llvmpipe's curve takes it up to 0.4 further."""
+    texels = np.random.default_rng(3).integers(0, 256, (64, 64, 4), np.uint8)
+    for device, most in zip(devices, (0.9, 0.501), strict=True):
+        with device.texture(texels, Format.RGBA8_SRGB, levels=None) as image:
+            image.generate_mipmaps()
+            for level in range(1, image.levels):
+                linear = decode(Format.RGBA8_SRGB, image.read(level - 1)).astype(np.float64)
+                means = linear.reshape(len(linear) // 2, 2, -1, 2, 4).mean(axis=(1, 3))
+                curve = np.where(means <= 0.0031308, 12.92 * means, 1.055 * means ** (1 / 2.4) - 0.055)
+                wanted = 255 * np.concatenate([curve[..., :3], means[..., 3:]], axis=-1)
+                assert np.abs(image.read(level) - wanted).max() <= most
 
 
 # -- random shaders ------------------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ from rhi.shading import (
     Image3D,
     IntImage2D,
     IntTexture2D,
+    Precision,
     Shader,
     Storage,
     StorageRW,
@@ -323,6 +324,62 @@ def test_derivatives_choose_the_level(
     results = read_everywhere(device, shader, {"source": texture}, 1, places=steps, results=64)
     assert_agree(results, 0.045, 2e-4)
     assert len(np.unique(np.round(results["float64"][:, 0]))) > 1
+
+
+# -- error and time ----------------------------------------------------------------------------------------
+
+
+class FastSample2D(Sample2D):
+    precision = Precision.FAST
+
+
+class FastGraded2D(Graded2D):
+    precision = Precision.FAST
+
+
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)  # each decodes in a place of its own
+@pytest.mark.parametrize("width", [1, 16])
+def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) -> None:
+    """All 256 stored values: within 2e-6, or within 1.3e-3 and 0.35 of the step to the next one. White is white."""
+    texels = np.repeat(np.arange(256, dtype="u1"), 4).reshape(1, 256, 4)
+    sampler = SamplerDescriptor(filter, filter, None)
+    given: dict[str, Any] = {"source": HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
+    given["places"] = np.zeros((256, 4), "f4")
+    given["places"][:, 0] = (np.arange(256) + 0.5) / 256
+    truth = run_compute(Sample2D, 4, dtype=np.float64, results=256, **given)["results"]
+    exact, fast = (
+        run_opencl(shader, width, 4, results=256, **given)["results"] for shader in (Sample2D, FastSample2D)
+    )
+    step = np.diff(truth[:, :3], axis=0, append=truth[-1:, :3] + 1.0)
+    np.testing.assert_allclose(exact, truth, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(fast, truth, rtol=0, atol=1.3e-3)
+    assert (np.abs(fast[:, :3] - truth[:, :3]) <= 0.35 * step).all()
+    assert np.abs(fast - truth).max() > 1e-3  # what is stated is what is paid
+    for found in (exact, fast):
+        assert (found[-1] == 1).all()
+        assert (found[0] == 0).all()
+
+
+@pytest.mark.parametrize("width", [1, 16])
+def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
+    """A logarithm that is linear between powers of 2, where it is exact; the other is within 1.2e-4."""
+    steps = np.zeros((256, 4), "f4")
+    steps[:, 0] = 2.0 ** np.linspace(-3, 3, 256) / 16
+    texels = random_levels(Format.R32F, 16, 16)
+    for level, each in enumerate(texels):
+        each[:] = level
+    given: dict[str, Any] = {"source": HostTexture(texels, Format.R32F), "places": steps}
+    truth = run_compute(Graded2D, 4, dtype=np.float64, results=256, **given)["results"][:, 0]
+    exact, fast = (
+        run_opencl(shader, width, 4, results=256, **given)["results"][:, 0]
+        for shader in (Graded2D, FastGraded2D)
+    )
+    np.testing.assert_allclose(exact, truth, rtol=0, atol=1.2e-4)
+    less = truth - fast
+    assert less.min() > -1e-6
+    assert 0.04 < less.max() < 0.0434
+    powers = [0, 85, 170, 255]
+    np.testing.assert_allclose(fast[powers], truth[powers], rtol=0, atol=1e-6)
 
 
 class Surface(Struct):
