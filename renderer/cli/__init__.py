@@ -12,7 +12,7 @@ from typing import NoReturn
 
 from renderer.cli import compare, debug, demo, render, scenes, tune
 from renderer.cli.arguments import Parser
-from renderer.cli.output import OutputError
+from renderer.cli.output import OutputError, show_builds
 from rhi import RhiError
 
 __all__ = ["main"]
@@ -29,6 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for command in (render, demo, compare, tune, debug, scenes):
         command.add_to(commands)
     given = parser.parse_args(_join_negative(list(sys.argv[1:] if arguments is None else arguments)))
+    show_builds()
     try:
         run = given.run
         run(given)

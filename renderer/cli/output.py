@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import sys
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -26,6 +27,22 @@ def show_progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
         items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
     )
     return bar
+
+
+class BuildLine(logging.Handler):
+    """How far a first run is with building kernels, in a terminal's line; it goes when they are built."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        done = isinstance(record.args, tuple) and record.args[:1] == record.args[1:]
+        print("\r\x1b[K" + ("" if done else record.getMessage()), end="", file=sys.stderr, flush=True)
+
+
+def show_builds() -> None:
+    """Let the terminal on stderr, if it is one, show a `BuildLine`."""
+    logger = logging.getLogger("rhi.kernels")
+    if sys.stderr.isatty() and not logger.handlers:
+        logger.addHandler(BuildLine())
+        logger.setLevel(logging.INFO)
 
 
 def name_of(scene: Scene) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import logging
 import subprocess
 import sys
 from pathlib import Path
@@ -35,6 +37,31 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, A
     assert main(["render", *arguments, "--json"]) == 0
     report: dict[str, Any] = json.loads(capsys.readouterr().out)
     return report
+
+
+class Terminal(io.StringIO):
+    """What stderr is when somebody looks."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_shows_how_far_a_first_run_is_with_building_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    logger = logging.getLogger("rhi.kernels")
+    monkeypatch.setattr(logger, "handlers", [])
+    monkeypatch.setattr(logger, "level", logging.NOTSET)
+    monkeypatch.setattr(sys, "stderr", terminal := Terminal())
+    assert main(["scenes"]) == main(["scenes"]) == 0
+    logger.info("building kernels, %d of %d", 1, 3)
+    assert terminal.getvalue() == "\r\x1b[Kbuilding kernels, 1 of 3"
+    logger.info("building kernels, %d of %d", 3, 3)
+    assert terminal.getvalue().endswith("\r\x1b[K")
+
+
+def test_elsewhere_nothing_is_shown_of_building_kernels(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes"]) == 0
+    logging.getLogger("rhi.kernels").info("building kernels, %d of %d", 1, 3)
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.usefixtures("gl")

@@ -159,11 +159,17 @@ def build(context: cl.Context, source: str, flushes_denormals: bool = False) -> 
 
     `flushes_denormals`: CPUs may take a hundred cycles for a product below 2^-126, as powers of cosines often are.
     """
-    options = ["-cl-denorms-are-zero"] if flushes_denormals else []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        built: cl.Program = cl.Program(context, source).build(options)
-        return built
+        return build_again(context, source, flushes_denormals)
+
+
+def build_again(context: cl.Context, source: str, flushes_denormals: bool) -> cl.Program:
+    """The same of what was accepted before, in any thread: filters of warnings are the whole process's."""
+    built: cl.Program = cl.Program(context, source).build(
+        ["-cl-denorms-are-zero"] if flushes_denormals else []
+    )
+    return built
 
 
 def allocate_pages(size: int) -> NDArray[np.uint8]:

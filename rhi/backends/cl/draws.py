@@ -13,15 +13,17 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
-from rhi.backends.cl.pipelines import Geometry, Kernel, Pipeline
+from rhi.backends.cl.pipelines import Geometry, Pipeline
 from rhi.backends.cl.tables import (
     BATCH,
     DRAW,
@@ -142,8 +144,8 @@ class Batch:
         views: what their VIEW columns number.
     """
 
-    def __init__(self, context: Context, addresses: Addresses, retired: Retired) -> None:
-        self._context = context
+    def __init__(self, context: Context, builds: Builds, addresses: Addresses, retired: Retired) -> None:
+        self._builds = builds
         self._queue = context.queue
         self.prepared = PreparedDraws()
         self.rows = array("Q")
@@ -158,9 +160,13 @@ class Batch:
         self._room = 0, 0  # vertices and primitives that the table's scratch memory is for
         self._streams = 0
         self._width = FIXED_COLUMNS
-        self._geometry: Geometry | None = None
         self._uploads = Uploads(context, addresses)
         self._pools = {name: Pool(context, addresses, retired) for name in POOLS}
+
+    @cached_property
+    def geometry(self) -> Geometry:
+        """The kernels that all batches share, built when first asked for."""
+        return Geometry(self._builds)
 
     def begin(
         self, pipeline: Pipeline, target: Target, vertex: Kernel, streams: int, raster: Kernel, key: MergerKey
@@ -269,9 +275,7 @@ class Batch:
         """All kernels of a piece; the event is that of the last one."""
         assert self.vertex is not None
         assert self.raster is not None
-        if self._geometry is None:
-            self._geometry = Geometry(self._context)
-        geometry, queue, tiles, event = self._geometry, self._queue, int(batch["tiles"]), None
+        geometry, queue, tiles, event = self.geometry, self._queue, int(batch["tiles"]), None
         for first in range(0, groups, _SLICE_GROUPS):
             end = min(first + _SLICE_GROUPS, groups)
             chunk = max(_MIN_CHUNK, -(-(end - first) // _CHUNKS))

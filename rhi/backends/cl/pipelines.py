@@ -13,11 +13,11 @@ from functools import cache
 from importlib.resources import files
 from typing import Final
 
-import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl import tables, targets
-from rhi.backends.cl.context import Context, build
+from rhi.backends.cl.builds import Builds, Kernel
+from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses
 from rhi.backends.cl.programs import Faults, make_shader_error
 from rhi.descriptors import ProgramDescriptor, Stage, VertexStream
@@ -29,30 +29,12 @@ LANGUAGE: Final = "opencl16"
 Layout = tuple[tuple[int, bool, tuple[object, ...]], ...]
 
 
-class Kernel:
-    """A kernel of a draw."""
-
-    __slots__ = ("_kernel",)
-
-    def __init__(self, program: cl.Program, name: str) -> None:
-        self._kernel = cl.Kernel(program, name)
-
-    def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
-        """Enqueue `items` work-items on the batch at this address."""
-        self._kernel.set_arg(0, np.uint64(batch))
-        event: cl.Event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,))
-        return event
-
-
 class Geometry:
     """The kernels that all draws share."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, builds: Builds) -> None:
         source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
-        program = build(context.context, source)
-        self.set_up, self.prefix, self.scatter = (
-            Kernel(program, name) for name in ("set_up", "prefix", "scatter")
-        )
+        self.set_up, self.prefix, self.scatter = builds.build(source, ("set_up", "prefix", "scatter"))
 
 
 class Pipeline:
@@ -63,8 +45,10 @@ class Pipeline:
         faults: of a checked program, where each stage leaves what it finds. Their addresses stand in the kernels' text.
     """
 
-    def __init__(self, context: Context, descriptor: ProgramDescriptor, addresses: Addresses) -> None:
-        self._context = context
+    def __init__(
+        self, context: Context, builds: Builds, descriptor: ProgramDescriptor, addresses: Addresses
+    ) -> None:
+        self._builds = builds
         self.descriptor = descriptor
         self.starts = tables.row_starts(descriptor.bindings)
         self._vertex_text = descriptor.emit(LANGUAGE, Stage.VERTEX)
@@ -106,9 +90,10 @@ class Pipeline:
     def _build(self, stage: Stage, name: str, parts: list[str]) -> Kernel:
         source = "\n".join(parts)
         try:
-            return Kernel(build(self._context.context, source, self.descriptor.flushes_denormals), name)
+            (kernel,) = self._builds.build(source, (name,), self.descriptor.flushes_denormals)
         except cl.Error as error:
             raise make_shader_error(self.descriptor, source, str(error)) from error
+        return kernel
 
 
 @cache

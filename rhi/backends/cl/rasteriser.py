@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.cl.assembly import Assembler
+from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.counters import Counters
 from rhi.backends.cl.draw_lists import DrawLists, Place
@@ -35,7 +36,7 @@ from rhi.backends.cl.draws import (
 )
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory import Addresses, Retired
-from rhi.backends.cl.pipelines import Kernel, Pipeline
+from rhi.backends.cl.pipelines import Pipeline
 from rhi.backends.cl.resources import Buffers, Plane, Textures
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.tables import GROUP, MAX_STREAMS
@@ -137,7 +138,8 @@ class Rasteriser:
         self._addresses = Addresses(context)
         self.works = self._addresses.work
         self.retired = Retired()
-        self._batch = Batch(context, self._addresses, self.retired)
+        self._builds = Builds(context)
+        self._batch = Batch(context, self._builds, self._addresses, self.retired)
         self._assembler: Assembler[IndexList] = Assembler(self._read, self._upload)
         self._programs: dict[Id, _Program] = {}
         self._arrays: dict[Id, _Array] = {}
@@ -161,8 +163,11 @@ class Rasteriser:
     # -- programs and vertices -------------------------------------------------------------------------------
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        """Emits its stages; kernels are built when they are needed."""
-        self._programs[program] = _Program(Pipeline(self._context, descriptor, self._addresses))
+        """Emits its stages; kernels are built when all that they need is known."""
+        self._programs[program] = _Program(
+            Pipeline(self._context, self._builds, descriptor, self._addresses)
+        )
+        _ = self._batch.geometry
 
     def destroy_program(self, program: Id) -> None:
         self.flush()
