@@ -41,7 +41,7 @@ from rhi.descriptors import BindingKind, Interpolation
 __rhi_internal__ = True
 
 _SLICE_GROUPS: Final = 1 << 15  # 512 k primitives: 74 MiB of records, boxes and lists
-_PIECE_GROUPS: Final = 1 << 16  # of vertices: 1 M, 32 MiB of positions; fewer gain nothing
+_PIECE_GROUPS: Final = 1 << 15  # of vertices: 512 k, 16 MiB of positions; more hide less of each other
 _FIRST_PIECE_GROUPS: Final = 1 << 14  # then each is twice the last one
 _CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough that counts of tiles stay small
 _MIN_CHUNK: Final = 8  # groups: less isn't worth a work-item

@@ -185,7 +185,8 @@ bool set_up_polygon(
     record[POLYGON_FLIPPED] = flipped;
     record[BOX_FIRST] = left | top << 16;
     record[BOX_LAST] = right | bottom << 16;
-    record[FLAGS] = PACK_FLAGS(draw_number, 1, primitive != TRIANGLES || flipped != view->front, POLYGON);
+    int cuts = (view->box[0] | view->box[1] | view->box[2] + 1 | view->box[3] + 1) & 3;
+    record[FLAGS] = PACK_FLAGS(draw_number, cuts != 0, primitive != TRIANGLES || flipped != view->front, POLYGON);
     record[NEAREST] = as_int(batch->near_is_less ? -INFINITY : INFINITY);
     return true;
 }
@@ -360,8 +361,10 @@ SINGLE set_up(ulong address) {
             slack += batch->depth_step;
             float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
                                            : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;
-            int16 cuts = (left > (low_x - reach + 255) >> 8) | (right < (high_x + reach) >> 8) |
-                         (top > (low_y - reach + 255) >> 8) | (bottom < (high_y + reach) >> 8);
+            int16 cuts = (left > (low_x - reach + 255) >> 8) & (left_limit & 3 ? -1 : 0);
+            cuts |= (right < (high_x + reach) >> 8) & (right_limit + 1 & 3 ? -1 : 0);
+            cuts |= (top > (low_y - reach + 255) >> 8) & (top_limit & 3 ? -1 : 0);
+            cuts |= (bottom < (high_y + reach) >> 8) & (bottom_limit + 1 & 3 ? -1 : 0);
             int16 is_front = (flipped & 1) ^ front;
             uint16 fields[16] = {
                 as_uint16(a0), as_uint16(a1), as_uint16(a2), as_uint16(b0), as_uint16(b1), as_uint16(b2),
