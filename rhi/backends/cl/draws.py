@@ -7,6 +7,8 @@
   set-up, binning and raster kernels. Whoever enqueues something else flushes first.
 - Batches of many vertices or primitives go in pieces and slices, which bounds the memory in flight: a slice's records
   lie in pools that the next one uses again.
+- Bounds of depth stay in memory from slice to slice and from batch to batch, as long as nothing but draws that keep
+  them changes the depth that they belong to.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
 from rhi.backends.cl.pipelines import Geometry, Pipeline
+from rhi.backends.cl.resources import Texture
 from rhi.backends.cl.tables import (
     BATCH,
     DRAW,
@@ -110,19 +113,21 @@ class Target:
         size: (width, height).
         planes: (address of the memory, start, pitch, bytes from sample to sample) of each color attachment, of depth,
             of stencil; None for a missing one.
+        texture: the one that depth and stencil belong to.
     """
 
-    __slots__ = ("colors", "depth", "samples", "size", "stencil")
+    __slots__ = ("colors", "depth", "samples", "size", "stencil", "texture")
 
     def __init__(
         self, size: tuple[int, int], samples: int, colors: Sequence[tuple[int, int, int, int]],
-        depth: tuple[int, int, int, int] | None, stencil: tuple[int, int, int, int] | None,
+        depth: tuple[int, int, int, int] | None, stencil: tuple[int, int, int, int] | None, texture: Texture | None,
     ) -> None:  # fmt: skip
         self.size = size
         self.samples = samples
         self.colors = colors
         self.depth = depth
         self.stencil = stencil
+        self.texture = texture
 
     def planes_of(self, key: MergerKey) -> list[tuple[int, int, int, int]]:
         """Those that a raster kernel takes, in its order."""
@@ -157,6 +162,7 @@ class Batch:
         self._table = np.zeros((), BATCH)
         self._places = b""  # where the target's planes begin in their memory
         self._bounds_depth = False  # whether its raster kernel leaves bounds
+        self._bounds: tuple[object, ...] | None = None  # what the bounds in memory belong to
         self._room = 0, 0  # vertices and primitives that the table's scratch memory is for
         self._streams = 0
         self._width = FIXED_COLUMNS
@@ -210,7 +216,11 @@ class Batch:
         self.prepared.recycle()
         instances = rows.view(np.uint32)[:, 2 * INSTANCES].astype(np.int64)
         ends = np.cumsum(draws["vertex_groups"] * instances)
-        self._table["bounded"] = False
+        assert self.target is not None
+        texture = self.target.texture
+        bounds = self.target.depth, bool(self._table["near_is_less"]), texture, texture and texture.changes
+        self._table["bounded"] = self._bounds_depth and bounds == self._bounds
+        self._bounds = None
         event, begin, room = None, 0, min(_FIRST_PIECE_GROUPS, _PIECE_GROUPS)
         while begin < len(rows):
             before = int(ends[begin - 1]) if begin else 0
@@ -221,6 +231,7 @@ class Batch:
             begin, room = end, min(2 * room, _PIECE_GROUPS)
         if event is not None:
             self._uploads.release(event)
+            self._bounds = bounds if self._bounds_depth else None
             assert self.pipeline is not None
             for faults in self.pipeline.faults.values():
                 faults.read(self._queue)

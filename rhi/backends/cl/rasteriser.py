@@ -240,17 +240,17 @@ class Rasteriser:
             texture = textures[color.texture]
             colors.append(self._place_plane(color.texture, texture.levels[color.level], color.layer))
             formats.append(texture.descriptor.format)
-        depth = stencil = None
+        depth = stencil = drawn = None
         depth_format = None
         if descriptor.depth is not None:
             attachment = descriptor.depth
-            texture = textures[attachment.texture]
+            texture = drawn = textures[attachment.texture]
             depth_format = texture.descriptor.format
             depth = self._place_plane(attachment.texture, texture.levels[attachment.level], attachment.layer)
             if texture.stencil:
                 plane = texture.stencil[attachment.level]
                 stencil = self._place_plane(attachment.texture, plane, attachment.layer, True)
-        self._target = Target(descriptor.size, descriptor.samples, colors, depth, stencil)
+        self._target = Target(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
         self._formats = tuple(formats), depth_format
         self.stale = True
 

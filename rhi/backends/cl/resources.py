@@ -231,12 +231,14 @@ class Texture:
 
     Attributes:
         words: what kernels are told about it, by sampler, or by level and layer of an image (`samplers`).
+        changes: how often anything but draws changed it.
     """
 
-    __slots__ = ("_memory", "descriptor", "levels", "stencil", "words")
+    __slots__ = ("_memory", "changes", "descriptor", "levels", "stencil", "words")
 
     def __init__(self, context: Context, descriptor: TextureDescriptor) -> None:
         self.descriptor = descriptor
+        self.changes = 0
         self._memory: list[cl.Buffer] = []
         self.words: dict[Id | tuple[int, int], cl.Buffer] = {}
         self.stencil: list[Plane] = []
@@ -289,7 +291,9 @@ class Textures:
         self._textures.pop(texture).release()
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        plane, source = self._textures[texture].levels[level], np.frombuffer(memoryview(data), np.uint8)
+        made, source = self._textures[texture], np.frombuffer(memoryview(data), np.uint8)
+        made.changes += 1
+        plane = made.levels[level]
         if self._staging.takes(len(source)):
             self._staging.add(plane.write(self._queue, region, source.copy(), False), len(source))
         else:
@@ -310,16 +314,19 @@ class Textures:
         layer: int,
     ) -> None:  # fmt: skip
         old, new = self._textures[source], self._textures[target]
+        new.changes += 1
         old.levels[source_level].copy(self._queue, source_region, new.levels[target_level], x, y, layer)
         if old.stencil:
             old.stencil[source_level].copy(self._queue, source_region, new.stencil[target_level], x, y, layer)
 
     def resolve(self, source: Id, target: Id) -> None:
         old, new = self._textures[source], self._textures[target]
+        new.changes += 1
         self._filters.resolve(old.descriptor.format, old.levels[0], new.levels[0])
 
     def generate_mipmaps(self, texture: Id) -> None:
         made = self._textures[texture]
+        made.changes += 1
         for above, below in zip(made.levels, made.levels[1:], strict=False):
             self._filters.halve(made.descriptor.format, above, below)
 
@@ -340,6 +347,7 @@ class Textures:
 
     def _fill(self, texture: Texture, plane: Plane, texel: bytes, layer: int) -> None:
         """All samples of a layer; a multi-sampled texture has one layer and its samples as layers."""
+        texture.changes += 1
         plane.fill(self._queue, texel, layer, texture.descriptor.samples)
 
 

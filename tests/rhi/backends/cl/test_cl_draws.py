@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -495,6 +495,81 @@ def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
                         device.draw(device.program(Colored), mesh.view(first=first, count=6))
                 left.append(count_survivors(device))
     assert left == [2, 0, 0, 0]
+
+
+def _leave(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    """Nothing happens to the depth."""
+
+
+def _copy(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    other.copy_to(depth)
+
+
+def _clear(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    with device.render_pass(depth=depth, clear_depth=1.0):
+        pass
+
+
+def _draw_elsewhere(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    """The bounds in memory become another depth's."""
+    with (
+        device.mesh(rectangle(depth=0.9)) as mesh,
+        device.render_pass(depth=other),
+        device.states(DepthFunction.LESS),
+    ):
+        device.draw(device.program(Colored), mesh)
+
+
+def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
+    """Draws that keep no bounds move depth away."""
+    with (
+        device.mesh(rectangle(depth=1.0)) as mesh,
+        device.render_pass(depth=depth),
+        device.states(DepthFunction.ALWAYS),
+    ):
+        device.draw(device.program(Colored), mesh)
+
+
+@pytest.mark.parametrize(
+    ("change", "hides", "samples"),
+    [
+        (_leave, True, 0),
+        (_copy, False, 64),
+        (_clear, False, 64),
+        (_draw_elsewhere, False, 0),
+        (_draw_unbounded, False, 64),
+    ],
+)
+def test_a_pass_knows_what_hid_in_the_one_before_unless_depth_changed(
+    device: Device, change: Callable[[rhi.Texture, rhi.Texture, Device], None], hides: bool, samples: int
+) -> None:
+    program, size = device.program(Colored), (8, 8)
+    with (
+        device.texture(size, Format.D32F) as depth,
+        device.texture(size, Format.D32F) as other,
+        device.mesh(rectangle(depth=0.5)) as wall,
+        device.mesh(rectangle(depth=0.75)) as behind,
+    ):
+        _clear(other, depth, device)
+        with device.render_pass(depth=depth, clear_depth=1.0), device.states(DepthFunction.LESS):
+            device.draw(program, wall)
+        change(depth, other, device)
+        query = device.occlusion_query()
+        states = DepthFunction.LESS, DepthWrite.OFF
+        with device.render_pass(depth=depth), device.states(*states), query:
+            device.draw(program, behind)
+        assert query.wait() == samples
+        assert (count_survivors(device) == 0) == hides
+
+
+def test_depth_tested_the_other_way_is_bounded_anew(device: Device) -> None:
+    with device.texture((8, 8), Format.D32F) as depth, device.mesh(rectangle(depth=0.75)) as mesh:
+        for function, samples in ((DepthFunction.LESS, 64), (DepthFunction.GREATER, 0), (DepthFunction.LESS, 0)):
+            query = device.occlusion_query()
+            with device.render_pass(depth=depth, clear_depth=1.0 if samples else None):
+                with device.states(function), query:
+                    device.draw(device.program(Colored), mesh)
+            assert query.wait() == samples
 
 
 def test_small_triangles_between_texel_centres_are_not_set_up(device: Device) -> None:
