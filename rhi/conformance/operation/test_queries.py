@@ -222,12 +222,15 @@ def test_an_answer_comes_without_waiting_for_it(device: Device, query: Occlusion
 
 
 def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
-    """The work before an answer grows until polls have missed it several times: one that waits never does."""
+    """The work before an answer grows until polls have missed it several times: one that waits never does, although
+    the fence says that there is something to wait for. A device that works at once has nothing to show."""
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
-        for instances in (4**n for n in range(6)):
+        for instances in (4**n for n in range(5)):
             with device.render_pass(image), query:
                 device.draw(program, mesh, instances)
+            value = device.signal()
+            unfinished = device.completed < value
             polls = 0
             while not query.is_finished:
                 polls += 1
@@ -235,7 +238,7 @@ def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
             if polls > 10:
                 break
         else:
-            pytest.fail(f"{polls} polls during {instances} full screens: each of them waited")
+            assert not unfinished, f"{polls} polls during {instances} full screens: each of them waited"
 
 
 def test_an_answer_stays_until_the_next_begin(device: Device, query: OcclusionQuery) -> None:

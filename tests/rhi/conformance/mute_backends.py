@@ -10,7 +10,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
-from faulty_backends import Faulty, find_failures
+from faulty_backends import Faulty, Late, find_failures
 
 GROUPS = {
     "create_buffer": "buffers",
@@ -61,30 +61,6 @@ UNSEEN = {
     "capabilities": "is data",
 }
 """Methods whose work no result shows, and why."""
-
-
-class Late(Faulty):
-    """A backend that is seen to reach a fence value only by who waits for it, or asks often: else a quick device
-    would reach one before anybody could notice that nothing waits."""
-
-    PATIENCE = 8
-
-    def __init__(self, inner: Any) -> None:
-        super().__init__(inner)
-        self._seen = self._asked = 0
-
-    def completed(self) -> int:
-        reached: int = self._inner.completed()
-        self._asked = self._asked + 1 if reached > self._seen else 0
-        if self._asked > self.PATIENCE:
-            self._seen = reached
-        return self._seen
-
-    def wait(self, value: int, seconds: float) -> bool:
-        reached: bool = self._inner.wait(value, seconds)
-        if reached:
-            self._seen = max(self._seen, value)
-        return reached
 
 
 def mute(name: str) -> Callable[[Any], Any]:
