@@ -11,7 +11,7 @@ import platform
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,6 +23,15 @@ from rhi.registry import BackendReport
 from rhi.trace import cli as trace_cli
 
 __rhi_internal__ = True
+
+_COMMANDS: Final = """\
+commands, each with --help:
+  trace             look at recorded commands: show, replay, diff, reduce
+  shading accuracy  the error and the time of the shading language's built-ins
+  new-backend       write the package that a port starts from
+
+RHI_BACKEND=null python app.py runs a program on the backend of that name.
+"""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,11 +45,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _new_backend(given[1:])
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
-        description="Say which backends work on this machine.",
-        epilog="examples:\n  python -m rhi\n  python -m rhi --json\n  python -m rhi trace --help\n"
-        "  python -m rhi shading accuracy --help\n"
-        "  python -m rhi new-backend --help\n"
-        "  RHI_BACKEND=null python app.py",
+        usage="%(prog)s [-h] [--json]\n       %(prog)s COMMAND …",
+        description="Say which backends work on this machine, what they can do, and what to install for the rest.",
+        epilog=_COMMANDS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--json", action="store_true", help="print the report as JSON")

@@ -170,4 +170,5 @@ def show_report(report: dict[str, Any]) -> str:
         "image": report["image"] or "none: this device draws nothing",
     }
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
-    return "\n".join(f"{key.replace('_', ' ') + ':':<24}{text}" for key, text in texts.items())
+    names = {"uploads_bytes": "bytes uploaded"}
+    return "\n".join(f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items())

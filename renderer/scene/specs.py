@@ -35,7 +35,8 @@ class Option:
         if isinstance(self.default, str):
             return self.meaning
         kind = "a whole number" if isinstance(self.default, int) else "a number"
-        return f"{kind} from {self.low:g} to {self.high:g}"
+        low, high = (f"{int(end):,}" if end == int(end) else f"{end:g}" for end in (self.low, self.high))
+        return f"{kind} from {low} to {high}"
 
     def parse(self, call: str, text: str) -> Value:
         """`text` as this option's type, or a refusal."""
