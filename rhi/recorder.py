@@ -201,10 +201,15 @@ class Recorder(CommandMethods):
         return self.backend.read_query(query)
 
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """Write down a command that was called elsewhere, at its own call site, and pass it on."""
+        """Write down a command that was called elsewhere, at its own call site, and pass it on: with the site, where
+        the backend has this method, too."""
         self._write((int(op), *arguments, code, offset))
+        pass_on = getattr(self.backend, "pass_on", None)
         try:
-            getattr(self.backend, op.method)(*arguments)
+            if pass_on is None:
+                getattr(self.backend, op.method)(*arguments)
+            else:
+                pass_on(op, arguments, code, offset)
         except BaseException as error:
             self._fail(error)
             raise

@@ -16,7 +16,8 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
+from types import CodeType
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,6 +46,9 @@ from rhi.recorder import _get_frame, _nowhere  # noqa: F401 (the generated metho
 from rhi.rules import DEVICE_ARGUMENT
 
 __rhi_internal__ = True
+
+Site: TypeAlias = tuple[CodeType | None, int]
+"""A call site: code and instruction offset."""
 
 
 @dataclass(frozen=True)
@@ -98,15 +102,19 @@ class SimulatedBackend(NullBackend):
     """The null backend on a simulated clock; see the module."""
 
     METHOD = """\
-    frame = _get_frame(1)
-    while "__rhi_internal__" in frame.f_globals:
-        frame = frame.f_back or _nowhere
-    self._enqueue(({op}, {arguments}frame.f_code, frame.f_lasti))
+    if self._site is None:
+        frame = _get_frame(1)
+        while "__rhi_internal__" in frame.f_globals:
+            frame = frame.f_back or _nowhere
+        self._enqueue(({op}, {arguments}frame.f_code, frame.f_lasti))
+    else:
+        self._enqueue(({op}, {arguments}*self._site))
 """
 
     def __init__(self, simulation: Simulation, capabilities: Capabilities | None = None) -> None:
         super().__init__(capabilities)
         self.simulation = simulation
+        self._site: Site | None = None  # of a call that was passed on
         self._now = 0
         self._gpu = 0
         self._fence_time = 0
@@ -172,9 +180,19 @@ class SimulatedBackend(NullBackend):
 
     def _note(self, op: Op, *arguments: Any) -> None:
         """Put a call into the queue, with its site."""
-        frame = find_user_frame()
-        site = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
-        self._enqueue((op, *arguments, *site))
+        self._enqueue((op, *arguments, *self._find_site()))
+
+    def _find_site(self) -> Site:
+        frame = None if self._site is not None else find_user_frame()
+        return self._site or ((None, -1) if frame is None else (frame.f_code, frame.f_lasti))
+
+    def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+        """A command that was called elsewhere; as `Recorder.pass_on`."""
+        self._site = code, offset
+        try:
+            getattr(self, op.method)(*arguments)
+        finally:
+            self._site = None
 
     def _follow_calls(self) -> None:
         """Let the CPU's clock follow the calls in the queue; full batches are submitted on the way."""
@@ -240,9 +258,7 @@ class SimulatedBackend(NullBackend):
 
     def _make_use(self) -> Use:
         """The present call of the CPU, which isn't a command of the GPU, as hazards see it."""
-        frame = find_user_frame()
-        code, offset = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
-        return self._called, code, offset, Op.WRITE_BUFFER
+        return self._called, *self._find_site(), Op.WRITE_BUFFER
 
     # -- calls -------------------------------------------------------------------------------------------
 

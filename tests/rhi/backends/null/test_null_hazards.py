@@ -677,3 +677,31 @@ def test_a_lock_on_stream_memory_in_use_is_found_through_a_device():
                 pass
             assert len(simulated.hazards) == (not wait)
         assert simulated.hazards[0].first.file == __file__
+
+
+def test_a_hazard_of_a_command_buffer_names_the_line_that_recorded_it():
+    with rhi.create_device("null", simulation=Simulation()) as device:
+        simulated = device.backend_as(SimulatedBackend)
+        vertices = device.buffer(6, np.dtype([("position", "f4", 2)]), usage=BufferUsage.STREAM)
+        mesh, program = device.mesh(vertices), device.program(hand_made_program())
+        image = device.texture((8, 8), Format.RGBA8)
+        bindings = {
+            "camera": device.uniform(Camera(tint=(1, 1, 1, 1))),
+            "object": device.uniform_array(Object, 1)[0],
+        }
+        with device.record() as commands, commands.render_pass(image):
+            recorded = inspect.currentframe().f_lineno + 1
+            commands.draw(program, mesh, **bindings)
+        device.submit(commands)
+        device.finish()
+        device.submit(commands)
+        vertices.write(np.zeros(6, vertices.dtype))
+        written = inspect.currentframe().f_lineno - 1
+        with device.render_pass(image):
+            drawn = inspect.currentframe().f_lineno + 1
+            device.draw(program, mesh, **bindings)
+        vertices.write(np.zeros(6, vertices.dtype))
+        lines = [(hazard.first.line, hazard.second.line) for hazard in simulated.hazards]
+        assert (recorded, written) in lines
+        assert (drawn, written + 5) in lines
+        assert {hazard.first.file for hazard in simulated.hazards} == {__file__}
