@@ -64,18 +64,21 @@ class QuerySet:
         )  # fmt: skip
         call, arguments = self._backend.prepare_calls(vertex_array, primitive, draws)
         made, current = self._made, None
-        for row, draw in zip(rows.tolist(), arguments, strict=True):
-            query = made[row]
-            if query is not current:
-                if current is not None:
-                    end(samples_passed)
-                if query.is_pending:
-                    renew(query)
-                query.is_pending, query.begin, query.end = True, None, None
-                begin(samples_passed, query.name)
-                current = query
-            call(*draw)
-        end(samples_passed)
+        try:
+            for row, draw in zip(rows.tolist(), arguments, strict=True):
+                query = made[row]
+                if query is not current:
+                    if current is not None:
+                        end(samples_passed)
+                    if query.is_pending:
+                        renew(query)
+                    query.is_pending, query.begin, query.end = True, None, None
+                    begin(samples_passed, query.name)
+                    current = query
+                call(*draw)
+        finally:
+            if current is not None:
+                end(samples_passed)
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         if self._is_plain:
