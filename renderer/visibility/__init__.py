@@ -62,8 +62,8 @@ __all__ = [
     "make_visibility",
 ]
 
-CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "frustum", "depth_pyramid", "two_pass")
-"""What `auto` tries, in this order: each is the fastest for some view and device, and no other is by much."""
+CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "frustum", "depth_pyramid", "two_pass", "none")
+"""What `auto` tries, in this order: each is the fastest for some scene, view and device, and no other is."""
 
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
     "none": lambda scene, _device, _settings: NoCulling(scene),
@@ -82,7 +82,7 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         device,
         {
             name: partial(make_visibility, name, scene, device, settings)
-            for name in CANDIDATES
+            for name in (CANDIDATES if device.capabilities.renders else ("frustum",))
             if _can_run(name, device)
         },
     ),
