@@ -27,10 +27,9 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 import rhi
 from renderer.cli.arguments import parse_size
 from renderer.cli.compare_visibility import Picture
-from renderer.frame import ScenePass, SceneResources
+from renderer.measure.exact import ExactVisibility
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, load_scene
-from renderer.shaders import Object, Place, Vertex, View, relative_position
+from renderer.scene import Scene, load_scene
 from renderer.visibility import (
     DepthPyramidCulling,
     DeviceCulling,
@@ -39,58 +38,11 @@ from renderer.visibility import (
     TwoPassCulling,
     find_visible_objects,
 )
-from rhi import Format
-from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, vec4
 
 ALGORITHMS = {"depth_pyramid": DepthPyramidCulling, "two_pass": TwoPassCulling}
 TARGETS = {"culled_share": 0.95, "second_share": 0.03, "cpu_ratio": 1.2, "wrong_pixels": 0}
 COUNTS = (10_000, 100_000)
 ROUNDS = 60
-
-
-class Number(Struct):
-    clip: vec4
-    row: int
-
-
-class Numbered(Shader):
-    """An object's row + 1 as colour."""
-
-    view: Uniform[View]
-    objects: Storage[Object]
-    places: Storage[Place]
-
-    def vertex(self, v: Vertex) -> Number:
-        row = instance_index()
-        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return Number(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
-
-    def fragment(self, v: Number) -> uint:
-        return uint(v.row + 1)
-
-
-class ExactVisibility:
-    """Which objects a camera sees, pixel by pixel."""
-
-    def __init__(self, device: rhi.Device, scene: Scene, size: tuple[int, int]) -> None:
-        self.device, self.scene, self.size = device, scene, size
-        self.resources = SceneResources(device, scene)
-        self.numbers = device.texture(size, Format.R32UI)
-        self.depth = device.texture(size, Format.D32F)
-
-    def find(self, camera: Camera) -> set[int]:
-        """Rows of the objects that cover a pixel; the scene is where it was last drawn."""
-        resources = self.resources
-        resources.update(camera)
-        arrays = resources.arrays
-        bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-        program = self.device.program(Numbered)
-        with ScenePass(
-            self.device, resources, camera, program, bindings,
-            color=self.numbers, depth=self.depth, clear=(0, 0, 0, 0),
-        ) as draw:  # fmt: skip
-            draw(np.arange(len(self.scene.objects)))
-        return set((np.unique(self.numbers.read()).astype(np.int64) - 1).tolist()) - {-1}
 
 
 def measure_path(
@@ -141,7 +93,7 @@ def measure_path(
 
 
 def measure_cpu() -> list[dict[str, Any]]:
-    """A row for each algorithm."""
+    """A row for each algorithm, by the processor time of the thread that renders."""
     rows = []
     scenes = [load_scene(f"grid:mesh=box,count={count}") for count in COUNTS]
     for name, make in ALGORITHMS.items():
@@ -155,9 +107,9 @@ def measure_cpu() -> list[dict[str, Any]]:
             for renderer, spent in zip(renderers, times, strict=True):
                 camera = renderer.scene.paths["ground"].camera(600 + frame)
                 renderer.device.stream.clear()
-                began = time.perf_counter()
+                began = time.thread_time()
                 renderer.render(camera, frame / 60)
-                spent.append(time.perf_counter() - began)
+                spent.append(time.thread_time() - began)
         few, many = (np.array(spent[3:]) for spent in times)
         rows.append(
             {

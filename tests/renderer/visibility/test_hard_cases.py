@@ -2,7 +2,8 @@
 
 `IMAGES` are scenes and cameras; every algorithm that a drawing device can run takes them all, and so does the
 next one that is registered. On the null device, where an oracle says what shows, the algorithms that ask the device,
-and those that run on it, take those of `WALKS` on a GPU that is so many commands late.
+and those that run on it, take them on a GPU that is so many commands late, and `WALKS` with them, whose answers no
+scene would give.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ from occlusion_scenes import (
 )
 
 import rhi
+from renderer.measure.exact import ExactVisibility
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene, load_scene
 from renderer.visibility import ALGORITHMS, ChcPlusPlus, Settings, list_algorithms, make_visibility
@@ -293,6 +295,35 @@ def test_a_ring_of_n_takes_n() -> None:
 
 # On the null device: what shows is drawn, however late the answers
 
+
+
+def make_late(latency: int) -> rhi.Device:
+    """With a simulated GPU: its clock goes on by one for each call, and an answer is there so many later."""
+    free = CostModel(command=0.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
+    simulation = Simulation(free, call=1, submission_latency=latency, wake_latency=0, batch=1)
+    return rhi.create_device("null", simulation=simulation)
+
+
+@pytest.mark.parametrize("title", IMAGES)
+def test_on_a_late_gpu_a_hard_case_draws_what_is_seen(title: str) -> None:
+    case = IMAGES[title]
+    scene = case.scene()
+    shots = case.shots(scene)
+    with rhi.create_device() as device:
+        if not device.capabilities.renders:
+            pytest.skip("no device here that draws")
+        exact = ExactVisibility(device, scene, case.size)
+        seen = [exact.find(camera) for camera, _ in shots]
+    for name in (*OCCLUSION, *DEVICE):
+        for latency in LATENCIES:
+            with make_late(latency) as device, Renderer(device, scene, size=case.size) as renderer:
+                oracle = Oracle(device, scene, name)
+                algorithm = make_visibility(name, scene, device)
+                for (camera, seconds), rows in zip(shots, seen, strict=True):
+                    oracle.guessed, oracle.seen = oracle.seen, rows
+                    assert visible(draw_with(renderer, algorithm, camera, seconds)) >= rows, (name, latency)
+
+
 WALKS = {
     "teleports": (4, [(30.0, range(40)), (-30.0, range(10)), (30.0, (7,)), (-30.0, ()), (30.0, range(30, 40))]),
     "all visible, all hidden": (7, [(30.0, range(40)), (30.0, ()), (30.0, range(40)), (30.0, ())]),
@@ -305,11 +336,8 @@ WALKS = {
 @pytest.mark.parametrize("title", WALKS)
 @pytest.mark.parametrize("name", [*OCCLUSION, *DEVICE])
 def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, latency: int) -> None:
-    # A simulated GPU: its clock goes on by one for each call, and an answer is there so many later.
-    free = CostModel(command=0.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
-    simulation = Simulation(free, call=1, submission_latency=latency, wake_latency=0, batch=1)
     scene = _cloud()
-    with rhi.create_device("null", simulation=simulation) as device:
+    with make_late(latency) as device:
         oracle = Oracle(device, scene, name, guessed=set(range(0, 40, 3)))
         algorithm = make_visibility(name, scene, device)
         with Renderer(device, scene, size=(64, 36)) as renderer:
@@ -326,11 +354,10 @@ def test_what_shows_is_drawn_whenever_the_answer_comes(name: str, title: str, la
 def test_what_may_be_cut_by_the_near_plane_is_drawn_whatever_the_answer(
     name: str, ulps: int, latency: int
 ) -> None:
-    simulation = Simulation(CostModel(), call=1, submission_latency=latency, batch=1)
     radius = near_radius(look(ORIGIN, WALL, fov=LENS.fov, near=0.1).with_aspect(64 / 36))
     inside = radius * (1.0 + ulps * 2.0**-52) - 1e-3  # padding pulls the near one of two over the radius
     scene = make_boxes([(0.0, 0.0, -inside - 0.5), (0.0, 0.0, -9.0)], [(1.0, 1.0, 1.0)] * 2)
-    with rhi.create_device("null", simulation=simulation) as device:
+    with make_late(latency) as device:
         Oracle(device, scene, name)  # sees nothing
         with Renderer(device, scene, size=(64, 36)) as renderer:
             camera = look(ORIGIN, WALL, fov=LENS.fov, near=0.1)

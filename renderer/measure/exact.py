@@ -1,0 +1,66 @@
+"""Which objects are seen, exactly: each is drawn with its number as colour, and the nearest of each pixel is kept."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from renderer.frame import ScenePass, SceneResources
+from renderer.scene import Camera, Scene
+from renderer.shaders import Object, Place, Vertex, View, relative_position
+from rhi import Device, Format
+from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, vec4
+
+
+class Number(Struct):
+    """From vertex to fragment."""
+
+    clip: vec4
+    row: int
+
+
+class Numbered(Shader):
+    """An object's row + 1 as colour."""
+
+    view: Uniform[View]
+    objects: Storage[Object]
+    places: Storage[Place]
+
+    def vertex(self, v: Vertex) -> Number:
+        row = instance_index()
+        position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
+        return Number(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
+
+    def fragment(self, v: Number) -> uint:
+        return uint(v.row + 1)
+
+
+class ExactVisibility:
+    """Which objects a camera sees, pixel by pixel; where two surfaces tie, one of both."""
+
+    def __init__(self, device: Device, scene: Scene, size: tuple[int, int]) -> None:
+        """`size` is (width, height) in pixels."""
+        self._device, self._scene = device, scene
+        self._resources = SceneResources(device, scene)
+        self._numbers = device.texture(size, Format.R32UI)
+        self._depth = device.texture(size, Format.D32F)
+
+    def find(self, camera: Camera) -> set[int]:
+        """Rows of the objects that cover a pixel; the scene must be up to date."""
+        resources = self._resources
+        width, height = self._numbers.size
+        camera = camera.with_aspect(width / height)
+        resources.update(camera)
+        arrays = resources.arrays
+        bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
+        program = self._device.program(Numbered)
+        with ScenePass(
+            self._device, resources, camera, program, bindings,
+            color=self._numbers, depth=self._depth, clear=(0, 0, 0, 0),
+        ) as draw:  # fmt: skip
+            draw(np.arange(len(self._scene.objects)))
+        return set((np.unique(self._numbers.read()).astype(np.int64) - 1).tolist()) - {-1}
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        for part in (self._resources, self._numbers, self._depth):
+            part.destroy()
