@@ -136,10 +136,8 @@ static RHI_INLINE void rhi_edge(int wrap, int size, INT *i0, INT *i1) {
     *i1 = j;
 }
 
-// Whether these texels and their right and lower neighbours lie inside, for all lanes.
-static RHI_INLINE int rhi_inside(int width, int height, INT x, INT y) {
-    return !ANY(EITHER(as_UINT(x) >= (uint)(width - 1), as_UINT(y) >= (uint)(height - 1)));
-}
+// Whether a texel and the next one lie inside, for all lanes.
+static RHI_INLINE int rhi_inside(int size, INT i) { return !ANY(as_UINT(i) >= (uint)(size - 1)); }
 
 // The two texels around a coordinate, and how near it is to the second.
 static RHI_INLINE FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1) {
@@ -238,7 +236,7 @@ static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT dep
 }
 
 // The four texels around a place in one layer: (0, 0), (1, 0), (0, 1), (1, 1), or whether the reference passes them;
-// and how near the place is to the last. Inside the layer, texels of 4 and 8 bytes are two loads.
+// and how near the place is to the last. Inside the layer, two texels of 4 or 8 bytes that lie side by side are one load.
 static RHI_CALLED void rhi_taps(
     rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, int compared,
     FLOAT reference, UINT *taps, FLOAT *near
@@ -249,18 +247,28 @@ static RHI_CALLED void rhi_taps(
     near[1] = rhi_before(w[RHI_WRAP_V], height, v, y);
     rhi_texture p = rhi_start(t, level);
     INT first = layer * level[RHI_LAYER];
-    int inside = rhi_inside(width, height, x[0], y[0]), seams = RHI_CUBES && w[RHI_WRAP_U] == RHI_SEAM && !inside;
+    int inside = rhi_inside(width, x[0]) && rhi_inside(height, y[0]);
+    int seams = RHI_CUBES && w[RHI_WRAP_U] == RHI_SEAM && !inside;
     if (RHI_SOLIDS && w[RHI_HAS_BORDER]) inside = 0;  // the layer may lie outside
-    if (inside && (texel == 4 || texel == 8)) {
+    if (inside && texel >= 4) {
         first += y[0] * row + x[0];
-        if (texel == 4) {
+        rhi_texture q = p + texel * row;
+        switch (texel) {
+        case 4:
             for (int word = 0; word < 16; ++word) taps[word] = (UINT)0u;
             rhi_pair(p, first, taps, taps + 4);
-            rhi_pair(p + 4 * row, first, taps + 8, taps + 12);
-        } else {
+            rhi_pair(q, first, taps + 8, taps + 12);
+            break;
+        case 8:
             for (int tap = 0; tap < 4; ++tap) taps[4 * tap + 2] = taps[4 * tap + 3] = (UINT)0u;
             rhi_long_pair(p, first, taps, taps + 4);
-            rhi_long_pair(p + 8 * row, first, taps + 8, taps + 12);
+            rhi_long_pair(q, first, taps + 8, taps + 12);
+            break;
+        default:
+            for (int right = 0; right < 2; ++right) {
+                rhi_long_pair(p + 16 * right, first * 2, taps + 4 * right, taps + 4 * right + 2);
+                rhi_long_pair(q + 16 * right, first * 2, taps + 4 * right + 8, taps + 4 * right + 10);
+            }
         }
         for (int tap = 0; tap < 4; ++tap) rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], taps + 4 * tap);
     } else {
@@ -304,19 +312,25 @@ static RHI_INLINE void rhi_bilinear8(
     rhi_texture p = rhi_start(t, level);
     INT first = layer * level[RHI_LAYER];
     UINT a, b, c, d;
-    if (!rhi_inside(width, height, x, y)) {
-        rhi_edge(w[RHI_WRAP_U], width, &x, &right);
-        rhi_edge(w[RHI_WRAP_V], height, &y, &below);
-        INT above = first + y * row;
-        below = first + below * row;
-        a = rhi_gather32(p, above + x);
-        b = rhi_gather32(p, above + right);
-        c = rhi_gather32(p, below + x);
-        d = rhi_gather32(p, below + right);
-    } else {
+    int inside = rhi_inside(width, x);
+    if (inside && rhi_inside(height, y)) {
         first += y * row + x;
         rhi_pair(p, first, &a, &b);
         rhi_pair(p + 4 * row, first, &c, &d);
+    } else {
+        rhi_edge(w[RHI_WRAP_V], height, &y, &below);
+        INT above = first + y * row;
+        below = first + below * row;
+        if (inside) {
+            rhi_pair(p, above + x, &a, &b);
+            rhi_pair(p, below + x, &c, &d);
+        } else {
+            rhi_edge(w[RHI_WRAP_U], width, &x, &right);
+            a = rhi_gather32(p, above + x);
+            b = rhi_gather32(p, above + right);
+            c = rhi_gather32(p, below + x);
+            d = rhi_gather32(p, below + right);
+        }
     }
     int curved = w[RHI_STORED] == RHI_SRGB8;
     _Pragma("unroll") for (uint k = 0; k < 4; ++k) {
@@ -352,6 +366,7 @@ static RHI_CALLED void rhi_filter(
         rhi_bilinear8(t, w, level, u, v, rhi_layer(w, level, z), r);
         return;
     }
+    int channels = w[RHI_CHANNELS];
     UINT taps[16];
     INT slices[2];
     FLOAT near[2], at_z = (FLOAT)0.0f;
@@ -359,13 +374,14 @@ static RHI_CALLED void rhi_filter(
     else slices[0] = rhi_layer(w, level, z);
     for (int slice = 0; slice <= solid; ++slice) {
         rhi_taps(t, w, level, u, v, slices[slice], compared, reference, taps, near);
-        for (int c = 0; c < 4; ++c) {
+        for (int c = 0; c < channels; ++c) {
             FLOAT above = rhi_mix(as_FLOAT(taps[c]), as_FLOAT(taps[4 + c]), near[0]);
             FLOAT below = rhi_mix(as_FLOAT(taps[8 + c]), as_FLOAT(taps[12 + c]), near[0]);
             FLOAT mean = rhi_mix(above, below, near[1]);
             r[c] = as_UINT(slice ? rhi_mix(as_FLOAT(r[c]), mean, at_z) : mean);
         }
     }
+    for (int c = channels; c < 4; ++c) r[c] = taps[c];
 }
 
 // -- levels ------------------------------------------------------------------------------------------------
