@@ -404,7 +404,8 @@ def load_shader(source: str, folder: Path) -> type[Shader]:
 def test_random_shaders_give_the_same_colors(
     devices: Devices, source: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """But where a condition is decided by a rounding, or a slope is that of a fraction of a pixel: few pixels."""
+    """To 1e-4, but for a pixel in a thousand, where a rounding decides about a condition or a root is one of nearly
+    nothing. Of 110 shaders none needed that, and no number was 2e-5 off."""
     shader = load_shader(source, tmp_path_factory.mktemp("shaders"))
     places = random_triangles(12, 7, reach=1.0)
     color = np.random.default_rng(1).random((36, 4))
@@ -418,5 +419,5 @@ def test_random_shaders_give_the_same_colors(
                 device.draw(device.program(shader), mesh)
             images.append(image.read().astype(np.float64))
     gl, cl = images
-    apart = (np.abs(gl - cl) > 2 / 255 * np.maximum(1.0, np.abs(gl))).any(axis=2)
-    assert apart.sum() <= 0.02 * apart.size, source
+    apart = (np.abs(gl - cl) > 1e-4 * np.maximum(1.0, np.abs(gl))).any(axis=2)
+    assert apart.sum() <= 1e-3 * apart.size, source
