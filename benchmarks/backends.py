@@ -4,7 +4,8 @@
 - pixels: a lit city, from 160×90 to 2560×1440.
 - lights: one full-screen triangle whose fragments add up so many point lights.
 - draws: the triangles of a city in 1,936 draws of one call each, against the same in one.
-- taps: a full-screen triangle of 4 bilinear samples of a 512×512 image.
+- taps, taps_srgb, taps_half, taps_float: a full-screen triangle of 4 bilinear samples of a 512×512 image of 8 bits, of
+  8 bits in sRGB, of 16 and 32 bits.
 
 Both backends take turns, round by round; times are medians. A slope is the exponent p in `time = c · n^p`, fitted to
 the upper half of the sizes, where fixed costs have faded: 1 means that twice as much takes twice as long.
@@ -18,6 +19,7 @@ import argparse
 import json
 import sys
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +33,7 @@ from renderer.measure.backends import BackendPasses, DepthShader
 from renderer.scene import find_path, load_scene
 from rhi import CullMode, Device, Format, Mesh
 from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, vec2, vec3, vec4
+from rhi.texels import encode
 
 BACKENDS = ("gl", "cl")
 SIZE = (1280, 720)
@@ -141,10 +144,10 @@ def draw_lights(device: Device, count: int) -> Work:
     return draw_screen(device, Lights, lights=device.storage(Light, lights))
 
 
-def draw_taps(device: Device, _: int) -> Work:
-    texels = np.random.default_rng(0).integers(0, 256, (512, 512, 4), dtype=np.uint8)
+def draw_taps(format: Format, device: Device, _: int) -> Work:
+    texels = encode(format, np.random.default_rng(0).random((512, 512, 4)))
     return draw_screen(
-        device, Taps, image=device.texture(texels, Format.RGBA8), scale=device.uniform(Scale(factor=2.0))
+        device, Taps, image=device.texture(texels, format), scale=device.uniform(Scale(factor=2.0))
     )
 
 
@@ -209,7 +212,10 @@ SERIES: dict[str, tuple[Callable[[Device, int], Work], list[int]]] = {
     "pixels": (draw_city, [14_400 * 4**k for k in range(5)]),
     "lights": (draw_lights, [1, 4, 16, 32, 64, 128, 256]),
     "draws": (draw_apart, [0, 1]),
-    "taps": (draw_taps, [4]),
+    "taps": (partial(draw_taps, Format.RGBA8), [4]),
+    "taps_srgb": (partial(draw_taps, Format.RGBA8_SRGB), [4]),
+    "taps_half": (partial(draw_taps, Format.RGBA16F), [4]),
+    "taps_float": (partial(draw_taps, Format.RGBA32F), [4]),
 }
 
 
