@@ -59,7 +59,10 @@ class Buffer:
         size = count * dtype.itemsize
         if not 0 < size < MAX_BYTES:
             refuse(
-                BUFFER_SIZE, "device.buffer", f"{count} elements of {dtype.itemsize} bytes", "1 byte or more"
+                BUFFER_SIZE,
+                "device.buffer",
+                f"{count} elements of {dtype.itemsize} bytes",
+                f"1 to {MAX_BYTES - 1} bytes",
             )
         self.core = core
         self.dtype = dtype

@@ -23,6 +23,7 @@ def create_backend(*, validation: bool = False) -> ClBackend:
 
     Raises:
         DeviceError: `device-driver` without pyopencl or a device that works; its tip says what to install.
+            `device-out-of-memory`.
     """
     try:
         import pyopencl  # noqa: F401
@@ -32,5 +33,8 @@ def create_backend(*, validation: bool = False) -> ClBackend:
         ) from error
     from rhi.backends.cl.backend import ClBackend
     from rhi.backends.cl.context import open_context
+    from rhi.backends.cl.errors import translate_errors
 
-    return ClBackend(open_context())
+    context = open_context()
+    with translate_errors("rhi.create_device('cl')"):
+        return ClBackend(context)

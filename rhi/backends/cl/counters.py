@@ -22,6 +22,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory import Addresses
 from rhi.backends.cl.queries import is_done
 from rhi.descriptors import Id, QueryKind
@@ -157,6 +158,7 @@ class Counters:
     # -- queries -------------------------------------------------------------------------------------------
 
     def create(self, query: Id, kind: QueryKind) -> None:
+        self._make_room()
         self._queries[query] = _Query(kind)
         if kind is QueryKind.COUNTER:
             self._takers += 1
@@ -171,6 +173,7 @@ class Counters:
                 self._cut(None)
 
     def begin(self, query: Id) -> None:
+        self._make_room()
         made = self._active = self._queries[query]
         made.segments = []
         if self._takers:
@@ -181,11 +184,13 @@ class Counters:
             self._count_into(begun.address)
 
     def end(self, query: Id) -> None:
+        self._make_room()
         self._active = None
         self._cut(None)
 
     def begin_set(self, size: int) -> Segment:
         """So many counters, for draws that the caller spreads over them."""
+        self._make_room(1 + size)
         if self._takers:
             self._cut(None)
         return self._make(size)
@@ -205,6 +210,7 @@ class Counters:
 
     def take(self, query: Id) -> None:
         """A COUNTER: the running count at this point."""
+        self._make_room()
         total: list[int | None] = [None]
         self._queries[query].total = total
         self._cut(total)
@@ -269,11 +275,21 @@ class Counters:
             total[0] = self._passed
             self._chain.popleft()
 
-    def _make(self, size: int = 1) -> Segment:
+    def _make_room(self, counters: int = 1) -> None:
+        """For the next segments: what may fail comes before anything changes.
+
+        Raises:
+            DeviceError: `device-out-of-memory`.
+        """
         page = self._page
-        if page is None or page.used + size > len(page.memory.host):
-            page = self._page = _Page(self, self._find_memory(size))
-        return Segment(page, self.gathering, size)
+        if page is None or page.used + counters > len(page.memory.host):
+            with translate_errors("a query", f"{counters} counters"):
+                self._page = _Page(self, self._find_memory(counters))
+
+    def _make(self, size: int = 1) -> Segment:
+        """There is room for it."""
+        assert self._page is not None
+        return Segment(self._page, self.gathering, size)
 
     def _find_memory(self, size: int) -> _Memory:
         for place, memory in enumerate(self._free):

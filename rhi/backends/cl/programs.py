@@ -75,7 +75,8 @@ class Faults:
         self._lines = lines
         self._words = np.zeros(FAULT_WORDS, np.int32)
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        self.memory = cl.Buffer(context, flags, hostbuf=self._words)
+        with translate_errors("device.program", "where a checked shader leaves its faults"):
+            self.memory = cl.Buffer(context, flags, hostbuf=self._words)
 
     def read(self, queue: cl.CommandQueue) -> None:
         """Wait for the launch.

@@ -228,7 +228,8 @@ class Rasteriser:
     def _upload(self, indices: NDArray[np.uint32]) -> IndexList:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
         padded = np.append(indices, np.zeros(3 * GROUP, np.uint32))  # room for a group's loads
-        memory = cl.Buffer(self._context.context, flags, hostbuf=padded)
+        with translate_errors("device.draw", f"{len(indices)} indices"):
+            memory = cl.Buffer(self._context.context, flags, hostbuf=padded)
         return IndexList(memory, self._addresses.find(memory), self.retired)
 
     # -- what holds ----------------------------------------------------------------------------------------

@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.resources import Plane, Texture
 from rhi.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.texture_words import LevelPlace, describe_texture
@@ -55,7 +56,8 @@ class Samplers:
 
     def _buffer(self, words: NDArray[np.int32]) -> cl.Buffer:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-        return cl.Buffer(self._context, flags, hostbuf=words)
+        with translate_errors("device.draw", "a texture's words"):
+            return cl.Buffer(self._context, flags, hostbuf=words)
 
 
 def _place(plane: Plane) -> LevelPlace:

@@ -1,0 +1,173 @@
+"""Out of memory at every allocation in turn: a named error with a tip, nothing half-made, and the device goes on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from numpy.typing import NDArray
+
+import rhi
+from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Primitive, TextureKind
+from rhi.conformance.shaders import Colored, Corner
+from rhi.conformance.shapes import corners, rectangle
+from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4
+
+_Buffer: Any = cl.Buffer
+
+
+class Textured(Struct):
+    clip: vec4
+    at: vec2
+
+
+class Painted(Shader):
+    """An image over the whole target."""
+
+    image: Texture2D
+
+    def vertex(self, v: Corner) -> Textured:
+        return Textured(clip=v.position, at=v.position.xy * 0.5 + 0.5)
+
+    def fragment(self, v: Textured) -> vec4:
+        return self.image.sample(v.at)
+
+
+class Ramp(Shader):
+    work_group = (16,)
+    values: StorageRW[float]
+
+    def compute(self) -> None:
+        i = global_id().x
+        if i < len(self.values):
+            self.values[i] = float(i)
+
+
+def work(device: Device) -> list[NDArray[Any]]:
+    """A bit of all that takes memory; gives back what it made."""
+    made: list[Any] = []
+
+    def keep(thing: Any) -> Any:
+        made.append(thing)
+        return thing
+
+    try:
+        image = keep(device.texture((64, 64), Format.RGBA8, levels=None))
+        depth = keep(device.texture((64, 64), Format.D24S8))
+        several = keep(device.texture((64, 64), Format.RGBA8, samples=4))
+        target = keep(device.texture((64, 64), Format.RGBA8))
+        strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.TRIANGLE_STRIP))
+        rng = np.random.default_rng(0)
+        places = np.zeros((3000, 4))
+        places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(
+            -0.1, 0.1, (3000, 2)
+        )
+        places[:, 2:] = 0.75, 1.0
+        many = keep(device.mesh(corners(places, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
+        values = keep(device.storage(float, 1000))
+        query = keep(device.occlusion_query())
+        colored, painted = keep(device.program(Colored)), keep(device.program(Painted))
+        ramp = keep(device.program(Ramp))
+        with (
+            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+            device.states(CullMode.NONE, BlendFunction.ADDITIVE),
+            query,
+        ):
+            device.draw(colored, strip)
+            device.draw(colored, many)
+        image.generate_mipmaps()
+        with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(CullMode.NONE):
+            device.draw(painted, strip, image=image)
+        device.dispatch(ramp, 63, values=values)
+        return [image.read(), target.read(), values.read(), np.array([query.wait()])]
+    finally:
+        for thing in reversed(made):
+            thing.destroy()
+
+
+class Allocations:
+    """Counts buffers and lets one fail as OpenCL does.
+
+    Attributes:
+        count: those made so far. failing: the number of the one that fails.
+    """
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.count = 0
+        self.failing = -1
+        allocations = self
+
+        class Buffer(_Buffer):  # type: ignore[misc]
+            def __init__(self, context: cl.Context, flags: int, size: int = 0, hostbuf: Any = None) -> None:
+                allocations.count += 1
+                if allocations.count - 1 == allocations.failing:
+                    flags, size, hostbuf = cl.mem_flags.READ_WRITE, 1 << 60, None
+                super().__init__(context, flags, size, hostbuf)
+
+        monkeypatch.setattr(cl, "Buffer", Buffer)
+
+
+@pytest.mark.slow
+def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    with rhi.create_device("cl") as device:
+        expected = work(device)
+    allocations = Allocations(monkeypatch)
+    errors: list[DeviceError] = []
+    goes_on = True
+    while goes_on:
+        with rhi.create_device("cl") as device:
+            allocations.failing = allocations.count + len(errors)
+            try:
+                results = work(device)
+                goes_on = False
+            except DeviceError as error:
+                errors.append(error)
+                results = work(device)
+        for given, wanted in zip(results, expected, strict=True):
+            np.testing.assert_array_equal(given, wanted)
+    assert len(errors) > 15
+    assert {error.rule.id for error in errors} == {"device-out-of-memory"}
+    assert all(error.tip for error in errors)
+
+
+def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
+    allocations = Allocations(monkeypatch)
+    errors: list[DeviceError] = []
+    goes_on = True
+    while goes_on:
+        allocations.failing = allocations.count + len(errors)
+        try:
+            rhi.create_device("cl").close()
+            goes_on = False
+        except DeviceError as error:
+            errors.append(error)
+    assert len(errors) > 3
+    # As a driver's if no device passed the probe for want of memory.
+    assert {error.rule.id for error in errors} == {"device-out-of-memory", "device-driver"}
+    assert all(error.tip for error in errors)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda device: device.storage(float, 1 << 37),
+        lambda device: device.texture((8192, 8192), Format.RGBA32F, kind=TextureKind.D2_ARRAY, layers=256),
+        lambda device: device.texture(
+            (8192, 8192), Format.D32FS8, kind=TextureKind.D2_ARRAY, layers=1024, levels=None
+        ),
+    ],
+)
+def test_what_is_too_large_is_refused_and_the_device_goes_on(
+    make: Callable[[Device], Any],
+) -> None:
+    with rhi.create_device("cl") as device:
+        expected = work(device)
+        with pytest.raises(DeviceError) as caught:
+            make(device)
+        assert caught.value.rule.id == "device-out-of-memory"
+        assert "destroy" in caught.value.tip
+        for given, wanted in zip(work(device), expected, strict=True):
+            np.testing.assert_array_equal(given, wanted)
