@@ -169,12 +169,12 @@ def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene:
 def test_cl_counts_the_samples_that_its_boxes_cover(
     devices: tuple[Device, Device], scene: Scene, path: str
 ) -> None:
-    """Of up to 1,000 boxes, in one batch and one by one; judged by each box drawn alone, every sample that passes
+    """Of up to 1,000 boxes, all at once and one by one; judged by each box drawn alone, every sample that passes
     adding one to its pixel."""
     device = devices[1]
     passes = BackendPasses(device, scene, find_path(path, scene).camera(900), SIZE)
     passes.work("queries")
-    batched, waited = passes.count_boxes(waits=False), passes.count_boxes(waits=True)
+    together, one_by_one = passes.count_boxes(), passes.wait_for_boxes()
     alone = []
     with device.texture(SIZE, Format.R32F) as image:
         program = device.program(WhiteBoxes)
@@ -186,5 +186,5 @@ def test_cl_counts_the_samples_that_its_boxes_cover(
                 device.draw(program, box, view=passes.resources.view.buffer)
             alone.append(int(image.read().sum(dtype=np.float64)))
     passes.destroy()
-    assert batched == waited == alone
+    assert together == one_by_one == alone
     assert sum(count > 0 for count in alone) > 20

@@ -142,10 +142,26 @@ def draw_counted(device: Device, meshes: list[Mesh], depth: rhi.Texture, waits: 
     return counts
 
 
+def draw_set(device: Device, boxes: Floats, depth: rhi.Texture) -> list[int]:
+    """The samples of each of the boxes (count, 12, 3, 4) that pass, counted by a query set."""
+    count = len(boxes)
+    queries = device.query_set(count)
+    with (
+        device.mesh(corners(boxes.reshape(-1, 4))) as mesh,
+        device.render_pass(depth=depth),
+        device.states(DepthFunction.GREATER, DepthWrite.OFF, ColorWrite.OFF),
+    ):
+        draws = mesh.draws(36 * np.arange(count), 36)
+        device.draw_counted(device.program(FlatColored), mesh, draws, queries)
+        counts: list[int] = queries.wait().tolist()
+    queries.destroy()
+    return counts
+
+
 @pytest.mark.parametrize("nearest", [1.0, 6.0, -1.0])
 def test_counts_are_those_of_boxes_drawn_alone(device: Device, nearest: float) -> None:
-    """In one batch, one by one, and by their pixels; whole boxes, turned ones, and such that the near plane cuts;
-    before and behind a wall."""
+    """In one batch, one by one, by a query set, and by their pixels; whole boxes, turned ones, and such that the near
+    plane cuts; before and behind a wall."""
     boxes = random_boxes(60, 1, nearest)
     meshes = [device.mesh(corners(box.reshape(-1, 4))) for box in boxes]
     for wall in (0.0, NEAR / (abs(nearest) + 2)):
@@ -155,6 +171,7 @@ def test_counts_are_those_of_boxes_drawn_alone(device: Device, nearest: float) -
             alone = [int(draw_alone(device, mesh, depth).sum()) for mesh in meshes]
             assert draw_counted(device, meshes, depth, waits=False) == alone
             assert draw_counted(device, meshes, depth, waits=True) == alone
+            assert draw_set(device, boxes, depth) == alone
         assert sum(count > 0 for count in alone) > 15
         if wall == 0.0 and nearest > 0:
             exact = [sum(int(cover_exactly(triangle).sum()) for triangle in box) for box in boxes]
