@@ -23,7 +23,7 @@ from rhi import (
     StencilOperation,
     StencilTest,
 )
-from rhi.backends.cl import create_backend
+from rhi.backends.cl import create_backend, pipelines
 from rhi.conformance.shaders import Colored, DepthFromColor
 from rhi.conformance.shapes import corners
 from rhi.descriptors import BufferUsage
@@ -112,13 +112,55 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
         assert memory_guards.count_guarded() > 10
 
 
-@pytest.mark.nightly
-def test_the_conformance_kit_writes_inside_its_buffers() -> None:
+@pytest.mark.parametrize(
+    ("kernel", "before", "found"),
+    [
+        ("setup", "AT(uint, batch->survivors)[chunk] =", "AT(uint, batch->counts)[-1] = 7;"),
+        ("bin", "starts[tiles] = sum;", "starts[tiles + 1] = 7;"),
+        ("raster", "const Targets targets =", "*(color0 - 3) = 7;"),
+    ],
+)
+def test_a_stray_write_of_a_draw_is_found(
+    monkeypatch: pytest.MonkeyPatch, kernel: str, before: str, found: str
+) -> None:
+    """One line more in a kernel of the rasteriser; the control case is the kernel without it."""
+    real = pipelines.read_kernels
+    changed = real(kernel).replace(before, f"{found}\n    {before}")
+    assert changed.count(found) == 1
+
+    def draw(device: rhi.Device) -> list[str]:
+        image = device.texture((130, 70), Format.RGBA8)
+        places = np.random.default_rng(0).uniform(-1, 1, (900, 4))
+        places[:, 2:] = 0.5, 1.0
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+            device.draw(device.program(Colored), device.mesh(corners(places)))
+        device.finish()
+        return memory_guards.find_writes()
+
+    with rhi.create_device("cl") as device:
+        assert draw(device) == []
+    monkeypatch.setattr(pipelines, "read_kernels", lambda name: changed if name == kernel else real(name))
+    with rhi.create_device("cl") as device:
+        assert draw(device)
+
+
+def run_guarded(*modules: str) -> None:
+    """Run a part of the conformance kit with this module's guards."""
     here = Path(__file__).parent
     command = [sys.executable, "-m", "pytest", "-q", "-p", "memory_guards", "-p", "no:cacheprovider"]
     path = os.pathsep.join([str(here), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
-        [*command, "--pyargs", "rhi.conformance", "--rhi-backend", "cl"], capture_output=True, text=True,
+        [*command, "--pyargs", *modules, "--rhi-backend", "cl"], capture_output=True, text=True,
         env=os.environ | {"PYTHONPATH": path},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout[-4000:]
+
+
+@pytest.mark.slow
+def test_interplay_and_rasterisation_write_inside_their_buffers() -> None:
+    run_guarded("rhi.conformance.operation.test_interplay", "rhi.conformance.operation.test_rasterisation")
+
+
+@pytest.mark.nightly
+def test_the_conformance_kit_writes_inside_its_buffers() -> None:
+    run_guarded("rhi.conformance")
