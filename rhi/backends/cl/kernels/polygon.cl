@@ -8,6 +8,11 @@
 
 #define MAX_CORNERS 9  // a triangle's, and one more for each of six planes
 
+INLINE float4 load_clip(global const Batch *batch, uint slot) {
+    global const float *group = AT(const float, batch->clips) + (long)(slot / GROUP) * (4 * GROUP) + slot % GROUP;
+    return (float4)(group[0], group[GROUP], group[2 * GROUP], group[3 * GROUP]);
+}
+
 // How far a clip position is inside of a plane: near, far, then the four sides of the guard band.
 INLINE float inside_of(global const View *view, float4 p, int plane) {
     switch (plane) {

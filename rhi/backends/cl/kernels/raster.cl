@@ -59,7 +59,8 @@ INLINE int next_record(Records *records) {
 
 typedef struct {
     int a[3], b[3];        // per texel
-    int c[SAMPLES][3];     // at the corner of the first block, rounded down to whole texels
+    int x, y;              // the texel that they begin at
+    int c[SAMPLES][3];     // there, rounded down to whole texels
     int16 lanes[3];        // what is added for the texels of a block
 } Edges;
 
@@ -71,8 +72,10 @@ constant int sample_x[2] = {-32, 32}, sample_y[2] = {-96, 96};  // off both diag
 constant int sample_x[1] = {0}, sample_y[1] = {0};
 #endif
 
-// The edges of a triangle of any size from texel x, y on; false if none of the tile behind it can be covered.
+// The edges of a triangle of any size, that begin at texel x, y; false if none of the tile behind it can be covered.
 INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
+    edges->x = x;
+    edges->y = y;
     UNROLL for (int i = 0; i < 3; ++i) {
         int2 from = points[i], to = points[i < 2 ? i + 1 : 0];
         int a = from.y - to.y, b = to.x - from.x;
@@ -97,9 +100,11 @@ INLINE uint touch_squares(int x0, int y0, int x1, int y1, const int bits) {
     return columns * (((16u << (y1 >> bits) * 4) - (1u << (y0 >> bits) * 4)) & 0x1111u);
 }
 
-// Those that no edge lies wholly outside of; the first begins `x`, `y` texels after where the edges do. `starts`: the
-// edges at each one's first texel.
+// Those that no edge lies wholly outside of; the first begins at texel x, y. `starts`: the edges at each one's first
+// texel.
 INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int16 *starts) {
+    x -= edges->x;
+    y -= edges->y;
     int16 innermost = (int16)(0);
     UNROLL for (int i = 0; i < 3; ++i) {
         const int a = edges->a[i], b = edges->b[i];
@@ -299,7 +304,7 @@ SINGLE raster(ulong address) {
         int pieces = 1;
         if (kind == POLYGON) {
             float4 clips[3];
-            UNROLL for (int i = 0; i < 3; ++i) clips[i] = vload4(record[POLYGON_SLOTS + i], AT(const float, batch->clips));
+            UNROLL for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, record[POLYGON_SLOTS + i]);
             pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], points) - 2;
         }
 #if BOUNDS_DEPTH
@@ -311,10 +316,10 @@ SINGLE raster(ulong address) {
                 UNROLL for (int i = 0; i < 3; ++i) {
                     edges.a[i] = record[EDGE_A + i];
                     edges.b[i] = record[EDGE_B + i];
-                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
-                        edges.c[sample][i] =
-                            record[EDGE_C + i] + edges.a[i] * (x0 - box_x) + edges.b[i] * (y0 - box_y);
+                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) edges.c[sample][i] = record[EDGE_C + i];
                 }
+                edges.x = box_x;
+                edges.y = box_y;
             } else {
                 int2 triangle[3];
                 if (kind == BIG) {
@@ -331,7 +336,7 @@ SINGLE raster(ulong address) {
             UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
             int16 starts[3];
             uint crossed = parts;
-            if (crossed & (crossed - 1)) crossed &= cross_squares(&edges, tile_x - x0, tile_y - y0, PART_BITS, starts);
+            if (crossed & (crossed - 1)) crossed &= cross_squares(&edges, tile_x, tile_y, PART_BITS, starts);
 #if BOUNDS_DEPTH
             written |= crossed;
 #endif
@@ -340,7 +345,7 @@ SINGLE raster(ulong address) {
                 const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
                 uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
                                           min(y1 - part_y, PART - 1), 2);
-                todo &= cross_squares(&edges, part_x - x0, part_y - y0, 2, starts);
+                todo &= cross_squares(&edges, part_x, part_y, 2, starts);
                 int start[3][16] __attribute__((aligned(64)));
                 float start_depth[16] __attribute__((aligned(64)));
                 UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];

@@ -157,7 +157,7 @@ bool set_up_polygon(
     int *record, float *planes
 ) {
     float4 clips[3];
-    for (int i = 0; i < 3; ++i) clips[i] = vload4(slots[i], AT(const float, batch->clips));
+    for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, slots[i]);
     bool flipped = false;
     if (primitive == TRIANGLES) {
         // The sign of the area, as that of the whole triangle's determinant; y's scale is negative.
@@ -433,7 +433,7 @@ SINGLE set_up(ulong address) {
                         bool turned = bits_of(flipped) >> lane & 1;
                         for (int k = 0; k < 3; ++k) {
                             slots[k] = corners[3 * lane + (turned ? (3 - k) % 3 : k)] + to_slot;
-                            clips[k] = vload4(slots[k], AT(const float, batch->clips));
+                            clips[k] = load_clip(batch, slots[k]);
                         }
                         int first = ((global const int *)record)[BOX_FIRST];
                         find_planes(view, clips, slots, TRIANGLES, part * GROUP + lane, first & 0xFFFF, first >> 16, made, plane);

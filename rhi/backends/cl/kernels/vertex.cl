@@ -151,7 +151,8 @@ SINGLE transform(ulong address) {
                 near_w = fits ? near_w : (float16)(-1.0f);
                 all_behind &= behind;
             }
-            store_words(AT(uint, batch->clips) + slot * 4, outputs, 4);
+            // Few are ever read, so a group's lie component by component, as they come.
+            UNROLL for (int i = 0; i < 4; ++i) AT(uint16, batch->clips)[4 * (long)group + i] = outputs[i];
             uint16 position[4] = {as_uint16(fixed_x), as_uint16(fixed_y), as_uint16(depth), as_uint16(near_w)};
             store_words(AT(uint, batch->positions) + slot * 4, position, 4);
 #if VARYING_WORDS
