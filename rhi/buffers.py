@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from rhi.core import Core
 from rhi.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.errors import refuse
 from rhi.layout import accepts, compare_layouts
+from rhi.lifetime import Resource
 from rhi.locks import Lock
 from rhi.rules import (
     BUFFER_ALIGNMENT,
@@ -34,7 +35,7 @@ T = TypeVar("T")
 MAX_BYTES = 1 << 40
 
 
-class Buffer:
+class Buffer(Resource):
     """Memory on the device: `count` elements of `dtype`.
 
     Attributes:
@@ -77,12 +78,6 @@ class Buffer:
 
     def __len__(self) -> int:
         return self.count
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
 
     def __repr__(self) -> str:
         return f"Buffer({self.label!r}, {self.count} × {self.dtype})"
@@ -199,7 +194,7 @@ class Buffer:
         return np.frombuffer(bytearray(data), base).reshape(count, *shape)
 
 
-class UniformBuffer(UniformRange[T]):
+class UniformBuffer(UniformRange[T], Resource):
     """One struct of constants, bound as `Uniform[T]`."""
 
     __slots__ = ()
@@ -221,14 +216,8 @@ class UniformBuffer(UniformRange[T]):
         """Give the memory back once the GPU is done with it."""
         self.owner.destroy()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
-
-
-class UniformArray(Generic[T]):
+class UniformArray(Resource, Generic[T]):
     """Constants of many objects in one buffer: written as one array, bound one by one.
 
     `array[i]` is the range of element i, made once. `dtype` has the struct's std140 fields and the device's
@@ -270,14 +259,8 @@ class UniformArray(Generic[T]):
         """Give the memory back once the GPU is done with it."""
         self.buffer.destroy()
 
-    def __enter__(self) -> Self:
-        return self
 
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
-
-
-class StorageBuffer(StorageRange[T]):
+class StorageBuffer(StorageRange[T], Resource):
     """An array of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
 
     __slots__ = ("dtype",)
@@ -310,12 +293,6 @@ class StorageBuffer(StorageRange[T]):
     def destroy(self) -> None:
         """Give the memory back once the GPU is done with it."""
         self.owner.destroy()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
 
     def _typed(self) -> Buffer:
         if self.owner.dtype != self.dtype:

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Self, TypeAlias
+from typing import Any, Final, TypeAlias
 from weakref import WeakSet
 
 import numpy as np
@@ -30,6 +30,7 @@ from rhi.descriptors import (
 from rhi.errors import Rule, refuse
 from rhi.formats import IndexFormat
 from rhi.layout import VectorType
+from rhi.lifetime import Resource
 from rhi.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
 __rhi_internal__ = True
@@ -193,7 +194,7 @@ def _shown(form: VertexFormat) -> str:
     return f"{form.components}×{form.code}{' normalised' if form.normalized else ''}"
 
 
-class Mesh:
+class Mesh(Resource):
     """What a draw reads its vertices from; made by `device.mesh`.
 
     Attributes:
@@ -329,12 +330,6 @@ class Mesh:
         """Give back the buffers that were made for this mesh (not those passed in)."""
         self.data.destroy()
         self.data.core.program = None
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
 
 
 def check_draws(mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:

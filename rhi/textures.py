@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from rhi.descriptors import (
 )
 from rhi.errors import refuse
 from rhi.formats import Format
+from rhi.lifetime import Resource
 from rhi.locks import Lock
 from rhi.rules import (
     DEVICE_CAPABILITY,
@@ -67,7 +68,7 @@ class TextureTarget:
         return self.texture.descriptor.level_size(self.level)
 
 
-class Texture(TextureBinding):
+class Texture(TextureBinding, Resource):
     """Texels on the device.
 
     Attributes:
@@ -126,12 +127,6 @@ class Texture(TextureBinding):
     def __repr__(self) -> str:
         width, height = self.size
         return f"Texture({self.label!r}, {width}×{height}, {self.format.name})"
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.destroy()
 
     def destroy(self) -> None:
         """Give the memory back once the GPU is done with it. A second call does nothing."""
