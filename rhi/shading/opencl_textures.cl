@@ -52,7 +52,7 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     }
     switch (stored) {
     case RHI_UNORM8:
-        for (int c = 0; c < 4; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 255.0f));
+        _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 255.0f));
         break;
     case RHI_SRGB8:
         for (int c = 0; c < 3; ++c) r[c] = as_UINT(rhi_from_srgb(convert_FLOAT(r[c])));
@@ -358,7 +358,8 @@ static RHI_CALLED void rhi_filter(
     if (!linear) {
         INT i = rhi_nearest(w[RHI_WRAP_U], level[RHI_WIDTH], u), j = rhi_nearest(w[RHI_WRAP_V], level[RHI_HEIGHT], v);
         INT k = solid ? rhi_nearest(w[RHI_WRAP_W], level[RHI_DEPTH], z) : rhi_layer(w, level, z);
-        rhi_tap(t, w, level, i, j, k, r);
+        if (w[RHI_HAS_BORDER]) rhi_tap(t, w, level, i, j, k, r);
+        else rhi_texel(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
         if (compared) r[0] = as_UINT(rhi_passes(w, reference, as_FLOAT(r[0])));
         return;
     }

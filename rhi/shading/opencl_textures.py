@@ -103,17 +103,18 @@ def _sized(text: str, width: int) -> str:
 def _memory_text(width: int) -> str:
     """What differs from lane to lane: loads and stores, written out."""
     lanes = [f"i.s{HEX[lane]}" for lane in range(width)] if width > 1 else ["i"]
-    texts = []
+    texts = [_machine_text(width)]
     for bits, type in ((8, "uchar"), (16, "ushort"), (32, "uint")):
         parts = ", ".join(f"q[{lane}]" for lane in lanes)
         stores = " ".join(f"if (mask{lane[1:]}) q[{lane}] = ({type})v{lane[1:]};" for lane in lanes)
         texts.append(
             f"static RHI_INLINE UINT rhi_gather{bits}(rhi_texture p, INT i) {{\n"
-            f"    global const {type} *q = (global const {type} *)p;\n    return (UINT)({parts});\n}}\n"
+            f"#ifdef RHI_GATHER{bits}\n    return RHI_GATHER{bits}(p, i);\n#else\n"
+            f"    global const {type} *q = (global const {type} *)p;\n    return (UINT)({parts});\n#endif\n}}\n"
             f"static RHI_INLINE void rhi_scatter{bits}(rhi_image p, INT i, INT mask, UINT v) {{\n"
             f"    global {type} *q = (global {type} *)p;\n    {stores}\n}}"
         )
-    texts += [_machine_text(width), _pair_text(lanes), _long_pair_text(lanes), _least_text(width)]
+    texts += [_pair_text(lanes), _long_pair_text(lanes), _least_text(width)]
     return "\n".join(texts)
 
 
@@ -123,6 +124,7 @@ def _machine_text(width: int) -> str:
     texts = []
     if width == 16:
         texts.append("""#if defined(__AVX512F__) && __has_builtin(__builtin_ia32_gathersiv8di)
+#define RHI_GATHER32(p, i) as_uint16(__builtin_ia32_gathersiv16si((int16)0, (const void *)(size_t)(p), i, 65535, 4))
 #define RHI_GATHER64(p, i) as_ulong8(__builtin_ia32_gathersiv8di((long8)0, (const void *)(size_t)(p), i, 255, 4))
 #endif""")
     if width > 1:
