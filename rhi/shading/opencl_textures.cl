@@ -4,7 +4,7 @@
 // vector where it holds, 1 in a scalar. ANY, NOT, BOTH, EITHER and SELECT act on conditions. Texel coordinates and
 // addresses never leave the texture whatever is asked for, so lanes that take no part need no mask to read.
 //
-// A texel is four UINT words: the bits of floats, or integers.
+// A texel is four UINT words: the bits of floats, or integers. PoCL unrolls only the loops that it is told to.
 
 // -- formats -----------------------------------------------------------------------------------------------
 
