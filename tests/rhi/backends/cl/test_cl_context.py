@@ -9,6 +9,7 @@ import sys
 import pyopencl as cl
 import pytest
 
+from rhi.__main__ import main
 from rhi.backends.cl import context, create_backend
 from rhi.backends.cl.context import choose_device, describe, find_devices, open_context
 from rhi.errors import DeviceError
@@ -70,6 +71,49 @@ def test_without_any_opencl_driver_the_error_says_what_to_install() -> None:
     ).stdout
     assert output.startswith("device-driver no OpenCL device")
     assert "pocl-opencl-icd" in output
+
+
+def test_without_pyopencl_the_error_says_what_to_install() -> None:
+    code = (
+        "import sys, rhi\nsys.modules['pyopencl'] = None\n"
+        "try: rhi.create_device('cl')\nexcept rhi.DeviceError as e: print(e.rule.id, e.tip)"
+    )
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert output == "device-driver pip install pyopencl\n"
+
+
+def test_a_compiler_older_than_the_cpu_is_told_from_other_failures(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> tuple[cl.Program, bool]:
+        raise RuntimeError("error: unknown target CPU 'generic'\nand more")
+
+    monkeypatch.delenv("RHI_CL_DEVICE", raising=False)
+    monkeypatch.setattr(context, "probe", refuse)
+    with pytest.raises(DeviceError) as caught:
+        open_context()
+    assert "older than the CPU" in caught.value.tip
+    assert "pocl-opencl-icd" in caught.value.tip
+
+
+def test_the_report_says_why_a_device_was_passed_over(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    devices_twice(monkeypatch, BROKEN)
+    main([])
+    (line,) = [row for row in capsys.readouterr().out.splitlines() if "passed over:" in row]
+    assert "undeclared" in line
+    assert describe(find_devices()[0]) in line
+
+
+def test_the_report_says_what_to_install_where_no_device_works(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("RHI_CL_DEVICE", raising=False)
+    monkeypatch.setattr(context, "_PROBE", BROKEN)
+    main([])
+    told = capsys.readouterr().out
+    assert "cl     not usable: " in told
+    assert "undeclared" in told
+    assert "pocl-opencl-icd" in told
 
 
 def test_a_device_is_chosen_by_its_number_or_a_part_of_its_name() -> None:

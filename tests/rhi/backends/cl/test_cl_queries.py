@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
+import pyopencl as cl
 import pytest
 from cl_kit import FILL, ClKit, describe_program
 
+import rhi
 from rhi.backends.cl.queries import is_done
 from rhi.conformance.patience import PATIENCE, comes_true
 from rhi.errors import DeviceError
@@ -105,3 +108,31 @@ def test_a_command_that_failed_is_reported_and_not_waited_for() -> None:
         is_done(Failed())  # type: ignore[arg-type]
     assert caught.value.rule.id == "device-lost"
     assert "-5" in caught.value.given
+
+
+def test_a_lost_queue_is_told_of_by_whoever_asks_and_the_device_can_be_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """PoCL 3.1 ends the process when a command fails, so what it should have said is put in its mouth."""
+
+    class Failed:
+        command_execution_status = -5
+
+        def wait(self) -> None:
+            raise cl.LogicError("a command failed")
+
+    with rhi.create_device("cl") as device:
+        assert device.wait(device.signal())
+        monkeypatch.setattr(cl, "enqueue_marker", lambda *_: Failed())
+        value = device.signal()
+        asks: list[Callable[[], object]] = [
+            lambda: device.completed, lambda: device.wait(value), lambda: device.wait(value, 0.1), device.finish,
+        ]  # fmt: skip
+        for ask in asks:
+            with pytest.raises(DeviceError) as caught:
+                ask()
+            assert caught.value.rule.id == "device-lost"
+            assert "create a new one" in caught.value.tip
+    monkeypatch.undo()
+    with rhi.create_device("cl") as device:
+        assert device.wait(device.signal())
