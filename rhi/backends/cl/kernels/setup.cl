@@ -263,6 +263,9 @@ SINGLE set_up(ulong address) {
         for (; part < parts; ++part, ++group) {
             int last = draw->primitives - 1 - part * GROUP;
             global const uint *corners = find_corners(draw, part * GROUP, last, scratch);
+            if (last >= 2 * GROUP - 1 && draw->index_bytes == 4)
+                UNROLL for (int i = 0; i < GROUP; ++i)  // a corner of each of the next group's: the others lie near it
+                    __builtin_prefetch((const void *)(ulong)(vertices + corners[3 * (GROUP + i)]), 0, 3);
             int16 x[3], y[3];
             float16 z[3], near_w[3];
             LOAD_POSITIONS(0) LOAD_POSITIONS(1) LOAD_POSITIONS(2)
