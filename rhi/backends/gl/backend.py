@@ -139,6 +139,7 @@ class GlBackend:
         global _current
         if _current is not self:
             self._activate()
+        self._queries.stop()
         self.context.mglo.__exit__()  # a context that is current outlives its release
         self.context.release()  # and with it all that was made in it
         _current = None

@@ -223,6 +223,14 @@ class Queries:
             made.end = self._counter.take()
             self._stop_unused_counter()
 
+    def stop(self) -> None:
+        """End what counts: llvmpipe crashes if its context goes while a query is active."""
+        if self._counter.is_running:
+            self._counter.stop()
+        elif self._active is not None:
+            self._end_segment()
+        self._active = None
+
     def write(self, query: Id) -> None:
         made = self._queries[query]
         if made.kind is QueryKind.TIMESTAMP:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
 from gl_kit import FULL, GlKit, describe_program
 from hypothesis import given
 from hypothesis import strategies as st
 
+from rhi.backends.gl import create_backend
 from rhi.backends.gl.queries import SampleCounter
 from rhi.descriptors import Id, QueryKind
 from rhi.states import CullMode
@@ -173,3 +175,21 @@ def test_a_counted_query_drops_draws_like_one_of_gl(gl_kit: GlKit) -> None:
         gl_kit.draw(shape)
         gl_kit.backend.end_conditional()
         assert (gl_kit.read(image)[..., 0] == drawn).all()
+
+
+@pytest.mark.parametrize("kind", [QueryKind.OCCLUSION, QueryKind.COUNTER])
+def test_no_query_is_active_when_the_context_goes(kind: QueryKind, monkeypatch: pytest.MonkeyPatch) -> None:
+    """llvmpipe would crash, more often than not."""
+    kit, active = GlKit(create_backend()), []
+    gl = kit.backend.gl
+    begin, end = gl.BeginQuery, gl.EndQuery
+    monkeypatch.setattr(gl, "BeginQuery", lambda target, name: begin(target, name) or active.append(name))
+    monkeypatch.setattr(gl, "EndQuery", lambda target: end(target) or active.pop())
+    query = kit.query(kind)
+    shape, _ = _begin(kit)
+    if kind is QueryKind.OCCLUSION:
+        kit.backend.begin_query(query)
+    kit.draw(shape)
+    assert len(active) == 1
+    kit.backend.close()
+    assert not active
