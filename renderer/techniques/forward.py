@@ -46,7 +46,7 @@ def bind_forward(device: Device, resources: SceneResources) -> tuple[Program[Any
         "haze": resources.haze.buffer if resources.scene.haze > 0.0 else None,
     }
     present: dict[str, Any] = {name: value for name, value in optional.items() if value is not None}
-    program: Program[Any] = device.program(forward_variant(*present))
+    program: Program[Any] = device.program(forward_variant(*present, has_sun=len(resources.directional) == 1))
     if resources.light_rows.buffer is not None:
         present["light_rows"] = resources.light_rows.buffer
     return program, present | {
