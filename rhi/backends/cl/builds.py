@@ -107,7 +107,9 @@ class Builds:
             program = build_again(queue.context, source, flushes_denormals)
             for name in names:
                 nothing = _Nothing()
-                Kernel(program, name, None).launch(queue, nothing.address, 1).wait()
+                kernel = cl.Kernel(program, name)
+                kernel.set_arg(0, np.uint64(nothing.address))
+                cl.enqueue_nd_range_kernel(queue, kernel, (1,), (1,)).wait()
         finally:
             try:
                 self._count(0, len(names))
