@@ -225,6 +225,11 @@ SINGLE raster(ulong address) {
     float16 blocks[PARTS * PARTS * PART_BLOCKS];
     const int staged_width = min(TILE, ((batch->width + 3) & ~3) - tile_x);
     const int staged_height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
+#if BOUNDS_DEPTH
+    // Beyond the target nothing is farther than what is stored in it.
+    if (staged_width < TILE || staged_height < TILE)
+        for (int i = 0; i < PARTS * PARTS * PART_BLOCKS; ++i) blocks[i] = (float16)(NEARER);
+#endif
     stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, false);
 #if BOUNDS_DEPTH
     float bounds[PARTS * PARTS] __attribute__((aligned(64)));
