@@ -21,6 +21,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import shorten
+from rhi.backends.cl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
 from rhi.rules import DEVICE_DRIVER
 
@@ -69,6 +70,7 @@ def open_context() -> Context:
     Raises:
         DeviceError: `device-driver`, with why each device was passed over and what to install.
     """
+    threads = list_threads()
     devices = find_devices()
     wanted = os.environ.get(ENVIRONMENT, "")
     if wanted:
@@ -82,6 +84,9 @@ def open_context() -> Context:
         except (cl.Error, RuntimeError) as error:
             passed_over.append(f"{describe(device)}: {shorten(error)}")
         else:
+            begun = list_threads() - threads
+            if len(begun) == device.max_compute_units:  # workers, begun with the process's first device
+                spread_threads(begun)
             return Context(device, context, queue, program, shares_memory, tuple(passed_over))
     given = "\n".join(passed_over) or "no OpenCL device"
     tip = f"{_OUTDATED}{_INSTALL}" if "unknown target CPU" in given else _INSTALL
