@@ -131,15 +131,12 @@ class ScenePass:
             far = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
             rows = rows[np.argsort(far, kind="stable")]
         for turned, winding in _WINDINGS:
-            if resources.has_winding(mirrored=turned):
-                part = rows
-                if resources.has_winding(mirrored=not turned):
-                    part = rows[resources.mirrored[rows] == turned]
-                if part.size:
-                    with self._device.states(winding):
-                        self._device.draw_many(
-                            self._program, resources.mesh, resources.draws[part], **self._bindings
-                        )
+            part = resources.take_winding(rows, mirrored=turned)
+            if part.size:
+                with self._device.states(winding):
+                    self._device.draw_many(
+                        self._program, resources.mesh, resources.draws[part], **self._bindings
+                    )
 
     def draw_list(self, draws: DeviceList) -> None:
         """Draw what the device has listed; of what is simulated, it may list all that is not outside the view."""

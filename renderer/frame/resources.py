@@ -178,6 +178,12 @@ class SceneResources:
         """Whether some object's transform turns its triangles round, or doesn't."""
         return self._windings[mirrored]
 
+    def take_winding(self, rows: NDArray[np.int64], *, mirrored: bool) -> NDArray[np.int64]:
+        """Those of `rows` whose objects are mirrored, or aren't; scenes of one winding have them without a look."""
+        if not self.has_winding(mirrored=mirrored):
+            return rows[:0]
+        return rows[self.mirrored[rows] == mirrored] if self.has_winding(mirrored=not mirrored) else rows
+
     def update(self, camera: Camera) -> None:
         """Bring the device up to date with the scene as `camera` sees it."""
         scene, eye = self.scene, camera.position

@@ -41,6 +41,11 @@ _LONGEST_LIST: Final = 32
 """Arrays of zeros up to this length are written as a list, longer ones as a loop."""
 
 
+def power_steps(exponent: int) -> str:
+    """What makes of r = x the power `exponent` of x, in C's words: square and multiply, from the highest bit down."""
+    return " ".join("r *= r; r *= x;" if bit == "1" else "r *= r;" for bit in f"{exponent:b}"[1:])
+
+
 class Lines:
     """Text under construction, with the Python line of each line."""
 
@@ -273,15 +278,9 @@ class Writer:
         if count == 1:
             return base
         name = f"rhi_power_{'m' if count < 0 else ''}{abs(count)}"
-        # Square and multiply, from the highest bit of the exponent down.
-        steps = []
-        for bit in bin(abs(count))[3:]:
-            steps.append("r *= r;")
-            if bit == "1":
-                steps.append("r *= x;")
         start = "x" if count else f"{type}({one})"
         result = "r" if count >= 0 else f"{one} / r"
-        body = f"{type} r = {start}; {' '.join(steps)} return {result};"
+        body = f"{type} r = {start}; {power_steps(abs(count))} return {result};"
         self.helpers[f"{name}({type})"] = f"{type} {name}({type} x) {{ {body} }}"
         return f"{name}({base})"
 

@@ -18,7 +18,7 @@ from rhi.descriptors import Binding, BindingKind, TextureKind
 from rhi.shading import lanes, tree
 from rhi.shading import opencl_prelude as prelude
 from rhi.shading.builtins import Precision
-from rhi.shading.glsl import Lines
+from rhi.shading.glsl import Lines, power_steps
 from rhi.shading.lanes import Affine, Code, Kind, Level, Literal, Memory, Space, Value, number
 from rhi.shading.opencl_textures import textures_text
 from rhi.shading.primitives import spelling
@@ -224,10 +224,9 @@ class Writer:
     def whole_power(self, base: Value, exponent: int) -> str:
         """Squares and factors, from the exponent's highest bit down."""
         name = f"rhi_power_{exponent}"
-        steps = ("r = r * r * x;" if bit == "1" else "r = r * r;" for bit in f"{exponent:b}"[1:])
         type = self.type(Kind.FLOAT, self.is_vector(base))
         head = f"inline __attribute__((overloadable, always_inline)) {type} {name}({type} x)"
-        self.helper(f"{name} {type}", f"{head} {{ {type} r = x; {' '.join(steps)} return r; }}")
+        self.helper(f"{name} {type}", f"{head} {{ {type} r = x; {power_steps(exponent)} return r; }}")
         return f"{name}({self.value(base)})"
 
     # -- memory

@@ -48,12 +48,9 @@ class Kernel:
     def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
         """Enqueue `items` work-items on the batch at this address."""
         self._kernel.set_args(batch)  # knowing its type it is 20 times as fast as `set_arg`
-        event: cl.Event
-        if self._ready is not None:
-            event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,), wait_for=[self._ready])
-            self._ready = None  # the queue is in order: what follows comes behind this launch
-            return event
-        event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,))
+        wait_for = None if self._ready is None else [self._ready]
+        event: cl.Event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,), wait_for=wait_for)
+        self._ready = None  # the queue is in order: what follows comes behind this launch
         return event
 
 
