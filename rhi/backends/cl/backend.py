@@ -180,11 +180,6 @@ class ClBackend:
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         self._flush()
         self._states.render_pass = descriptor
-        for color in descriptor.colors:
-            if color.clear is not None:
-                self._textures.clear_color(color)
-        if descriptor.depth is not None:
-            self._textures.clear_depth(descriptor.depth)
         self._rasteriser.begin_pass(descriptor)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:

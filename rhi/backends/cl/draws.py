@@ -14,7 +14,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
 from struct import Struct
 from typing import Any, Final, TypeAlias
@@ -27,7 +27,7 @@ from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
 from rhi.backends.cl.pipelines import Geometry, Pipeline
-from rhi.backends.cl.resources import Texture
+from rhi.backends.cl.surfaces import Surface, Target
 from rhi.backends.cl.tables import (
     BATCH,
     DRAW,
@@ -116,41 +116,6 @@ class PreparedDraws:
         self._left.clear()
 
 
-class Target:
-    """What a pass draws into, as the kernels see it.
-
-    Attributes:
-        size: (width, height).
-        planes: (address of the memory, start, pitch, bytes from sample to sample) of each color attachment, of depth,
-            of stencil; None for a missing one.
-        texture: the one that depth and stencil belong to.
-    """
-
-    __slots__ = ("colors", "depth", "samples", "size", "stencil", "texture")
-
-    def __init__(
-        self, size: tuple[int, int], samples: int, colors: Sequence[tuple[int, int, int, int]],
-        depth: tuple[int, int, int, int] | None, stencil: tuple[int, int, int, int] | None, texture: Texture | None,
-    ) -> None:  # fmt: skip
-        self.size = size
-        self.samples = samples
-        self.colors = colors
-        self.depth = depth
-        self.stencil = stencil
-        self.texture = texture
-
-    def planes_of(self, key: MergerKey) -> list[tuple[int, int, int, int]]:
-        """Those that a raster kernel takes, in its order."""
-        planes = [self.colors[color.location] for color in key.colors]
-        if key.has_depth:
-            assert self.depth is not None
-            planes.append(self.depth)
-        if key.has_stencil:
-            assert self.stencil is not None
-            planes.append(self.stencil)
-        return planes
-
-
 class Batch:
     """The draws gathered and not yet flushed.
 
@@ -170,7 +135,8 @@ class Batch:
         self.vertex: Kernel | None = None
         self.raster: Kernel | None = None
         self._table = np.zeros((), BATCH)
-        self._places = b""  # where the target's planes begin in their memory
+        self._surfaces: list[Surface] = []  # that its raster kernel draws into
+        self._places = b""  # where they begin in their memory, and what they are cleared to
         self._bounds_depth = False  # whether its raster kernel leaves bounds
         self._bounds: tuple[object, ...] | None = None  # what the bounds in memory belong to
         self._room = 0, 0  # vertices and primitives that the table's scratch memory is for
@@ -197,12 +163,13 @@ class Batch:
             for binding, at in zip(pipeline.descriptor.bindings, pipeline.starts, strict=False)
             if binding.kind is BindingKind.STORAGE
         ]
-        planes = target.planes_of(key)
+        surfaces = self._surfaces = target.surfaces_of(key)
         tiles_x, tiles_y = (-(-size // TILE) for size in target.size)
         table = self._table = np.zeros((), BATCH)
         table["row_words"] = pipeline.starts[-1] + streams
-        table["surfaces"][: len(planes)] = [plane[0] for plane in planes]
-        self._places = np.array([plane[1:] for plane in planes] or [(0, 0, 0)], np.uint64).tobytes()
+        table["surfaces"][: len(surfaces)] = [surface.address for surface in surfaces]
+        places = np.array([surface.place for surface in surfaces], np.uint64).tobytes()
+        self._places = places + b"".join(surface.pattern for surface in surfaces)
         table["vertex_chunk"] = _VERTEX_CHUNK
         table["width"], table["height"] = target.size
         table["tiles_x"], table["tiles"] = tiles_x, tiles_x * tiles_y
@@ -229,8 +196,12 @@ class Batch:
         del self.rows[:]
         self.views.clear()
         texture = self.target.texture
-        bounds = self.target.depth, bool(self._table["near_is_less"]), texture, texture and texture.changes
+        depth = self.target.depth and (self.target.depth.address, self.target.depth.place)
+        bounds = depth, bool(self._table["near_is_less"]), texture, texture and texture.changes
         self._table["bounded"] = self._bounds_depth and bounds == self._bounds
+        self._table["cleared"] = sum(
+            1 << place for place, surface in enumerate(self._surfaces) if surface.clear is not None
+        )
         self._bounds = None
         event = None
         for piece in self._tabulate_one(words) if len(words) == self._width else self._tabulate(words):
@@ -340,7 +311,9 @@ class Batch:
                 geometry.prefix.launch(queue, place, 1)
                 geometry.scatter.launch(queue, place, chunks)
             event = self.raster.launch(queue, place, tiles)
-            batch["bounded"] = self._bounds_depth
+            batch["bounded"], batch["cleared"] = self._bounds_depth, 0
+            for surface in self._surfaces:
+                surface.clear = None
         return event
 
 

@@ -32,19 +32,21 @@ from rhi.backends.cl.draws import (
     SAMPLES,
     VIEW,
     Batch,
-    Target,
 )
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory import Addresses, Retired
 from rhi.backends.cl.pipelines import Pipeline
 from rhi.backends.cl.resources import Buffers, Plane, Textures
 from rhi.backends.cl.samplers import Samplers
+from rhi.backends.cl.surfaces import Surface, Target, color_clear, depth_clear, stencil_clear
 from rhi.backends.cl.tables import GROUP, MAX_STREAMS
 from rhi.backends.cl.targets import MergerKey, make_key
 from rhi.backends.cl.views import make_view
 from rhi.descriptors import (
+    Attachment,
     Binding,
     BindingKind,
+    DepthAttachment,
     Id,
     PassDescriptor,
     Primitive,
@@ -152,6 +154,7 @@ class Rasteriser:
         self._memo: dict[object, tuple[MergerKey, Kernel, bytes]] = {}
         self._program: _Program | None = None
         self._target: Target | None = None
+        self._clears = False  # whether some of the target may still have to be cleared
         self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
         self.values: dict[type, Any] = {
             state: (value,) * MAX_TARGETS if state in PER_TARGET else value
@@ -239,18 +242,18 @@ class Rasteriser:
         colors, formats = [], []
         for color in descriptor.colors:
             texture = textures[color.texture]
-            colors.append(self._place_plane(color.texture, texture.levels[color.level], color.layer))
-            formats.append(texture.descriptor.format)
+            format = texture.descriptor.format
+            colors.append(self._make_surface(color, texture.levels, color_clear(color, format)))
+            formats.append(format)
         depth = stencil = drawn = None
         depth_format = None
-        if descriptor.depth is not None:
-            attachment = descriptor.depth
+        attachment = descriptor.depth
+        if attachment is not None:
             texture = drawn = textures[attachment.texture]
             depth_format = texture.descriptor.format
-            depth = self._place_plane(attachment.texture, texture.levels[attachment.level], attachment.layer)
+            depth = self._make_surface(attachment, texture.levels, depth_clear(attachment, depth_format))
             if texture.stencil:
-                plane = texture.stencil[attachment.level]
-                stencil = self._place_plane(attachment.texture, plane, attachment.layer, True)
+                stencil = self._make_surface(attachment, texture.stencil, stencil_clear(attachment), True)
         self._target = Target(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
         self._formats = tuple(formats), depth_format
         self.stale = True
@@ -303,11 +306,18 @@ class Rasteriser:
             address = found[part] = self._addresses.find(get())
         return address
 
-    def _place_plane(
-        self, texture: Id, plane: Plane, layer: int, stencil: bool = False
-    ) -> tuple[int, int, int, int]:
-        start = plane.start + layer * plane.layer_bytes
-        return self._find(texture, stencil, lambda: plane.memory), start, plane.pitch, plane.layer_bytes
+    def _make_surface(
+        self, attachment: Attachment | DepthAttachment, planes: Sequence[Plane], clear: bytes | None,
+        stencil: bool = False,
+    ) -> Surface:  # fmt: skip
+        """What an attachment draws into; `planes`: by level."""
+        plane = planes[attachment.level]
+        if clear is not None:
+            self._textures[attachment.texture].changes += 1
+            self._clears = True
+        address = self._find(attachment.texture, stencil, lambda: plane.memory)
+        samples = self._textures[attachment.texture].descriptor.samples
+        return Surface(plane, attachment.layer, samples, address, clear)
 
     # -- draws -----------------------------------------------------------------------------------------------
 
@@ -433,7 +443,7 @@ class Rasteriser:
             known = self._memo[key] = merger, program.pipeline.find_raster(merger), view
         merger, raster, view = known
         if batch.raster is not raster or batch.vertex is not array.kernel or batch.target is not target:
-            self.flush()
+            self._flush_batch()
             batch.begin(program.pipeline, target, array.kernel, len(array.descriptor.streams), raster, merger)
         if not batch.views or batch.views[-1] is not view:
             batch.views.append(view)
@@ -476,7 +486,16 @@ class Rasteriser:
         ]
 
     def flush(self) -> None:
-        """Hand what was gathered to the device."""
+        """Hand what was gathered to the device, so that anything else may follow."""
+        self._flush_batch()
+        if self._clears:
+            assert self._target is not None
+            with translate_errors("device.render_pass"):
+                self._target.fill_cleared(self._context.queue)
+            self._clears = False
+
+    def _flush_batch(self) -> None:
+        """Hand what was gathered to the device; other draws of the pass follow."""
         if self._batch.rows:
             self.stale = True
             event = None

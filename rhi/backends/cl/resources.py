@@ -24,15 +24,12 @@ from rhi.backends.cl.context import Context, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.filters import Filters
 from rhi.descriptors import (
-    Attachment,
     BufferDescriptor,
     BufferUsage,
-    DepthAttachment,
     Id,
     Region,
     TextureDescriptor,
 )
-from rhi.texels import encode
 
 __rhi_internal__ = True
 
@@ -206,6 +203,7 @@ class Plane:
         )  # fmt: skip
 
     def fill(self, queue: cl.CommandQueue, texel: bytes, layer: int, layers: int) -> None:
+        """Padding, too."""
         start = self.start + layer * self.layer_bytes
         fill(queue, self.memory, texel, start, layers * self.layer_bytes)
 
@@ -330,25 +328,6 @@ class Textures:
         for above, below in zip(made.levels, made.levels[1:], strict=False):
             self._filters.halve(made.descriptor.format, above, below)
 
-    def clear_color(self, attachment: Attachment) -> None:
-        made = self._textures[attachment.texture]
-        format = made.descriptor.format
-        texel = encode(format, np.array(attachment.clear, np.float64)[: format.channels]).tobytes()
-        self._fill(made, made.levels[attachment.level], texel, attachment.layer)
-
-    def clear_depth(self, attachment: DepthAttachment) -> None:
-        made = self._textures[attachment.texture]
-        if attachment.clear is not None:
-            texel = encode(made.descriptor.format, np.array([attachment.clear], np.float64)).tobytes()
-            self._fill(made, made.levels[attachment.level], texel, attachment.layer)
-        if attachment.clear_stencil is not None and made.stencil:
-            value = bytes([attachment.clear_stencil & 0xFF])
-            self._fill(made, made.stencil[attachment.level], value, attachment.layer)
-
-    def _fill(self, texture: Texture, plane: Plane, texel: bytes, layer: int) -> None:
-        """All samples of a layer; a multi-sampled texture has one layer and its samples as layers."""
-        texture.changes += 1
-        plane.fill(self._queue, texel, layer, texture.descriptor.samples)
 
 
 def pitches_of(texel: int, width: int, height: int) -> tuple[int, int]:

@@ -53,7 +53,7 @@ BATCH: Final = np.dtype(
         ("places", "u8"),
         *_fields(
             "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks tiles_x tiles "
-            "list_size listed samples shades linear width height near_is_less bounded",
+            "list_size listed samples shades linear width height near_is_less bounded cleared",
             "i4",
         ),
         ("depth_step", "f4"),

@@ -49,7 +49,8 @@ enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
 typedef struct {
     ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
     ulong extents, bounds;
-    ulong surfaces[10], places;       // color targets, depth, stencil; where they begin in their memory
+    ulong surfaces[10], places;       // color targets, depth, stencil; where they begin in their memory, and the texels
+                                      // that they are cleared to, each repeated to 4 words
     int draw_count, row_words;
     int vertex_groups, vertex_chunk;  // of the batch, and for one work-item
     int first_group, end_group, chunk_groups, chunks;  // of primitives: this slice, and for one work-item
@@ -57,6 +58,7 @@ typedef struct {
     int samples, shades, linear, width, height;
     int near_is_less;                 // of depths: which way the test goes
     int bounded;                      // whether raster kernels left bounds of depth that still hold
+    int cleared;                      // surfaces that are to be cleared first, as bits
     float depth_step;                 // of the depths that the target can hold, 0: that of floats
 } Batch;
 

@@ -148,26 +148,41 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
 // read and written once per tile, 16 texels of 4 rows at a time.
 #define PART_BLOCKS 16
 
-// Bounds: of each PART × PART texels, a depth that all stored ones lie nearer than. What lies behind the bounds of all
-// parts that its box touches is dropped before its edges are looked at. A bound is found anew after some writes. The last
+// Bounds: of each part and of each of its blocks, a depth that all stored ones lie nearer than. What lies behind the bounds
+// of all parts that its box touches is dropped before its edges are looked at. They are found anew after some writes. The last
 // ones are left for set-up, which drops what the batch's later primitives hide behind them.
-#define WRITES_BEFORE_BOUND 16  // records
+#define WRITES_BEFORE_BOUND 16  // of blocks
 #define NEAR_IS_LESS (DEPTH_PASSES < 4)
 // A compare is cheaper than fmax. A NaN that is stored lets nothing pass; as `b` it is left out.
 #define FARTHER(a, b) (NEAR_IS_LESS ? ((b) > (a) ? (b) : (a)) : ((b) < (a) ? (b) : (a)))
 #define BEHIND(depth, bound) (NEAR_IS_LESS ? (depth) > (bound) : (depth) < (bound))
 #define NEARER (NEAR_IS_LESS ? -INFINITY : INFINITY)  // than all depths
+#define GETS_NEARER(slope) (NEAR_IS_LESS ? (slope) < 0.0f : (slope) > 0.0f)
 
 REDUCTION(find_farthest, float, FARTHER)
 
-INLINE float find_bound(const float16 *blocks, int part) {
-    const float16 *block = blocks + part * PART_BLOCKS;
-    float16 farthest = (float16)(NEARER);
-    UNROLL for (int i = 0; i < PART_BLOCKS; ++i) {
-        float16 other = block[i];
-        farthest = FARTHER(farthest, other);
+// The bounds of a part's blocks: 16 vectors become the vector of what is farthest in each.
+INLINE float16 find_block_bounds(const float16 *blocks) {
+    float16 halves[8], quarters[4], eighths[2];
+    UNROLL for (int i = 0; i < 8; ++i) {
+        float16 a = blocks[2 * i], b = blocks[2 * i + 1];
+        float16 low = SHUFFLE(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23);
+        float16 high = SHUFFLE(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
+        halves[i] = FARTHER(low, high);
     }
-    return find_farthest(farthest);
+    UNROLL for (int i = 0; i < 4; ++i) {
+        float16 low = SHUFFLE(halves[2 * i], halves[2 * i + 1], 0, 1, 2, 3, 8, 9, 10, 11, 16, 17, 18, 19, 24, 25, 26, 27);
+        float16 high = SHUFFLE(halves[2 * i], halves[2 * i + 1], 4, 5, 6, 7, 12, 13, 14, 15, 20, 21, 22, 23, 28, 29, 30, 31);
+        quarters[i] = FARTHER(low, high);
+    }
+    UNROLL for (int i = 0; i < 2; ++i) {
+        float16 low = SHUFFLE(quarters[2 * i], quarters[2 * i + 1], 0, 1, 4, 5, 8, 9, 12, 13, 16, 17, 20, 21, 24, 25, 28, 29);
+        float16 high = SHUFFLE(quarters[2 * i], quarters[2 * i + 1], 2, 3, 6, 7, 10, 11, 14, 15, 18, 19, 22, 23, 26, 27, 30, 31);
+        eighths[i] = FARTHER(low, high);
+    }
+    float16 even = SHUFFLE(eighths[0], eighths[1], 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+    float16 odd = SHUFFLE(eighths[0], eighths[1], 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
+    return FARTHER(even, odd);
 }
 
 // Between the plane and a tile's blocks; `width` and `height` are what of the tile lies in the plane, whole blocks.
@@ -197,6 +212,16 @@ INLINE void stage_depth(const Targets *targets, int x, int y, int width, int hei
 }
 #endif
 
+#if STAGES_DEPTH
+// All staged depths become one.
+INLINE void fill_blocks(float16 *blocks, int width, int height, float depth) {
+    for (int row = 0; row < height; row += 4) {
+        float16 *block = blocks + row / PART * (PARTS * PART_BLOCKS) + row % PART;
+        for (int column = 0; column < width; column += 4) block[column / PART * PART_BLOCKS + column % PART / 4] = depth;
+    }
+}
+#endif
+
 // Add what each lane has passed to a counter, if there is one.
 INLINE void count_samples(ulong address, int16 passed) {
     uint count = address ? find_sum(passed) : 0;
@@ -218,26 +243,33 @@ SINGLE raster(ulong address) {
         for (int part = 0; part < PARTS * PARTS; ++part)
             left_bounds[part / PARTS * bounds_pitch + part % PARTS] = -NEARER;
 #endif
-    if (place < 0) return;
+    const uint cleared = batch->cleared;
+    if (place < 0 && !cleared) return;
     OPEN_SURFACES
     const Targets targets = open_targets(TARGET_ARGUMENTS);
+    const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of what lies in the target, whole blocks
+    const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
+    const uint staged = STAGES_DEPTH && place >= 0 ? 1u << COLOR_COUNT : 0u;
+    if (cleared & ~staged) clear_targets(&targets, target_places, cleared & ~staged, tile_x, tile_y, width, height);
+    if (place < 0) return;
 #if STAGES_DEPTH
     float16 blocks[PARTS * PARTS * PART_BLOCKS];
-    const int staged_width = min(TILE, ((batch->width + 3) & ~3) - tile_x);
-    const int staged_height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
 #if BOUNDS_DEPTH
     // Beyond the target nothing is farther than what is stored in it.
-    if (staged_width < TILE || staged_height < TILE)
+    if (width < TILE || height < TILE)
         for (int i = 0; i < PARTS * PARTS * PART_BLOCKS; ++i) blocks[i] = (float16)(NEARER);
 #endif
-    stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, false);
+    if (cleared & staged) fill_blocks(blocks, width, height, as_float(*CLEAR_TEXEL(target_places, COLOR_COUNT)));
+    else stage_depth(&targets, tile_x, tile_y, width, height, blocks, false);
 #if BOUNDS_DEPTH
+    float16 block_bounds[PARTS * PARTS];
     float bounds[PARTS * PARTS] __attribute__((aligned(64)));
-    uchar writes[PARTS * PARTS];
-    for (int part = 0; part < PARTS * PARTS; ++part) {
-        bounds[part] = find_bound(blocks, part);
-        writes[part] = 0;
-    }
+    uchar writes[PARTS * PARTS];  // of blocks, since the bounds were found
+#define FIND_BOUNDS(part) { \
+        block_bounds[part] = find_block_bounds(blocks + part * PART_BLOCKS); \
+        bounds[part] = find_farthest(block_bounds[part]); \
+        writes[part] = 0; }
+    for (int part = 0; part < PARTS * PARTS; ++part) FIND_BOUNDS(part)
 #endif
 #endif
     global const int *record_memory = AT(const int, batch->records);
@@ -294,6 +326,10 @@ SINGLE raster(ulong address) {
             parts &= ~bits_of(BEHIND(nearest, bound));
             if (!parts) continue;
         }
+        // What is added to a block's first depth for its nearest one. Sums are rounded in one direction, so that is exact.
+        float lane_depths[16] __attribute__((aligned(64)));
+        *(float16 *)lane_depths = lane_depth;
+        const float to_nearest = lane_depths[GETS_NEARER(depth_x) * 3 + GETS_NEARER(depth_y) * 12];
 #endif
 #if SHADES
         global const float *planes = AT(const float, batch->planes) + (long)place * 16;
@@ -312,9 +348,6 @@ SINGLE raster(ulong address) {
             UNROLL for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, record[POLYGON_SLOTS + i]);
             pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], points) - 2;
         }
-#if BOUNDS_DEPTH
-        uint written = 0;  // parts
-#endif
         for (int piece = 0; piece < pieces; ++piece) {
             Edges edges;
             if (kind == SMALL) {
@@ -342,20 +375,23 @@ SINGLE raster(ulong address) {
             int16 starts[3];
             uint crossed = parts;
             if (crossed & (crossed - 1)) crossed &= cross_squares(&edges, tile_x, tile_y, PART_BITS, starts);
-#if BOUNDS_DEPTH
-            written |= crossed;
-#endif
             for (; crossed; crossed &= crossed - 1) {
                 const int part = 31 - clz(crossed & -crossed);
                 const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
                 uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
                                           min(y1 - part_y, PART - 1), 2);
                 todo &= cross_squares(&edges, part_x, part_y, 2, starts);
+                const float16 first_depths = lane_depth * 4.0f + (depth_plane[2] + depth_x * (float)(part_x - box_x) +
+                                                                  depth_y * (float)(part_y - box_y));
+#if BOUNDS_DEPTH
+                todo &= ~bits_of(BEHIND(quantize_depth(first_depths + to_nearest), block_bounds[part]));
+                if (!todo) continue;
+                if (DEPTH_WRITES) writes[part] += popcount(todo);
+#endif
                 int start[3][16] __attribute__((aligned(64)));
                 float start_depth[16] __attribute__((aligned(64)));
                 UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
-                *(float16 *)start_depth = lane_depth * 4.0f + (depth_plane[2] + depth_x * (float)(part_x - box_x) +
-                                                               depth_y * (float)(part_y - box_y));
+                *(float16 *)start_depth = first_depths;
                 for (; todo; todo &= todo - 1) {
                     const int place_in_part = 31 - clz(todo & -todo);
                     const int x = part_x + place_in_part % 4 * 4, y = part_y + place_in_part / 4 * 4;
@@ -445,23 +481,20 @@ SINGLE raster(ulong address) {
                     }
 #endif
                 }
+#if BOUNDS_DEPTH && DEPTH_WRITES
+                if (writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
+#endif
             }
         }
-#if BOUNDS_DEPTH && DEPTH_WRITES
-        for (; written; written &= written - 1) {
-            const int part = 31 - clz(written & -written);
-            if (++writes[part] < WRITES_BEFORE_BOUND) continue;
-            writes[part] = 0;
-            bounds[part] = find_bound(blocks, part);
-        }
-#endif
     }
     count_samples(counter, passed);
 #if STAGES_DEPTH && DEPTH_WRITES
-    stage_depth(&targets, tile_x, tile_y, staged_width, staged_height, blocks, true);
+    stage_depth(&targets, tile_x, tile_y, width, height, blocks, true);
 #endif
 #if BOUNDS_DEPTH
-    for (int part = 0; part < PARTS * PARTS; ++part)
-        left_bounds[part / PARTS * bounds_pitch + part % PARTS] = writes[part] ? find_bound(blocks, part) : bounds[part];
+    for (int part = 0; part < PARTS * PARTS; ++part) {
+        if (writes[part]) FIND_BOUNDS(part)
+        left_bounds[part / PARTS * bounds_pitch + part % PARTS] = bounds[part];
+    }
 #endif
 }

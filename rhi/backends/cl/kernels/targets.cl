@@ -397,6 +397,46 @@ MERGER void merge_colors(
 #undef MERGE
 }
 
+// All samples of some texels become one, which is repeated to 4 words; whole blocks.
+MERGER void clear_surface(
+    const Surface *surface, global const uint *texel, int x, int y, int width, int height, const int bytes
+) {
+    const uint4 four = (uint4)(texel[0], texel[1], texel[2], texel[3]);
+    const uint16 sixteen = (uint16)(four, four, four, four);
+    const int words = width * bytes / 4;
+    for (int sample = 0; sample < SAMPLES; ++sample)
+        for (int row = 0; row < height; ++row) {
+            global uint *line = (global uint *)locate(surface, x, y + row, sample, bytes);
+            int word = 0;
+            for (; word + 16 <= words; word += 16) vstore16(sixteen, 0, line + word);
+            for (; word < words; ++word) line[word] = texel[word % 4];
+        }
+}
+
+// Behind the surfaces' places stand the texels that they are cleared to.
+#define CLEAR_TEXEL(target_places, surface) \
+    ((global const uint *)(target_places + 3 * (COLOR_COUNT + HAS_DEPTH + HAS_STENCIL)) + 4 * (surface))
+
+// Surfaces are given as bits.
+MERGER void clear_targets(
+    const Targets *targets, global const ulong *target_places, uint surfaces, int x, int y, int width, int height
+) {
+#define CLEAR_ONE(place, surface, bytes) \
+    if (surfaces >> (place) & 1) \
+        clear_surface(surface, CLEAR_TEXEL(target_places, place), x, y, width, height, bytes);
+#define CLEAR_COLOR(place, location, components, channels, bits, kind, blends) \
+    CLEAR_ONE(place, &targets->color[place], channels * bits / 8)
+    COLOR_TARGETS(CLEAR_COLOR)
+#if HAS_DEPTH
+    CLEAR_ONE(COLOR_COUNT, &targets->depth, 4)
+#endif
+#if HAS_STENCIL
+    CLEAR_ONE(COLOR_COUNT + HAS_DEPTH, &targets->stencil, 1)
+#endif
+#undef CLEAR_ONE
+#undef CLEAR_COLOR
+}
+
 MERGER Targets open_targets(TARGET_PARAMETERS) {
     Targets targets;
 #define OPEN(place, ...) targets.color[place] = open_surface(color##place, target_places + 3 * place);

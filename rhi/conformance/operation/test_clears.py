@@ -1,0 +1,224 @@
+"""Clears under draws: a backend may clear when it draws, so what is drawn where, or not at all, may not show in it.
+
+Targets are larger than a rasteriser's tiles and no multiple of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    Scissor,
+    State,
+    StencilTest,
+    Texture,
+    TextureKind,
+)
+from rhi.conformance.compare import assert_mask, assert_same
+from rhi.conformance.formats import require_format, require_renderable, require_samples
+from rhi.conformance.shaders import Colored, IntColored, UintColored
+from rhi.conformance.shapes import rectangle, texel_rectangle
+from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
+from rhi.shading import Shader
+
+pytestmark = pytest.mark.needs("draws", "shading")
+
+SIZE = (150, 70)
+RED = (1, 0, 0, 1)
+SHADERS: dict[Kind, type[Shader]] = {Kind.UINT: UintColored, Kind.INT: IntColored}
+
+
+def identity(value: Any) -> str:
+    return value.name if isinstance(value, Format) else str(value)
+
+
+def box(x: int, y: int, width: int, height: int, size: tuple[int, int] = SIZE) -> np.ndarray[Any, Any]:
+    mask = np.zeros(size[::-1], bool)
+    mask[y : y + height, x : x + width] = True
+    return mask
+
+
+@pytest.mark.parametrize("size", [(1, 1), (5, 3), (64, 64), (65, 66), (130, 5), (7, 200), SIZE], ids=str)
+def test_a_clear_reaches_all_texels_around_a_draw(device: Device, size: tuple[int, int]) -> None:
+    with (
+        device.texture(size, Format.RGBA8) as image,
+        device.texture(size, Format.D32F) as depth,
+        device.mesh(texel_rectangle(0, 0, 1, 1, size, depth=0.5)) as mesh,
+    ):
+        with device.render_pass(image, depth, clear=RED, clear_depth=0.25):
+            device.draw(device.program(Colored), mesh)
+        drawn = box(0, 0, 1, 1, size)
+        assert_mask(image.read()[..., 1], drawn)
+        assert_mask(image.read()[..., 0], np.ones_like(drawn))
+        assert_same(depth.read(), np.where(drawn, 0.5, 0.25))
+
+
+def draw_over(
+    device: Device, image: Texture, shader: type[Shader], clear: tuple[float, float, float, float], together: bool,
+    blend: BlendFunction = BlendFunction.OFF,
+) -> None:  # fmt: skip
+    """A rectangle over a clear, in one pass or in two."""
+    with device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, color=(0.25, 1, 0.5, 0.75))) as mesh:
+        if not together:
+            with device.render_pass(image, clear=clear):
+                pass
+        with device.render_pass(image, clear=clear if together else None), device.states(blend):
+            device.draw(device.program(shader), mesh)
+
+
+@pytest.mark.parametrize("format", COLOR_FORMATS, ids=identity)
+def test_a_color_format_is_cleared_under_a_draw_as_in_a_pass_before(device: Device, format: Format) -> None:
+    require_renderable(device, format)
+    shader, clear = SHADERS.get(format.kind, Colored), (3.0, 0.3, 2.0, 0.75)
+    with device.texture(SIZE, format) as one, device.texture(SIZE, format) as two:
+        draw_over(device, one, shader, clear, True)
+        draw_over(device, two, shader, clear, False)
+        assert_same(one.read(), two.read())
+        assert (one.read()[-1, -1] == one.read()[0, 0]).all()
+
+
+def test_blending_reads_what_was_cleared(device: Device) -> None:
+    with device.texture(SIZE, Format.RGBA16F) as one, device.texture(SIZE, Format.RGBA16F) as two:
+        for image, together in ((one, True), (two, False)):
+            draw_over(device, image, Colored, (0.5, 0.25, 1, 1), together, BlendFunction.ADDITIVE)
+        assert_same(one.read(), two.read())
+        assert_same(one.read()[10, 70, 1], 1.25)
+
+
+@pytest.mark.parametrize("format", DEPTH_FORMATS, ids=identity)
+@pytest.mark.parametrize("depth", [0.25, 0.75])
+def test_a_depth_format_is_cleared_under_a_draw(device: Device, format: Format, depth: float) -> None:
+    require_format(device, format)
+    with device.texture(SIZE, format) as target, device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, depth=0.5)) as mesh:
+        with device.render_pass(depth=target, clear_depth=depth), device.states(DepthFunction.GREATER):
+            device.draw(device.program(Colored), mesh)
+        passes = box(60, 3, 30, 40) & (depth < 0.5)
+        np.testing.assert_allclose(target.read(), np.where(passes, 0.5, depth), atol=2.0**-15)
+
+
+@pytest.mark.needs("stencil")
+@pytest.mark.parametrize("used", [False, True], ids=["test off", "test on"])
+def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, used: bool) -> None:
+    require_format(device, Format.D24S8)
+    with device.texture(SIZE, Format.D24S8) as target, device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh:
+        with (
+            device.render_pass(depth=target, clear_depth=0.25, clear_stencil=7),
+            device.states(StencilTest.ON if used else StencilTest.OFF),
+        ):
+            device.draw(device.program(Colored), mesh)
+        assert_same(target.read_stencil(), 7)
+        assert_mask(target.read() > 0.3, box(60, 3, 30, 40))
+
+
+@pytest.mark.parametrize("first", [(ColorWrite.OFF,), (DepthTest.OFF, DepthWrite.OFF)], ids=["depth", "color"])
+def test_what_the_first_draw_leaves_out_is_cleared_for_the_second(device: Device, first: tuple[State, ...]) -> None:
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(texel_rectangle(0, 0, 70, 70, SIZE, depth=0.5)) as left,
+        device.mesh(texel_rectangle(80, 0, 70, 70, SIZE, depth=0.75)) as right,
+    ):
+        with device.render_pass(image, depth, clear=RED, clear_depth=0.25):
+            with device.states(*first):
+                device.draw(device.program(Colored), left)
+            device.draw(device.program(Colored), right)
+        color_only = first != (ColorWrite.OFF,)
+        in_color = box(80, 0, 70, 70) | (box(0, 0, 70, 70) & color_only)
+        in_depth = np.where(box(80, 0, 70, 70), 0.75, np.where(box(0, 0, 70, 70) & (not color_only), 0.5, 0.25))
+        assert_mask(image.read()[..., 1], in_color)
+        assert_same(image.read()[..., 0], 255)
+        assert_same(depth.read(), in_depth)
+
+
+def test_a_clear_is_done_under_draws_of_nothing(device: Device) -> None:
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image, clear=RED):
+            device.draw(device.program(Colored), mesh, 0)
+        assert_same(image.read(), (255, 0, 0, 255))
+
+
+def test_a_clear_is_done_under_a_scissor_that_holds_nothing_of_the_draw(device: Device) -> None:
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(texel_rectangle(0, 0, 9, 9, SIZE)) as mesh:
+        with device.render_pass(image, clear=RED), device.states(Scissor(100, 50, 20, 10)):
+            device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), (255, 0, 0, 255))
+
+
+def make_mesh(device: Device) -> None:
+    device.mesh(rectangle()).destroy()
+
+
+def write_storage(device: Device) -> None:
+    device.storage(float, np.zeros(4, np.float32)).destroy()
+
+
+def make_texture(device: Device) -> None:
+    device.texture(np.zeros((3, 3, 4), np.uint8), Format.RGBA8).destroy()
+
+
+@pytest.mark.parametrize("between", [make_mesh, write_storage, make_texture], ids=lambda each: each.__name__)
+def test_other_commands_may_stand_between_a_clear_and_its_draws(
+    device: Device, between: Callable[[Device], None]
+) -> None:
+    with device.texture(SIZE, Format.RGBA8) as image, device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh:
+        with device.render_pass(image, clear=RED):
+            between(device)
+            device.draw(device.program(Colored), mesh)
+            between(device)
+        assert_mask(image.read()[..., 1], box(60, 3, 30, 40))
+        assert_same(image.read()[..., 0], 255)
+
+
+def test_a_layer_is_cleared_under_a_draw_and_no_other(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=3) as image,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE)) as mesh,
+    ):
+        with device.render_pass(image.at(layer=1), clear=RED):
+            device.draw(device.program(Colored), mesh)
+        back = image.read_layers()
+        assert_same(back[::2], 0)
+        assert_same(back[1, ..., 0], 255)
+        assert_mask(back[1, ..., 1], box(60, 3, 30, 40))
+
+
+def test_all_samples_are_cleared_under_a_draw(device: Device) -> None:
+    require_samples(device, 4)
+    with (
+        device.texture(SIZE, Format.RGBA8, samples=4) as image,
+        device.texture(SIZE, Format.D32F, samples=4) as depth,
+        device.texture(SIZE, Format.RGBA8) as target,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, depth=0.5)) as mesh,
+        device.mesh(rectangle(depth=0.3, color=(0, 1, 0, 1))) as behind,
+    ):
+        with device.render_pass(image, depth, clear=RED, clear_depth=0.4, resolve=target):
+            device.draw(device.program(Colored), mesh)
+            device.draw(device.program(Colored), behind)
+        assert_mask(target.read()[..., 1], box(60, 3, 30, 40))
+        assert_same(target.read()[..., 0], 255)
+
+
+def test_a_second_pass_clears_again_what_the_first_one_drew(device: Device) -> None:
+    with (
+        device.texture(SIZE, Format.RGBA8) as image,
+        device.texture(SIZE, Format.D32F) as depth,
+        device.mesh(rectangle(depth=0.9)) as near,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, depth=0.5)) as far,
+    ):
+        with device.render_pass(image, depth, clear=RED, clear_depth=0.0):
+            device.draw(device.program(Colored), near)
+        with device.render_pass(image, depth, clear=RED, clear_depth=0.0):
+            device.draw(device.program(Colored), far)
+        assert_mask(image.read()[..., 1], box(60, 3, 30, 40))
+        assert_same(depth.read(), np.where(box(60, 3, 30, 40), 0.5, 0.0))
