@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import (
+    ColorWrite,
     CullMode,
     DepthBias,
     DepthFunction,
@@ -18,9 +19,10 @@ from rhi import (
     Device,
     Format,
     PolygonOffset,
+    Scissor,
     Viewport,
 )
-from rhi.conformance.compare import assert_near, assert_same
+from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_format
 from rhi.conformance.reference import compare
 from rhi.conformance.shaders import Bare, Colored, Corner
@@ -323,3 +325,33 @@ def test_two_programs_with_the_same_positions_give_the_same_depth(device: Device
         covered = first.read() > 0
         assert covered.sum() > 1000
         assert_same(second.read() > 0, covered)
+
+
+@pytest.mark.parametrize("nearest", [0.05, -0.5], ids=["whole", "clipped"])
+@pytest.mark.parametrize("window", [(3, 2), (23, 17), (70, 64)], ids=str)
+def test_the_same_triangle_has_the_same_depth_whatever_the_scissor(
+    device: Device, nearest: float, window: tuple[int, int]
+) -> None:
+    """OpenGL 4.5, appendix A, rule 2: what is drawn window by window passes EQUAL against what was drawn at once."""
+    size = (90, 70)
+    rng = np.random.default_rng(0)
+    positions = np.ones((30, 4))
+    positions[:, :2] = rng.uniform(-1.5, 1.5, (30, 2))
+    positions[:, 2] = rng.uniform(nearest, 0.95, 30)
+    positions *= rng.uniform(1, 3, (30, 1))
+    program = device.program(Colored)
+    with (
+        device.texture(size, Format.RGBA8) as image,
+        device.texture(size, Format.D32F) as depth,
+        device.mesh(corners(positions)) as mesh,
+        device.states(CullMode.NONE),
+    ):
+        with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0), device.states(ColorWrite.OFF):
+            device.draw(program, mesh)
+        width, height = window
+        with device.render_pass(image, depth), device.states(DepthFunction.EQUAL, DepthWrite.OFF):
+            for x in range(0, size[0], width):
+                for y in range(0, size[1], height):
+                    with device.states(Scissor(x, y, min(width, size[0] - x), min(height, size[1] - y))):
+                        device.draw(program, mesh)
+        assert_mask(image.read()[..., 0], depth.read() > 0)

@@ -38,7 +38,7 @@ enum { EDGE_A = 0, EDGE_B = 3, EDGE_C = 6, DEPTH_PLANE = 9, BOX_FIRST = 12, BOX_
 // is interpolated in the window; the slots of the three corners; the primitive's number in its draw.
 enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14 };
 enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
-// Flags: the draw's number, whether the box cuts the primitive between blocks' edges, whether it is a front, the kind.
+// Flags: the draw's number, whether less may be drawn than the blocks that the box touches, whether it is a front, the kind.
 #define PACK_FLAGS(draw, cuts, front, kind) ((draw) << 4 | (cuts) << 3 | (front) << 2 | (kind))
 
 // Whether an edge owns what lies on it: it is a left or a top one.

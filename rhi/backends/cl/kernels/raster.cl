@@ -259,7 +259,8 @@ SINGLE raster(ulong address) {
     if (width < TILE || height < TILE)
         for (int i = 0; i < PARTS * PARTS * PART_BLOCKS; ++i) blocks[i] = (float16)(NEARER);
 #endif
-    if (cleared & staged) fill_blocks(blocks, width, height, as_float(*CLEAR_TEXEL(target_places, COLOR_COUNT)));
+    const float fresh_depth = as_float(*CLEAR_TEXEL(target_places, COLOR_COUNT));
+    if (cleared & staged) fill_blocks(blocks, width, height, fresh_depth);
     else stage_depth(&targets, tile_x, tile_y, width, height, blocks, false);
 #if BOUNDS_DEPTH
     float16 block_bounds[PARTS * PARTS];
@@ -269,7 +270,15 @@ SINGLE raster(ulong address) {
         block_bounds[part] = find_block_bounds(blocks + part * PART_BLOCKS); \
         bounds[part] = find_farthest(block_bounds[part]); \
         writes[part] = 0; }
-    for (int part = 0; part < PARTS * PARTS; ++part) FIND_BOUNDS(part)
+    for (int part = 0; part < PARTS * PARTS; ++part) {
+        if (!(cleared & staged) && !batch->bounded) {
+            FIND_BOUNDS(part)
+            continue;
+        }
+        bounds[part] = cleared & staged ? fresh_depth : left_bounds[part / PARTS * bounds_pitch + part % PARTS];
+        block_bounds[part] = bounds[part];
+        writes[part] = 0;
+    }
 #endif
 #endif
     global const int *record_memory = AT(const int, batch->records);
@@ -289,9 +298,17 @@ SINGLE raster(ulong address) {
         }
         const int flags = record[FLAGS], first = record[BOX_FIRST], last = record[BOX_LAST];
         const int kind = flags & 3, front = flags >> 2 & 1;
-        const int box_x = first & 0xFFFF, box_y = first >> 16, end_x = last & 0xFFFF, end_y = last >> 16;
-        const int x0 = max(box_x, tile_x) & ~3, y0 = max(box_y, tile_y) & ~3;
-        const int x1 = min(end_x, tile_x + TILE - 1), y1 = min(end_y, tile_y + TILE - 1);
+        const int box_x = first & 0xFFFF, box_y = first >> 16;  // where planes begin
+        int first_x = box_x, first_y = box_y, last_x = last & 0xFFFF, last_y = last >> 16;
+        if (flags & 8) {
+            global const int *drawn = AT(const View, batch->views)[draws[flags >> 4].view].box;
+            first_x = max(first_x, drawn[0]);
+            first_y = max(first_y, drawn[1]);
+            last_x = min(last_x, drawn[2]);
+            last_y = min(last_y, drawn[3]);
+        }
+        const int x0 = max(first_x, tile_x) & ~3, y0 = max(first_y, tile_y) & ~3;
+        const int x1 = min(last_x, tile_x + TILE - 1), y1 = min(last_y, tile_y + TILE - 1);
         uint parts = touch_squares(x0 - tile_x, y0 - tile_y, x1 - tile_x, y1 - tile_y, PART_BITS);
 #if BOUNDS_DEPTH
         const float16 bound = *(const float16 *)bounds;
@@ -312,7 +329,7 @@ SINGLE raster(ulong address) {
         }
         global const float *depth_plane = (global const float *)(record + DEPTH_PLANE);
         const float depth_x = depth_plane[0], depth_y = depth_plane[1];
-        const float16 lane_depth = depth_x * LANE_FX + depth_y * LANE_FY;
+        const float16 lane_depth = fma((float16)(depth_x), LANE_FX, depth_y * LANE_FY);
 #if BOUNDS_DEPTH
         if (parts & (parts - 1)) {
             // The nearest that the plane comes to in each part, less what rounding may add.
@@ -326,10 +343,8 @@ SINGLE raster(ulong address) {
             parts &= ~bits_of(BEHIND(nearest, bound));
             if (!parts) continue;
         }
-        // What is added to a block's first depth for its nearest one. Sums are rounded in one direction, so that is exact.
-        float lane_depths[16] __attribute__((aligned(64)));
-        *(float16 *)lane_depths = lane_depth;
-        const float to_nearest = lane_depths[GETS_NEARER(depth_x) * 3 + GETS_NEARER(depth_y) * 12];
+        // What is added to a block's first depth for its nearest one: what the lane of that corner adds.
+        const float to_nearest = fma(depth_x, GETS_NEARER(depth_x) ? 3.0f : 0.0f, depth_y * (GETS_NEARER(depth_y) ? 3.0f : 0.0f));
 #endif
 #if SHADES
         global const float *planes = AT(const float, batch->planes) + (long)place * 16;
@@ -380,18 +395,27 @@ SINGLE raster(ulong address) {
                 const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
                 uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
                                           min(y1 - part_y, PART - 1), 2);
-                todo &= cross_squares(&edges, part_x, part_y, 2, starts);
-                const float16 first_depths = lane_depth * 4.0f + (depth_plane[2] + depth_x * (float)(part_x - box_x) +
-                                                                  depth_y * (float)(part_y - box_y));
-#if BOUNDS_DEPTH
-                todo &= ~bits_of(BEHIND(quantize_depth(first_depths + to_nearest), block_bounds[part]));
-                if (!todo) continue;
-                if (DEPTH_WRITES) writes[part] += popcount(todo);
-#endif
-                int start[3][16] __attribute__((aligned(64)));
+                int start[3][16] __attribute__((aligned(64)));  // edges and depth at each block's first texel
                 float start_depth[16] __attribute__((aligned(64)));
-                UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
-                *(float16 *)start_depth = first_depths;
+                const float part_depth = depth_plane[2] + depth_x * (float)(part_x - box_x) + depth_y * (float)(part_y - box_y);
+                if (todo & (todo - 1)) {
+                    todo &= cross_squares(&edges, part_x, part_y, 2, starts);
+                    const float16 first_depths = lane_depth * 4.0f + part_depth;
+#if BOUNDS_DEPTH
+                    todo &= ~bits_of(BEHIND(quantize_depth(first_depths + to_nearest), block_bounds[part]));
+#endif
+                    if (!todo) continue;
+                    UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
+                    *(float16 *)start_depth = first_depths;
+                } else {  // a single block, as of most small triangles, isn't worth a test
+                    const int block = 31 - clz(todo), column = block % 4, row_of_blocks = block / 4;
+                    const int x = part_x + column * 4 - edges.x, y = part_y + row_of_blocks * 4 - edges.y;
+                    UNROLL for (int i = 0; i < 3; ++i) start[i][block] = edges.c[0][i] + edges.a[i] * x + edges.b[i] * y;
+                    start_depth[block] = fma(depth_x, (float)column, depth_y * (float)row_of_blocks) * 4.0f + part_depth;
+                }
+#if BOUNDS_DEPTH && DEPTH_WRITES
+                writes[part] += popcount(todo);
+#endif
                 for (; todo; todo &= todo - 1) {
                     const int place_in_part = 31 - clz(todo & -todo);
                     const int x = part_x + place_in_part % 4 * 4, y = part_y + place_in_part / 4 * 4;
@@ -401,7 +425,7 @@ SINGLE raster(ulong address) {
                     const float16 z = lane_depth + start_depth[place_in_part];
                     int16 box = (int16)(-1);
                     if (flags & 8)
-                        box = (x + LANE_X >= box_x) & (x + LANE_X <= end_x) & (y + LANE_Y >= box_y) & (y + LANE_Y <= end_y);
+                        box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
                     int16 masks[SAMPLES], covered = (int16)(0);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |

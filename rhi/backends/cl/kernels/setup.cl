@@ -5,6 +5,8 @@
 // - A texel is covered if A x + B y + C >= 0 for the three edges, in subtexels. At texel centres (multiples of 256)
 //   that is the same with C / 256 rounded down, which keeps small triangles in 32 bits: SMALL. Larger ones are BIG:
 //   their record has a corner instead of C, and each tile finds its own in 64 bits. POLYGON: see polygon.cl.
+// - A record's box is cut by the target and not by what may be drawn of it: its planes begin there, and what is drawn
+//   twice has the same depth each time, wherever the scissor lies. Where that cuts the box, a flag says so.
 // - An edge that is neither top nor left doesn't own what lies on it: C is less by one before it is divided.
 // - Windings are made positive by swapping two corners; the first one, whose flat values count, stays.
 
@@ -175,9 +177,9 @@ bool set_up_polygon(
         high = max(high, points[i]);
     }
     int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
-    int left = max((low.x - reach + 255) >> 8, view->box[0]), right = min((high.x + reach) >> 8, view->box[2]);
-    int top = max((low.y - reach + 255) >> 8, view->box[1]), bottom = min((high.y + reach) >> 8, view->box[3]);
-    if (left > right || top > bottom) return false;
+    int left = max((low.x - reach + 255) >> 8, 0), right = min((high.x + reach) >> 8, batch->width - 1);
+    int top = max((low.y - reach + 255) >> 8, 0), bottom = min((high.y + reach) >> 8, batch->height - 1);
+    if (max(left, view->box[0]) > min(right, view->box[2]) || max(top, view->box[1]) > min(bottom, view->box[3])) return false;
     find_planes(view, clips, slots, primitive, number, left, top, record, planes);
     for (int i = 0; i < DEPTH_PLANE; ++i) record[i] = 0;
     for (int i = 0; i < 3; ++i) record[POLYGON_SLOTS + i] = slots[i];
@@ -185,8 +187,9 @@ bool set_up_polygon(
     record[POLYGON_FLIPPED] = flipped;
     record[BOX_FIRST] = left | top << 16;
     record[BOX_LAST] = right | bottom << 16;
-    int cuts = (view->box[0] | view->box[1] | view->box[2] + 1 | view->box[3] + 1) & 3;
-    record[FLAGS] = PACK_FLAGS(draw_number, cuts != 0, primitive != TRIANGLES || flipped != view->front, POLYGON);
+    bool cuts = left < view->box[0] || top < view->box[1] || right > view->box[2] || bottom > view->box[3] ||
+                ((batch->width | batch->height) & 3);
+    record[FLAGS] = PACK_FLAGS(draw_number, cuts, primitive != TRIANGLES || flipped != view->front, POLYGON);
     record[NEAREST] = as_int(batch->near_is_less ? -INFINITY : INFINITY);
     return true;
 }
@@ -278,9 +281,11 @@ SINGLE set_up(ulong address) {
 
             int16 low_x = min(min(x[0], x[1]), x[2]), high_x = max(max(x[0], x[1]), x[2]);
             int16 low_y = min(min(y[0], y[1]), y[2]), high_y = max(max(y[0], y[1]), y[2]);
-            int16 left = max((low_x - reach + 255) >> 8, left_limit), right = min((high_x + reach) >> 8, right_limit);
-            int16 top = max((low_y - reach + 255) >> 8, top_limit), bottom = min((high_y + reach) >> 8, bottom_limit);
-            int16 kept = whole & (left <= right) & (top <= bottom);
+            int16 left = max((low_x - reach + 255) >> 8, 0), right = min((high_x + reach) >> 8, batch->width - 1);
+            int16 top = max((low_y - reach + 255) >> 8, 0), bottom = min((high_y + reach) >> 8, batch->height - 1);
+            int16 first_x = max(left, left_limit), last_x = min(right, right_limit);  // of what may be drawn
+            int16 first_y = max(top, top_limit), last_y = min(bottom, bottom_limit);
+            int16 kept = whole & (first_x <= last_x) & (first_y <= last_y);
             uint survivors = bits_of(kept);
             if (!(survivors | polygons)) continue;
 
@@ -364,10 +369,9 @@ SINGLE set_up(ulong address) {
             slack += batch->depth_step;
             float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
                                            : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;
-            int16 cuts = (left > (low_x - reach + 255) >> 8) & (left_limit & 3 ? -1 : 0);
-            cuts |= (right < (high_x + reach) >> 8) & (right_limit + 1 & 3 ? -1 : 0);
-            cuts |= (top > (low_y - reach + 255) >> 8) & (top_limit & 3 ? -1 : 0);
-            cuts |= (bottom < (high_y + reach) >> 8) & (bottom_limit + 1 & 3 ? -1 : 0);
+            int16 cuts = (left < left_limit) | (top < top_limit) | (right > right_limit) | (bottom > bottom_limit);
+            cuts |= (right < (high_x + reach) >> 8) & (batch->width & 3 ? -1 : 0);
+            cuts |= (bottom < (high_y + reach) >> 8) & (batch->height & 3 ? -1 : 0);
             int16 is_front = (flipped & 1) ^ front;
             uint16 fields[16] = {
                 as_uint16(a0), as_uint16(a1), as_uint16(a2), as_uint16(b0), as_uint16(b1), as_uint16(b2),
@@ -396,13 +400,13 @@ SINGLE set_up(ulong address) {
             // A box in tiles, a byte for each side. What is read back lane by lane is read from words that were stored
             // alone: reading a part of what was just stored as a whole stalls.
             uint tile_boxes[GROUP];
-            vstore16(as_uint16(left >> TILE_BITS | (top >> TILE_BITS) << 8 | (right >> TILE_BITS) << 16 |
-                                (bottom >> TILE_BITS) << 24), 0, tile_boxes);
+            vstore16(as_uint16(first_x >> TILE_BITS | (first_y >> TILE_BITS) << 8 | (last_x >> TILE_BITS) << 16 |
+                                (last_y >> TILE_BITS) << 24), 0, tile_boxes);
             uint firsts[GROUP], lasts[GROUP];
             float nearests[GROUP];
             if (bounded) {
-                vstore16(fields[BOX_FIRST], 0, firsts);
-                vstore16(fields[BOX_LAST], 0, lasts);
+                vstore16(as_uint16(first_x | first_y << 16), 0, firsts);
+                vstore16(as_uint16(last_x | last_y << 16), 0, lasts);
                 vstore16(nearest, 0, nearests);
             }
             uint todo = survivors | polygons;
@@ -418,8 +422,8 @@ SINGLE set_up(ulong address) {
                     if (!set_up_polygon(batch, view, slots, draw->primitive, part * GROUP + lane, found, made, plane))
                         continue;
                     int first = made[BOX_FIRST], final = made[BOX_LAST];
-                    tile_boxes[lane] = (first & 0xFFFF) / TILE | (first >> 16) / TILE << 8 | (final & 0xFFFF) / TILE << 16 |
-                                       (final >> 16) / TILE << 24;
+                    tile_boxes[lane] = max(first & 0xFFFF, left_limit) / TILE | max(first >> 16, top_limit) / TILE << 8 |
+                                       min(final & 0xFFFF, right_limit) / TILE << 16 | min(final >> 16, bottom_limit) / TILE << 24;
                     *record = as_uint16(vload16(0, made));
                     if (shades) AT(float16, batch->planes)[place] = vload16(0, plane);
                 } else {
