@@ -107,6 +107,18 @@ def test_a_depth_format_is_cleared_under_a_draw(device: Device, format: Format, 
         np.testing.assert_allclose(target.read(), np.where(passes, 0.5, depth), atol=2.0**-15)
 
 
+@pytest.mark.parametrize("state", [DepthWrite.OFF, DepthFunction.NEVER], ids=identity)
+def test_a_depth_that_draws_do_not_write_is_cleared_under_them(device: Device, state: State) -> None:
+    with (
+        device.texture(SIZE, Format.D32F) as target,
+        device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, depth=0.5)) as mesh,
+    ):
+        for depth in (0.25, 0.75):
+            with device.render_pass(depth=target, clear_depth=depth), device.states(state):
+                device.draw(device.program(Colored), mesh)
+            assert_same(target.read(), np.full(SIZE[::-1], depth, np.float32))
+
+
 @pytest.mark.needs("stencil")
 @pytest.mark.parametrize("used", [False, True], ids=["test off", "test on"])
 def test_stencil_is_cleared_under_a_draw_that_uses_it_or_not(device: Device, used: bool) -> None:

@@ -249,7 +249,7 @@ SINGLE raster(ulong address) {
     const Targets targets = open_targets(TARGET_ARGUMENTS);
     const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of what lies in the target, whole blocks
     const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
-    const uint staged = STAGES_DEPTH && place >= 0 ? 1u << COLOR_COUNT : 0u;
+    const uint staged = STAGES_DEPTH && DEPTH_WRITES && place >= 0 ? 1u << COLOR_COUNT : 0u;
     if (cleared & ~staged) clear_targets(&targets, target_places, cleared & ~staged, tile_x, tile_y, width, height);
     if (place < 0) return;
 #if STAGES_DEPTH
