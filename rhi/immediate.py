@@ -30,7 +30,7 @@ from rhi.descriptors import (
 from rhi.errors import refuse
 from rhi.formats import IndexFormat
 from rhi.layout import VectorType
-from rhi.mesh import Mesh, check_finite
+from rhi.mesh import Mesh, check_finite, match_indices
 from rhi.program import Program
 from rhi.ring import Ring
 from rhi.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE, RESOURCE_DESTROYED
@@ -138,13 +138,42 @@ class TransientMemory:
             self._owner_generation = self._constants.generation
         return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
 
-    def draw_arguments(
+    def mesh(
+        self,
+        program: Program[Any],
+        vertices: NDArray[Any],
+        indices: NDArray[Any] | None = None,
+        primitive: Primitive = Primitive.TRIANGLES,
+    ) -> Mesh:
+        """A mesh of this frame for one program.
+
+        Args:
+            vertices: (n,), a structured array with the program's vertex fields.
+            indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
+
+        Raises:
+            ValidationError: `immediate-vertex`, `mesh-index`.
+        """
+        self._core.check_open()
+        array = match_vertices(program, vertices)
+        if indices is not None:
+            indices = match_indices(indices, len(array), "transient.mesh")
+        return self.place_mesh(program, array, indices, primitive)
+
+    def place_mesh(
+        self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None, primitive: Primitive
+    ) -> Mesh:  # fmt: skip
+        """`mesh` of what `match_vertices` and `match_indices` gave."""
+        vertex_array, first, base = self._place(program, vertices, indices)
+        count = len(vertices) if indices is None else len(indices)
+        return _TransientMesh(
+            _TransientData({program: vertex_array}, self._mesh_owner), primitive, first, count, base
+        )
+
+    def _place(
         self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None
     ) -> tuple[Id, int, int]:
-        """(vertex array, first, base vertex) of vertices and indices put into the rings.
-
-        `vertices` is of `vertex_dtype(program.descriptor.attributes)`.
-        """
+        """Put vertices and indices into the rings; (vertex array, first, base vertex)."""
         core = self._core
         stride = vertices.dtype.itemsize
         core.upload_bytes += vertices.nbytes
@@ -160,7 +189,7 @@ class TransientMemory:
         vertex_array = self._vertex_arrays.get(key)
         if vertex_array is None:
             self._drop_outdated()
-            vertex_array = self._vertex_arrays[key] = core.new_id()
+            vertex_array = core.new_id()
             core.backend.create_vertex_array(
                 vertex_array,
                 VertexArrayDescriptor(
@@ -171,23 +200,8 @@ class TransientMemory:
                     index_format,
                 ),
             )  # fmt: skip
+            self._vertex_arrays[key] = vertex_array
         return vertex_array, first, base
-
-    def mesh(
-        self,
-        program: Program[Any],
-        vertices: NDArray[Any],
-        indices: NDArray[Any] | None = None,
-        primitive: Primitive = Primitive.TRIANGLES,
-    ) -> Mesh:
-        """A mesh of this frame for one program, from an array with the program's vertex fields."""
-        self._core.check_open()
-        array = match_vertices(program, vertices)
-        vertex_array, first, base = self.draw_arguments(program, array, indices)
-        count = len(array) if indices is None else len(indices)
-        return _TransientMesh(
-            _TransientData({program: vertex_array}, self._mesh_owner), primitive, first, count, base
-        )
 
     def _drop_outdated(self) -> None:
         """Give back the vertex arrays on buffers that a ring has grown out of."""
@@ -269,8 +283,8 @@ class Immediate(Generic[S]):
         """Many vertices: a structured array with the program's vertex fields."""
         if not self._open:
             refuse(IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block")
-        self._arrays.append(self._pending())
-        self._arrays.append(match_vertices(self._program, array))
+        matched = np.array(match_vertices(self._program, array))  # what is done to the caller's afterwards is not drawn
+        self._arrays += [self._collect(), matched]
 
     def __enter__(self) -> Self:
         self._program.core.check_open()
@@ -281,30 +295,31 @@ class Immediate(Generic[S]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._open = False
-        if kind is not None:
+        try:
+            if kind is not None:
+                return
+            array = np.concatenate([*self._arrays, self._collect()])
+        finally:
             self._rows.clear()
             self._arrays.clear()
-            return
-        self._arrays.append(self._pending())
-        array = np.concatenate(self._arrays)
-        self._arrays.clear()
         if not len(array):
             return
         # Everything is checked before the vertices go into the ring.
         program, core = self._program, self._program.core
         program.bind(program.ready_to_draw, EMPTY_MESH, self._bindings)
-        mesh = self._memory.mesh(program, array, None, self._primitive)
+        mesh = self._memory.place_mesh(program, array, None, self._primitive)
         core.flush_states()
         program.draw_unprepared(mesh, 1)
         core.draws += 1
 
-    def _pending(self) -> NDArray[Any]:
-        rows, self._rows = self._rows, []
+    def _collect(self) -> NDArray[Any]:
+        """The single vertices since the latest array; they stay where they are if one is refused."""
         try:
-            array = np.array(rows, self._dtype)
+            array = np.array(self._rows, self._dtype)
         except (TypeError, ValueError) as error:
             refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
         check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
+        self._rows.clear()
         return array
 
 

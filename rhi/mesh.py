@@ -76,7 +76,7 @@ class MeshData:
             refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
         self.vertex_count = vertices if isinstance(vertices, int) else _length(vertex_array)
         instance_array = None if instances is None else _structured(instances, call)
-        index_array = _indices(indices, self.vertex_count, call)
+        index_array = _index_source(indices, self.vertex_count, call)
         self.core = core
         self.label = label
         self.owned: list[Buffer] = []
@@ -394,11 +394,24 @@ def _length(source: NDArray[Any] | Buffer | None) -> int:
     return source.count if isinstance(source, Buffer) else len(source)
 
 
-def _indices(source: NDArray[Any] | Buffer | None, vertices: int, call: str) -> NDArray[Any] | Buffer | None:
-    if source is None or isinstance(source, Buffer):
-        if source is not None and source.dtype not in (np.dtype("u2"), np.dtype("u4")):
+def _index_source(
+    source: NDArray[Any] | Buffer | None, vertices: int, call: str
+) -> NDArray[Any] | Buffer | None:
+    if source is None:
+        return None
+    if isinstance(source, Buffer):
+        if source.dtype not in (np.dtype("u2"), np.dtype("u4")):
             refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
         return source
+    return match_indices(source, vertices, call)
+
+
+def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
+    """Indices of any integer dtype as (n,) uint16 or uint32.
+
+    Raises:
+        ValidationError: `mesh-index` for one that names none of so many vertices and doesn't restart a strip.
+    """
     array = np.asarray(source)
     if array.dtype.kind not in "iu" or not array.size:
         refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")

@@ -8,6 +8,8 @@ from null_kit import Camera, Kit, Object, hand_made_program
 
 import rhi
 from rhi import Op, Primitive
+from rhi.backends.null import NullBackend
+from rhi.rules import DEVICE_MEMORY
 
 
 def bindings(kit: Kit) -> dict[str, object]:
@@ -35,6 +37,60 @@ def test_arrays_and_single_vertices_keep_their_order(kit: Kit) -> None:
             points.vertex(position=(3, 3))
     written = kit.ops(Op.WRITE_BUFFER)[-1]["data"]
     assert np.frombuffer(written, "<f4").reshape(-1, 2)[:, 0].tolist() == [0, 1, 2, 3]
+
+
+def test_an_array_is_drawn_as_it_was_when_it_was_given(kit: Kit) -> None:
+    rows = np.array([((1, 1),)], [("position", "<f4", (2,))])
+    with kit.device.render_pass(kit.image):
+        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+            points.vertices(rows)
+            rows["position"] = 7
+            points.vertices(rows)
+    written = kit.ops(Op.WRITE_BUFFER)[-1]["data"]
+    assert np.frombuffer(written, "<f4").reshape(-1, 2)[:, 0].tolist() == [1, 7]
+
+
+@pytest.mark.parametrize("bad", [np.nan, "left"], ids=["not a number", "text"])
+def test_a_vertex_that_was_refused_with_an_array_is_refused_at_the_end_too(kit: Kit, bad: object) -> None:
+    """Nothing is drawn without it: the array that followed was refused, and the vertex is still there."""
+    rows = np.zeros(1, [("position", "<f4", (2,))])
+    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+            points.vertex(position=(bad, 0))
+            with pytest.raises(rhi.ValidationError):
+                points.vertices(rows)
+    assert caught.value.rule.id == "immediate-vertex"
+    assert not kit.ops(Op.DRAW)
+
+
+def test_an_array_that_is_refused_leaves_the_vertices_before_it(kit: Kit) -> None:
+    rows = np.full(1, np.nan, [("position", "<f4", (2,))])
+    with kit.device.render_pass(kit.image):
+        with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:
+            points.vertex(position=(5, 0))
+            with pytest.raises(rhi.ValidationError):
+                points.vertices(rows)
+    (draw,) = kit.ops(Op.DRAW)
+    assert draw["count"] == 1
+
+
+def test_a_vertex_array_that_could_not_be_made_is_made_at_the_next_try(
+    kit: Kit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = np.zeros(3, [("position", "f4", 2)])
+
+    def fail(*arguments: object) -> None:
+        raise rhi.DeviceError(DEVICE_MEMORY, "create_vertex_array")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(kit.device.backend_as(NullBackend), "create_vertex_array", fail)
+        with pytest.raises(rhi.DeviceError):
+            kit.device.transient.mesh(kit.program, rows)
+    mesh = kit.device.transient.mesh(kit.program, rows)
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, mesh, camera=kit.camera, object=kit.objects[0])
+    (draw,) = kit.ops(Op.DRAW)
+    assert draw.resource(draw["vertex_array"]) is not None
 
 
 def test_a_block_without_vertices_draws_nothing(kit: Kit) -> None:

@@ -139,7 +139,7 @@ def test_transient_meshes_are_drawn_as_they_were_made(device: Device) -> None:
         assert_same(image.read().reshape(-1), np.arange(1024))
 
 
-@pytest.mark.parametrize("dtype", ["u2", "u4"])
+@pytest.mark.parametrize("dtype", ["u2", "u4", "u1", "i8"])
 def test_transient_meshes_may_have_indices(device: Device, dtype: str) -> None:
     program = device.program(Colored)
     rows = points(8, (8, 1))

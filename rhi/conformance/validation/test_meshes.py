@@ -11,7 +11,7 @@ from rhi import (
     Device,
     rules,
 )
-from rhi.conformance.shaders import Corner
+from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 
@@ -74,8 +74,11 @@ def test_a_buffer_of_vertices_has_fields(recording: Device) -> None:
     ids=["beyond", "negative", "float", "empty", "beyond uint16"],
 )
 def test_indices_point_to_vertices(recording: Device, indices: Any) -> None:
+    program = recording.program(Colored)
     with refuses(rules.MESH_INDEX, recording):
         recording.mesh(rectangle(), indices)
+    with refuses(rules.MESH_INDEX, recording):
+        recording.transient.mesh(program, rectangle(), indices)
     recording.mesh(rectangle(), np.array([0, 1, 5])).destroy()
     recording.mesh(rectangle(), np.array([0, 0xFFFF, 5], "u2")).destroy()
 
