@@ -67,32 +67,33 @@ class Pipeline:
         """The kernel for vertices of this layout."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
-            parts = [
-                tables.common_macros(), read_kernels("common"), self._vertex_text,
-                tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX]),
-                read_kernels("vertex"),
-            ]  # fmt: skip
-            self._vertex[layout] = self._build(Stage.VERTEX, "transform", parts)
+            before = [tables.common_macros(), read_kernels("common")]
+            macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
+            behind = [macros, read_kernels("vertex")]
+            self._vertex[layout] = self._build(Stage.VERTEX, "transform", before, self._vertex_text, behind)
         return self._vertex[layout]
 
     def find_raster(self, key: targets.MergerKey) -> Kernel:
         """The kernel for targets and states of this key."""
         if key not in self._raster:
-            parts = [
+            before = [
                 tables.common_macros(), read_kernels("common"), read_kernels("polygon"), key.defines(),
-                targets.read_source(), self._fragment_text if key.shades else "",
-                tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT]),
-                read_kernels("raster"),
+                targets.read_source(),
             ]  # fmt: skip
-            self._raster[key] = self._build(Stage.FRAGMENT, "raster", parts)
+            macros = tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT])
+            behind = [macros, read_kernels("raster")]
+            text = self._fragment_text if key.shades else ""
+            self._raster[key] = self._build(Stage.FRAGMENT, "raster", before, text, behind)
         return self._raster[key]
 
-    def _build(self, stage: Stage, name: str, parts: list[str]) -> Kernel:
-        source = "\n".join(parts)
+    def _build(self, stage: Stage, name: str, before: list[str], text: str, behind: list[str]) -> Kernel:
+        """A kernel of the stage's text and what stands before and behind it."""
+        source = "\n".join([*before, text, *behind])
         try:
             (kernel,) = self._builds.build(source, (name,), self.descriptor.flushes_denormals)
         except cl.Error as error:
-            raise make_shader_error(self.descriptor, source, str(error)) from error
+            lines = "\n".join([*before, ""]).count("\n")
+            raise make_shader_error(self.descriptor, stage, source, str(error), lines) from error
         return kernel
 
 

@@ -105,7 +105,7 @@ class Program:
             program = build(context.context, source, descriptor.flushes_denormals)
             (kernel,) = program.all_kernels()
         except cl.Error as error:
-            raise make_shader_error(descriptor, source, str(error)) from error
+            raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
         except ValueError as error:
             call = f"device.program({descriptor.name})"
             raise ShaderError(SHADER_DRIVER, call, "not one kernel", "a text with one kernel") from error
@@ -165,10 +165,12 @@ class Programs:
         del self._programs[program]
 
 
-def make_shader_error(descriptor: ProgramDescriptor, source: str, log: str) -> ShaderError:
-    """The error for a text that the driver refused; `site` is the Python line of the first error, if
-    `descriptor.lines` knows it."""
-    lines, origins = source.split("\n"), descriptor.lines.get(Stage.COMPUTE, ())
+def make_shader_error(
+    descriptor: ProgramDescriptor, stage: Stage, source: str, log: str, before: int = 0
+) -> ShaderError:
+    """The error for a text that the driver refused: that of `stage`, behind `before` lines of others. `site` is the
+    Python line of the first error, if `descriptor.lines` knows it."""
+    lines, origins = source.split("\n"), descriptor.lines.get(stage, ())
     rows: list[str] = []
     site = None
     for message in [row.strip() for row in log.splitlines() if "error:" in row][:_SHOWN_ERRORS]:
@@ -178,9 +180,9 @@ def make_shader_error(descriptor: ProgramDescriptor, source: str, log: str) -> S
         if not 1 <= number <= len(lines):
             continue
         rows.append(f"  OpenCL C line {number}: {lines[number - 1].strip()}")
-        if number <= len(origins):
-            origin = CallSite(*origins[number - 1])
+        if 1 <= number - before <= len(origins):
+            origin = CallSite(*origins[number - before - 1])
             rows.append(f"  from {origin}")
             site = site or origin
-    call = f"device.program({descriptor.name}), its compute stage"
+    call = f"device.program({descriptor.name}), its {stage.value} stage"
     return ShaderError(SHADER_DRIVER, call, "\n".join(rows) or log.strip(), site=site)

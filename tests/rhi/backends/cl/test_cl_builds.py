@@ -139,11 +139,12 @@ def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
 
         def emit(language: str, wanted: Stage) -> str:
             text = descriptor.emit(language, wanted)
-            return text + "\nint undeclared(void) { return nothing; }\n" if wanted is stage else text
+            return "int undeclared(void) {\n    return nothing;\n}\n" + text if wanted is stage else text
 
         bad = device.program(ProgramDescriptor(
             "Bad", descriptor.stages, descriptor.bindings, descriptor.attributes, descriptor.outputs,
             descriptor.work_group, emit, varyings=descriptor.varyings,
+            lines={stage: tuple(("bad.py", line) for line in (10, 20, 30))},
         ))  # fmt: skip
         image = device.texture(SIZE, Format.RGBA8)
         mesh = device.mesh(rectangle())
@@ -152,5 +153,7 @@ def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
                 device.draw(bad, mesh)
             device.draw(good, mesh)
         assert caught.value.rule.id == "shader-driver"
+        assert f"its {stage.value} stage" in caught.value.call
+        assert str(caught.value.site) == "bad.py:20"
         assert image.read().min() == 255  # the good draw
         np.testing.assert_array_equal(draw(device, good).read(), expected)
