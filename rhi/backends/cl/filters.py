@@ -12,6 +12,7 @@ import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.context import Context, build
+from rhi.backends.cl.errors import translate_errors
 from rhi.formats import Format, Kind
 from rhi.texels import from_srgb
 
@@ -160,7 +161,8 @@ class Filters:
 
     def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
         if not self._kernels:
-            program = build(self._context.context, _write_source())
+            with translate_errors("the kernels of mip levels and resolves"):
+                program = build(self._context.context, _write_source())
             self._kernels = {each: cl.Kernel(program, each) for each in ("halve", "resolve")}
         kernel = self._kernels[name]
         kernel.set_args(*arguments)

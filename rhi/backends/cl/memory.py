@@ -20,7 +20,7 @@ from rhi.backends.cl.context import Context, allocate_pages
 
 __rhi_internal__ = True
 
-_PAGE: Final = 1 << 20
+_PAGE_BYTES: Final = 1 << 20
 _ALIGN: Final = 64
 _SLACK: Final = 256  # what vector loads may read beyond the end
 _PATTERN: Final = 0x5EED_0123_4567_89AB
@@ -68,10 +68,8 @@ def allocate_raw(context: Context, size: int) -> cl.Buffer:
         pyopencl.Error: there isn't as much.
     """
     made = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, size + _SLACK)
-    try:
-        cl.enqueue_fill_buffer(
-            context.queue, made, np.zeros(4, np.uint8), 0, 4
-        )  # makes the driver allocate now
+    try:  # makes the driver allocate now
+        cl.enqueue_fill_buffer(context.queue, made, np.zeros(4, np.uint8), 0, 4)
     except cl.Error:
         made.release()
         raise
@@ -141,16 +139,17 @@ class Uploads:
     def __init__(self, context: Context, addresses: Addresses) -> None:
         self._context = context
         self._addresses = addresses
-        self._page = self._make(_PAGE)
+        self._page = self._make(_PAGE_BYTES)
         self._waiting: list[_Page] = []
 
     def write(self, table: bytes) -> int:
         """Put a table where kernels find it; gives its address. It stays until `release` is told an event."""
         size = -(-(len(table) + _SLACK) // _ALIGN) * _ALIGN
         if self._page.used + size > len(self._page.host):
+            page = self._find_page(size)
             self._page.event = None  # the next one covers it whole
             self._waiting.append(self._page)
-            self._page = self._find_page(size)
+            self._page = page
         page = self._page
         start = page.used
         page.used += size
@@ -174,7 +173,7 @@ class Uploads:
                 del self._waiting[place]
                 page.used, page.event = 0, None
                 return page
-        return self._make(max(size, _PAGE))
+        return self._make(max(size, _PAGE_BYTES))
 
     def _make(self, size: int) -> _Page:
         return _Page(self._context, self._addresses, size)

@@ -37,9 +37,7 @@ GRAIN: Final = 128
 """Memory comes in multiples of this many bytes, and at least as many are behind what was asked for."""
 BLOCK: Final = 4
 """Texels along the edge of a block: rows are as long, and as many, as whole blocks need."""
-_copy_box: Final[Any] = (
-    cl.enqueue_copy
-)  # whose stubs name its arguments for boxes otherwise than they are called
+_copy_box: Final[Any] = cl.enqueue_copy  # whose stubs name a box's arguments otherwise than it does
 _MAX_PATTERN: Final = 128
 _MAX_STAGED: Final = 1 << 24
 _MAX_RANGES: Final = 4096
@@ -191,7 +189,9 @@ class Plane:
         if self.memory is target.memory and self._pitches != target._pitches:  # which OpenCL can't do at once
             box = region.width, region.height, region.layers
             size = pitches_of(self.texel, *box[:2])[1] * region.layers
-            between = Plane(cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size), 0, self.texel, *box)
+            with translate_errors("Texture.copy_to", f"{size} bytes between two levels"):
+                memory = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size)
+            between = Plane(memory, 0, self.texel, *box)
             self.copy(queue, region, between, 0, 0, 0)
             between.copy(queue, Region(0, 0, *box[:2], 0, box[2]), target, x, y, layer)
             return

@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Primitive, TextureKind
+from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Primitive, Region, TextureKind
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
 from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4
@@ -79,10 +79,11 @@ def work(device: Device) -> list[NDArray[Any]]:
             device.draw(colored, strip)
             device.draw(colored, many)
         image.generate_mipmaps()
+        image.copy_to(image, region=Region(0, 0, 8, 8), target_level=1)
         with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(CullMode.NONE):
             device.draw(painted, strip, image=image)
         device.dispatch(ramp, 63, values=values)
-        return [image.read(), target.read(), values.read(), np.array([query.wait()])]
+        return [image.read(), image.read(1), target.read(), values.read(), np.array([query.wait()])]
     finally:
         for thing in reversed(made):
             thing.destroy()
