@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import Context, allocate_pages, build, build_again
+from rhi.backends.cl.context import PAGE, Context, allocate_pages, build, build_again
 from rhi.backends.cl.tables import BATCH
 
 __rhi_internal__ = True
@@ -31,7 +31,7 @@ LOGGER: Final = logging.getLogger("rhi.kernels")
 _POCL: Final = "Portable Computing Language"
 _COLD: Final = 0.06  # seconds of processor time: a text takes 0.15 and more, 0.03 if it is on disk
 _MOST_THREADS: Final = 4
-_PAGE: Final = 4096
+_NOTHING_PAGES: Final = 16  # more than kernels read of what an address in an empty batch leads to
 
 
 class Kernel:
@@ -128,10 +128,10 @@ class _Nothing:
     """
 
     def __init__(self) -> None:
-        self._memory = allocate_pages(17 * _PAGE)
+        self._memory = allocate_pages(PAGE + _NOTHING_PAGES * PAGE)  # the batch, and zeros
         self.address: int = self._memory.ctypes.data
         table = self._memory[: BATCH.itemsize].view(BATCH)
         for name in BATCH.names or ():
             if BATCH[name].base == np.uint64:
-                table[name] = self.address + _PAGE
+                table[name] = self.address + PAGE
         table["tiles"] = table["tiles_x"] = table["bounded"] = 1

@@ -32,7 +32,8 @@ _CALL: Final = "rhi.create_device('cl')"
 _ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
 _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
 _OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
-_PAGE: Final = 4096
+PAGE: Final = 4096
+"""Bytes: drivers use host memory in place only where it begins at a multiple of so many."""
 _COUNT: Final = 64
 _PROBE: Final = """
 __kernel void probe(__global uint *words) {
@@ -116,11 +117,16 @@ def describe(device: cl.Device) -> str:
 def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
     """The device of this number, or the first whose description contains `wanted`."""
     names = [describe(device) for device in devices]
-    if wanted.isdecimal() and int(wanted) < len(devices):
-        return devices[int(wanted)]
-    for name, device in zip(names, devices, strict=True):
-        if wanted.lower() in f"{device.platform.name} {name}".lower() and not wanted.isdecimal():
-            return device
+    if wanted.isdecimal():
+        meant = devices[int(wanted) :]
+    else:
+        meant = [
+            device
+            for name, device in zip(names, devices, strict=True)
+            if wanted.lower() in f"{device.platform.name} {name}".lower()
+        ]
+    if meant:
+        return meant[0]
     if not names:
         raise DeviceError(DEVICE_DRIVER, _CALL, "no OpenCL device", _ALLOWED, _INSTALL)
     rows = "".join(f"\n{number}: {name}" for number, name in enumerate(names))
@@ -178,7 +184,7 @@ def build_again(context: cl.Context, source: str, flushes_denormals: bool) -> cl
 
 
 def allocate_pages(size: int) -> NDArray[np.uint8]:
-    """Zeroed host memory that begins at a page: drivers copy what is not aligned."""
-    memory = np.zeros(size + _PAGE, np.uint8)
-    start = -memory.ctypes.data % _PAGE
+    """Zeroed host memory that begins at a page, (size,)."""
+    memory = np.zeros(size + PAGE, np.uint8)
+    start = -memory.ctypes.data % PAGE
     return memory[start : start + size]
