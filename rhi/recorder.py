@@ -201,15 +201,10 @@ class Recorder(CommandMethods):
         return self.backend.read_query(query)
 
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """Write down a command that was called elsewhere, at its own call site, and pass it on: with the site, where
-        the backend has this method, too."""
+        """Write down a command that was called elsewhere, at its own call site, and pass it on."""
         self._write((int(op), *arguments, code, offset))
-        pass_on = getattr(self.backend, "pass_on", None)
         try:
-            if pass_on is None:
-                getattr(self.backend, op.method)(*arguments)
-            else:
-                pass_on(op, arguments, code, offset)
+            pass_on(self.backend, op, arguments, code, offset)
         except BaseException as error:
             self._fail(error)
             raise
@@ -233,3 +228,12 @@ class Recorder(CommandMethods):
     def _fail(self, error: BaseException) -> None:
         if not self.is_paused:
             self.stream.fail(error)
+
+
+def pass_on(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+    """Call a backend's command that was called elsewhere: with the call site, if the backend has a method for that."""
+    with_site = getattr(backend, "pass_on", None)
+    if with_site is None:
+        getattr(backend, op.method)(*arguments)
+    else:
+        with_site(op, arguments, code, offset)

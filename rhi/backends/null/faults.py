@@ -11,13 +11,15 @@ from __future__ import annotations
 import random
 from collections import Counter
 from dataclasses import dataclass
+from types import CodeType
+from typing import Any
 
 from rhi.backend import Backend, Capabilities
 from rhi.commands import CommandStream
 from rhi.descriptors import Id, ProgramDescriptor, QueryKind
 from rhi.errors import DeviceError, ShaderError
 from rhi.ops import Op
-from rhi.recorder import CommandMethods
+from rhi.recorder import CommandMethods, pass_on
 from rhi.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
 
 __rhi_internal__ = True
@@ -93,6 +95,11 @@ class FaultInjector(CommandMethods):
 
     def close(self) -> None:
         self.backend.close()
+
+    def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
+        """A command of a command buffer, with the line that recorded it; none of those that have methods here."""
+        self._enter(op)
+        pass_on(self.backend, op, arguments, code, offset)
 
     # -- faults ------------------------------------------------------------------------------------------
 

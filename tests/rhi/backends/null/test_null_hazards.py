@@ -14,7 +14,7 @@ from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 
 import rhi
 from rhi import Access, BufferUsage
-from rhi.backends.null import HazardKind, SimulatedBackend, Simulation
+from rhi.backends.null import Faults, HazardKind, SimulatedBackend, Simulation
 from rhi.descriptors import (
     Attachment,
     Binding,
@@ -679,8 +679,9 @@ def test_a_lock_on_stream_memory_in_use_is_found_through_a_device():
         assert simulated.hazards[0].first.file == __file__
 
 
-def test_a_hazard_of_a_command_buffer_names_the_line_that_recorded_it():
-    with rhi.create_device("null", simulation=Simulation()) as device:
+@pytest.mark.parametrize("faults", [None, Faults()], ids=["alone", "behind faults"])
+def test_a_hazard_of_a_command_buffer_names_the_line_that_recorded_it(faults):
+    with rhi.create_device("null", simulation=Simulation(), faults=faults) as device:
         simulated = device.backend_as(SimulatedBackend)
         vertices = device.buffer(6, np.dtype([("position", "f4", 2)]), usage=BufferUsage.STREAM)
         mesh, program = device.mesh(vertices), device.program(hand_made_program())
