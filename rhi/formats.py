@@ -99,9 +99,17 @@ class Format(enum.Enum):
         return self.kind is Kind.DEPTH_STENCIL
 
     @property
+    def depth_steps(self) -> int:
+        """Of a depth format of whole numbers: the number that stands for 1; 0 for floats and colors."""
+        return _DEPTH_STEPS.get(self.name, 0)
+
+    @property
     def is_integer(self) -> bool:
         """Whether shaders read integers: no filtering, no blending."""
         return self.kind in (Kind.UINT, Kind.INT)
+
+
+_DEPTH_STEPS: Final = {"D16": (1 << 16) - 1, "D24": (1 << 24) - 1, "D24S8": (1 << 24) - 1}
 
 
 class IndexFormat(enum.Enum):

@@ -17,7 +17,6 @@ from rhi.formats import Format, Kind
 
 __rhi_internal__ = True
 
-_DEPTH_STEPS: Final = {Format.D16: (1 << 16) - 1, Format.D24: (1 << 24) - 1, Format.D24S8: (1 << 24) - 1}
 _Taps: TypeAlias = tuple[NDArray[np.intp], NDArray[np.float64]]
 _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the float64 copies
 
@@ -30,8 +29,8 @@ def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
             return values.astype(format.dtype)
     values = np.where(np.isnan(values), 0.0, values)
     if format.is_depth:
-        depths, steps = np.clip(values, 0.0, 1.0), _DEPTH_STEPS.get(format)
-        return (depths if steps is None else np.rint(depths * steps) / steps).astype(np.float32)
+        depths, steps = np.clip(values, 0.0, 1.0), format.depth_steps
+        return (np.rint(depths * steps) / steps if steps else depths).astype(np.float32)
     if kind is Kind.SRGB:
         values = values.copy()
         values[..., :3] = _to_srgb(np.clip(values[..., :3], 0.0, 1.0))

@@ -53,7 +53,7 @@ _PASSES: Final = {
 """Comparisons by name: 1 lets less pass, 2 equal, 4 greater."""
 _ALWAYS: Final = _PASSES["always"]
 _ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
-DEPTH_STEPS: Final = {16: 1 / 65535, 24: 1 / 16777215}
+_FLOAT_BITS: Final = 32
 _KINDS: Final = {kind: number for number, kind in enumerate(Kind)}
 _STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(StencilOperation)}
 _BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(BlendOperation)}
@@ -65,7 +65,6 @@ _FACTORS: Final = {
     BlendFactor.ONE_MINUS_CONSTANT: 13,
 }  # fmt: skip
 """8 more means 1 minus it."""
-_DEPTH_BITS: Final = {Format.D16: 16, Format.D24: 24, Format.D24S8: 24}  # others keep what they are given
 
 _ALPHA_STATE: Final = 0  # what passes, the reference
 _BLEND_STATE: Final = 2  # the constant color
@@ -91,7 +90,13 @@ class TestOrder(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class ColorKey:
-    """A target that is written: which attachment, how many components it is given, how a texel is stored."""
+    """A target that is written.
+
+    Attributes:
+        location: which attachment.
+        components: how many the fragment stage gives.
+        channels, bits, kind: of a texel, and of each of its channels.
+    """
 
     location: int
     components: int
@@ -103,13 +108,24 @@ class ColorKey:
 
 @dataclass(frozen=True, slots=True)
 class MergerKey:
-    """The targets' part of a pipeline's key. Depth of 0 bits: neither tested nor written."""
+    """The targets' part of a pipeline's key.
+
+    Attributes:
+        colors: the targets that are written.
+        depth_bits: 16 or 24, 32 for floats, 0: neither tested nor written.
+        depth_passes: what the test lets pass, as a number of `_PASSES`.
+        depth_writes: whether the depth of what passes is kept.
+        has_stencil: whether the kernel takes the stencil plane.
+        order: when tests come.
+        shades: whether there is a fragment stage to run.
+        output_words: words of the stage's outputs, four for each location.
+    """
 
     colors: tuple[ColorKey, ...]
     depth_bits: int
     depth_passes: int
     depth_writes: bool
-    stencil: bool
+    has_stencil: bool
     alpha_test: bool
     alpha_to_coverage: bool
     samples: int
@@ -121,11 +137,6 @@ class MergerKey:
     def has_depth(self) -> bool:
         """Whether the kernel takes the depth plane."""
         return self.depth_bits > 0
-
-    @property
-    def has_stencil(self) -> bool:
-        """Whether the kernel takes the stencil plane."""
-        return self.stencil
 
     @property
     def stages_depth(self) -> bool:
@@ -141,7 +152,7 @@ class MergerKey:
     @property
     def depth_step(self) -> float:
         """Between depths that the target can hold; 0: they are floats."""
-        return DEPTH_STEPS.get(self.depth_bits, 0.0)
+        return 1 / ((1 << self.depth_bits) - 1) if 0 < self.depth_bits < _FLOAT_BITS else 0.0
 
     def defines(self) -> str:
         """The macros that `kernels/targets.cl` is compiled with."""
@@ -209,7 +220,7 @@ def make_key(
     if depth is None or (passes == _ALWAYS and not writes):
         depth_bits, passes, writes = 0, _ALWAYS, False
     else:
-        depth_bits = _DEPTH_BITS.get(depth, 32)
+        depth_bits = depth.depth_steps.bit_length() or _FLOAT_BITS
     stencil = depth is not None and depth.has_stencil and values[StencilTest] is StencilTest.ON
     drops = program.discards or alpha_test or alpha_to_coverage
     gives_depth = program.writes_depth and not program.early_depth
@@ -224,7 +235,7 @@ def make_key(
         depth_bits=depth_bits,
         depth_passes=passes,
         depth_writes=writes,
-        stencil=stencil,
+        has_stencil=stencil,
         alpha_test=alpha_test,
         alpha_to_coverage=alpha_to_coverage,
         samples=samples,

@@ -21,7 +21,6 @@ from rhi.states import CullMode, DepthBias, FrontFace, PolygonOffset, Scissor, V
 
 __rhi_internal__ = True
 
-_DEPTH_STEPS: Final = {Format.D16: 1 / 65535, Format.D24: 1 / 16777215, Format.D24S8: 1 / 16777215}
 _FAR: Final = 1 << 20
 
 
@@ -56,7 +55,8 @@ def make_view(
     offset = values[PolygonOffset]
     view["bias_units"], view["bias_slope"] = values[DepthBias].units, offset.slope
     view["bias_clamp"] = offset.clamp
-    view["bias_step"] = _DEPTH_STEPS.get(depth, 0.0) if depth is not None else 0.0
+    if depth is not None and depth.depth_steps:
+        view["bias_step"] = 1 / depth.depth_steps
     view["state"] = make_state(values, colors)
     return view
 
