@@ -369,7 +369,7 @@ def measure(repeats: int) -> list[dict[str, Any]]:
     rows = []
     cl.Program(queue().context, "kernel void first() {}").build()  # PoCL loads its compiler
     for name, (shader, groups, bindings, result) in make_cases().items():
-        emit = milliseconds(lambda shader=shader: opencl_kernel(shader, 16))
+        emit = milliseconds(lambda shader=shader: opencl_kernel(shader, 16))  # never asked for before
         gl = GlRun(context, shader, **bindings)
         kernels, build = {}, {}
         for width in (1, 16):

@@ -358,7 +358,7 @@ class ProgramDescriptor:
 
     `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30); "opencl" and the lanes of a
     work-item, 1, 4, 8 or 16 for compute stages, 16 for others ("opencl16", see `rhi.shading.opencl_stages`); or, of
-    compute stages, "numpy", a Python module. `lines` maps each line of a stage's text (from 0), as it was emitted
+    compute stages, "numpy", a Python module. `lines` maps each line of a stage's text (from 0), as it was asked for
     last, to the (file, line) it came from, for a driver's messages. `varyings` are those that the fragment stage
     reads, in the order of their words. `shared_bytes` is the memory that a work-group shares.
     `checked`: its stages report faults on OpenCL and NumPy (`rhi.shading.faults`). `flushes_denormals`: numbers below

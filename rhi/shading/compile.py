@@ -12,7 +12,7 @@ from rhi.layout import Layout, place, stride_of
 from rhi.shading import rules, tree
 from rhi.shading.builtins import Precision
 from rhi.shading.expressions import Callee
-from rhi.shading.glsl_stage import StageOptions, StageText, write_stage
+from rhi.shading.glsl_stage import StageOptions, write_stage
 from rhi.shading.interface import (
     Interface,
     check_fragment_input,
@@ -23,6 +23,7 @@ from rhi.shading.interface import (
 )
 from rhi.shading.program import StageParser, find_method, signature
 from rhi.shading.shader import Declaration, Memory, Shader
+from rhi.shading.text import StageText
 from rhi.shading.types import VOID, ImageType, StorageType
 from rhi.shading.unused import check_bindings_are_used
 
@@ -30,7 +31,6 @@ __rhi_internal__ = True
 
 if TYPE_CHECKING:
     from rhi.shading.lanes import Code
-    from rhi.shading.opencl import KernelText
 
 # Lane code and OpenCL C are imported when a compute shader first needs them: they would be a tenth of the time
 # that `import rhi` takes.
@@ -119,38 +119,23 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
     )
 
 
-def opencl_kernel(shader: type[Shader], width: int = 16) -> KernelText:
+def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
     """A compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl`).
 
     Raises:
         ShaderError: the shader has no compute stage, uses what lanes haven't got, or breaks a rule.
     """
-    descriptor, trees = compile_shader(shader), stage_trees(shader)
-    if Stage.COMPUTE not in trees or width not in WIDTHS:
-        given = ", ".join(stage.value for stage in trees) + f", width={width}"
+    descriptor = compile_shader(shader)
+    if Stage.COMPUTE not in descriptor.stages or width not in WIDTHS:
+        given = ", ".join(stage.value for stage in descriptor.stages) + f", width={width}"
         call = f"opencl_kernel({shader.__name__}, …)"
         raise ShaderError(rules.STAGES, call, given, f"a compute stage, width {WIDTHS}")
-    return _write_kernel(trees[Stage.COMPUTE], descriptor.name, descriptor.work_group, width, descriptor.bindings,
-                         shader.precision, descriptor.checked)  # fmt: skip
-
-
-def _write_kernel(
-    stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, bindings: tuple[Binding, ...],
-    precision: Precision, checked: bool, code: Code | None = None,
-) -> KernelText:  # fmt: skip
-    from rhi.shading.lanes import Code
-    from rhi.shading.lowering import lower_compute
-    from rhi.shading.opencl import write_kernel
-
-    if f"opencl{width}" in stage.entry.native:
-        return write_kernel(Code(name, width, [], (), work_group=work_group), bindings, precision, stage.entry)
-    if code is None:
-        code = lower_compute(stage, name, work_group, width, checked)
-    return write_kernel(code, bindings, precision)
+    return StageText(descriptor.emit(f"opencl{width}", Stage.COMPUTE), descriptor.lines[Stage.COMPUTE])
 
 
 class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
-    """Writes stages when they are asked for; as a mapping, the origins of each stage's lines as written last."""
+    """Writes stages when they are first asked for, and keeps them for other devices; as a mapping, the origins of each
+    stage's lines as they were asked for last."""
 
     def __init__(
         self, stages: dict[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
@@ -162,48 +147,57 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
         self._varyings = varyings
         self._precision = precision
         self._checked = checked
-        self._code = code  # of the most lanes; kept until it is written once
-        self._texts: dict[Stage, StageText] = {}
+        self._code = code  # of the most lanes; kept until it is written
+        self._texts: dict[tuple[str, Stage], StageText] = {}
         self._origins: dict[Stage, tuple[tuple[str, int], ...]] = {}
 
     def emit(self, language: str, stage: Stage) -> str:
         """The stage's text: "glsl"; of a compute stage "opencl1", "opencl4", "opencl8" or "opencl16", a kernel for so
         many lanes, or "numpy" (`rhi.shading.numpy_kernel`); of others "opencl16" (`rhi.shading.opencl_stages`)."""
-        text: StageText | KernelText
-        if language == "glsl":
-            if stage not in self._texts:
-                self._texts[stage] = write_stage(self._stages[stage], self._options)
-            text = self._texts[stage]
-        elif stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
-            text = self.kernel(_KERNEL_WIDTHS[language])
-        elif stage is not Stage.COMPUTE and language == "opencl16":
-            text = self.function(stage)
-        elif stage is Stage.COMPUTE and language == "numpy":
-            return self.numpy()
-        else:
-            call = f"{self._options.name}: emit({language!r}, {stage})"
-            others = [*_KERNEL_WIDTHS, "numpy"] if stage is Stage.COMPUTE else ["opencl16"]
-            raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *others]))
+        text = self._texts.get((language, stage))
+        if text is None:
+            text = self._texts[language, stage] = self._write(language, stage)
         self._origins[stage] = text.origins
         return text.text
 
-    def kernel(self, width: int) -> KernelText:
-        """The compute stage for `width` lanes."""
-        options, code = self._options, None
-        if width == max(WIDTHS):
-            code, self._code = self._code, None
-        return _write_kernel(
-            self._stages[Stage.COMPUTE],
-            options.name,
-            options.work_group,
-            width,
-            self._bindings,
-            self._precision,
-            self._checked,
-            code,
-        )
+    def _write(self, language: str, stage: Stage) -> StageText:
+        if language == "glsl":
+            return write_stage(self._stages[stage], self._options)
+        if stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
+            return self._write_kernel(_KERNEL_WIDTHS[language])
+        if stage is Stage.COMPUTE and language == "numpy":
+            from rhi.shading.numpy_kernel import write_kernel
 
-    def function(self, stage: Stage) -> KernelText:
+            return StageText(write_kernel(self._lower(0)), ())
+        if stage is not Stage.COMPUTE and language == "opencl16":
+            return self._write_function(stage)
+        call = f"{self._options.name}: emit({language!r}, {stage})"
+        others = [*_KERNEL_WIDTHS, "numpy"] if stage is Stage.COMPUTE else ["opencl16"]
+        raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *others]))
+
+    def _lower(self, width: int) -> Code:
+        """The compute stage in lane code for so many lanes; 0: for whole arrays."""
+        from rhi.shading.lowering import lower_compute
+
+        if width == max(WIDTHS) and self._code is not None:
+            code, self._code = self._code, None
+            return code
+        options = self._options
+        stage = self._stages[Stage.COMPUTE]
+        return lower_compute(stage, options.name, options.work_group, width, self._checked)
+
+    def _write_kernel(self, width: int) -> StageText:
+        """The compute stage for `width` lanes."""
+        from rhi.shading.lanes import Code
+        from rhi.shading.opencl import write_kernel
+
+        entry, options = self._stages[Stage.COMPUTE].entry, self._options
+        if f"opencl{width}" in entry.native:
+            nothing = Code(options.name, width, [], (), work_group=options.work_group)
+            return write_kernel(nothing, self._bindings, self._precision, entry)
+        return write_kernel(self._lower(width), self._bindings, self._precision)
+
+    def _write_function(self, stage: Stage) -> StageText:
         """A vertex or fragment stage for 16 lanes."""
         from rhi.shading.lowering_stages import lower_stage
         from rhi.shading.opencl_stages import write_stage
@@ -213,15 +207,6 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
             self._stages[stage], options.name, options.interface, self._varyings, checked=self._checked
         )
         return write_stage(self._stages[stage], code, self._bindings, self._precision)
-
-    def numpy(self) -> str:
-        """The compute stage as a Python module."""
-        from rhi.shading.lowering import lower_compute
-        from rhi.shading.numpy_kernel import write_kernel
-
-        options = self._options
-        stage = self._stages[Stage.COMPUTE]
-        return write_kernel(lower_compute(stage, options.name, options.work_group, 0, self._checked))
 
     def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
         if stage not in self._origins:

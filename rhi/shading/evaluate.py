@@ -16,13 +16,13 @@ from rhi.descriptors import Stage
 from rhi.errors import refuse
 from rhi.layout import ArrayType, HostType, Layout, StructType, dtype_of, element_dtype, shape_of
 from rhi.shading import rules, tree
-from rhi.shading.compile import compile_shader, stage_trees
+from rhi.shading.compile import compile_shader
 from rhi.shading.expressions import Callee
 from rhi.shading.lanes import Code, Kind
-from rhi.shading.lowering import lower_compute, lower_function
+from rhi.shading.lowering import lower_function
 from rhi.shading.lowering_places import all_kinds, words_of
 from rhi.shading.numpy_code import write_numpy
-from rhi.shading.numpy_kernel import NumpyKernel, Run, load_module, write_kernel
+from rhi.shading.numpy_kernel import NumpyKernel, Run, load_module
 from rhi.shading.numpy_textures import HostTexture
 from rhi.shading.program import StageParser, signature
 from rhi.shading.shader import Memory, Shader
@@ -230,18 +230,15 @@ def bound_words(
 def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
     known = _shaders.get(shader)
     if known is None:
-        descriptor, trees = compile_shader(shader), stage_trees(shader)
-        if Stage.COMPUTE not in trees:
+        descriptor = compile_shader(shader)
+        if Stage.COMPUTE not in descriptor.stages:
             refuse(
                 rules.STAGES,
                 f"run_compute({shader.__name__}, …)",
                 "no compute stage",
                 "compute(self) -> None",
             )
-        code = lower_compute(
-            trees[Stage.COMPUTE], descriptor.name, descriptor.work_group, 0, descriptor.checked
-        )
-        known = _shaders[shader] = NumpyKernel(write_kernel(code), code.name)
+        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE), descriptor.name)
     return known
 
 

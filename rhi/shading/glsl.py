@@ -9,8 +9,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Final
 
 from rhi.errors import CallSite, ShaderError
@@ -29,6 +27,7 @@ from rhi.layout import (
 from rhi.shading import rules, tree
 from rhi.shading.glsl_names import Names, legal
 from rhi.shading.source import Place, show
+from rhi.shading.text import Lines, power_steps
 from rhi.shading.tree import Expression, Operator
 from rhi.shading.types import ImageType, TextureType, Type, VoidType, scalar_of
 
@@ -39,36 +38,6 @@ _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
 _LONGEST_LIST: Final = 32
 """Arrays of zeros up to this length are written as a list, longer ones as a loop."""
-
-
-def power_steps(exponent: int) -> str:
-    """What makes of r = x the power `exponent` of x, in C's words: square and multiply, from the highest bit down."""
-    return " ".join("r *= r; r *= x;" if bit == "1" else "r *= r;" for bit in f"{exponent:b}"[1:])
-
-
-class Lines:
-    """Text under construction, with the Python line of each line."""
-
-    __slots__ = ("indent", "origins", "text")
-
-    def __init__(self) -> None:
-        self.text: list[str] = []
-        self.origins: list[tuple[str, int]] = []
-        self.indent = 0
-
-    def add(self, text: str, file: str = "", line: int = 0) -> None:
-        """One line of GLSL."""
-        self.text.append("    " * self.indent + text)
-        self.origins.append((file, line))
-
-    @contextmanager
-    def braces(self, header: str, file: str = "", line: int = 0, end: str = "}") -> Iterator[None]:
-        """An indented block."""
-        self.add(header + " {", file, line)
-        self.indent += 1
-        yield
-        self.indent -= 1
-        self.add(end, file, line)
 
 
 class Writer:

@@ -11,21 +11,14 @@ from rhi.layout import FLOAT, INT, UINT, StructType
 from rhi.shading import tree
 from rhi.shading.annotations import Role
 from rhi.shading.builtins import Effect
-from rhi.shading.glsl import Lines, Writer, constant_key
+from rhi.shading.glsl import Writer, constant_key
 from rhi.shading.glsl_names import Names
 from rhi.shading.interface import Interface, Varying
 from rhi.shading.shader import Declaration, Memory
+from rhi.shading.text import Lines, StageText
 from rhi.shading.types import VECTORS, VOID, ImageType, StorageType
 
 __rhi_internal__ = True
-
-
-@dataclass(frozen=True, slots=True)
-class StageText:
-    """A stage's GLSL, and for each of its lines the Python file and line it came from."""
-
-    text: str
-    origins: tuple[tuple[str, int], ...]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,17 +11,16 @@ from __future__ import annotations
 
 import math
 import struct
-from dataclasses import dataclass
 from typing import Final
 
 from rhi.descriptors import Binding, BindingKind, TextureKind
 from rhi.shading import lanes, tree
 from rhi.shading import opencl_prelude as prelude
 from rhi.shading.builtins import Precision
-from rhi.shading.glsl import Lines, power_steps
 from rhi.shading.lanes import Affine, Code, Kind, Level, Literal, Memory, Space, Value, number
 from rhi.shading.opencl_textures import textures_text
 from rhi.shading.primitives import spelling
+from rhi.shading.text import Lines, StageText, power_steps
 
 __rhi_internal__ = True
 
@@ -39,18 +38,11 @@ _LARGEST_POWER: Final = 64
 """An exponent up to which multiplying is faster than a logarithm, and more exact: a rounding for each factor."""
 
 
-@dataclass(frozen=True, slots=True)
-class KernelText:
-    """A kernel named `compute`, and for each line of its text the Python file and line it came from."""
-
-    text: str
-    origins: tuple[tuple[str, int], ...]
-
-
 def write_kernel(
     code: Code, bindings: tuple[Binding, ...], precision: Precision, native: tree.Function | None = None
-) -> KernelText:
-    """A compute stage as OpenCL C 1.2; `native`: its body is this function's in OpenCL C, and `code` is empty."""
+) -> StageText:
+    """A compute stage as OpenCL C 1.2, a kernel named `compute`; `native`: its body is this function's in OpenCL C, and
+    `code` is empty."""
     return Writer(code, precision, native).kernel(bindings)
 
 
@@ -72,7 +64,7 @@ class Writer:
         self.helpers: dict[str, str] = {}
         self.textures: set[TextureKind] = set()
 
-    def kernel(self, bindings: tuple[Binding, ...]) -> KernelText:
+    def kernel(self, bindings: tuple[Binding, ...]) -> StageText:
         size = math.prod(self.code.work_group)
         items = -(-size // self.width)
         parameters = [text for binding in bindings for text in self.parameters(binding)]
@@ -94,14 +86,14 @@ class Writer:
                 first = self.native.line
                 self.lines.add(line, self.native_file if first else "", first + number if first else 0)
 
-    def finish(self) -> KernelText:
+    def finish(self) -> StageText:
         """What was written, and what it calls in front of it."""
         head = self.head()
         lines = [*head, *self.lines.text]
         if self.code.checked:  # a rasteriser puts text in front, which __LINE__ would count
             lines = [line.replace("RHI_HERE", str(number)) for number, line in enumerate(lines, 1)]
         text = "\n".join(lines) + "\n"
-        return KernelText(text, (("", 0),) * len(head) + tuple(self.lines.origins))
+        return StageText(text, (("", 0),) * len(head) + tuple(self.lines.origins))
 
     def head(self) -> list[str]:
         body = "\n".join(self.lines.text)

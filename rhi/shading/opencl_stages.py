@@ -27,7 +27,8 @@ from rhi.shading import tree
 from rhi.shading.builtins import Precision
 from rhi.shading.lanes import Argument, Level
 from rhi.shading.lowering_stages import FIRST_VERTEX, WIDTH, StageCode
-from rhi.shading.opencl import KernelText, Writer
+from rhi.shading.opencl import Writer
+from rhi.shading.text import StageText
 
 __rhi_internal__ = True
 
@@ -44,7 +45,7 @@ _FRAGMENT: Final = (
 
 def write_stage(
     stage: tree.StageTree, code: StageCode, bindings: tuple[Binding, ...], precision: Precision
-) -> KernelText:
+) -> StageText:
     """A stage's function and all that it calls; of a stage with a body in OpenCL C, `code` is empty."""
     native = stage.entry if LANGUAGE in stage.entry.native else None
     return _StageWriter(code, precision, native).stage(stage.stage, bindings)
@@ -57,7 +58,7 @@ class _StageWriter(Writer):
         super().__init__(code.code, precision, native)
         self.outputs = code
 
-    def stage(self, stage: Stage, bindings: tuple[Binding, ...]) -> KernelText:
+    def stage(self, stage: Stage, bindings: tuple[Binding, ...]) -> StageText:
         assert self.width == WIDTH
         given = [text for binding in bindings for text in self.parameters(binding)]
         given += ["global int *rhi_faults"] if self.code.checked else []

@@ -14,7 +14,7 @@ from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluate import storage_words, uniform_words
 from rhi.shading.faults import FAULT_WORDS, find_fault
 from rhi.shading.numpy_textures import HostTexture
-from rhi.shading.opencl import KernelText
+from rhi.shading.text import StageText
 from rhi.shading.texture_words import LevelPlace, describe_texture
 
 PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_global_id(0); }"
@@ -40,7 +40,7 @@ def queue() -> cl.CommandQueue:
 
 
 @lru_cache(64)
-def built(shader: type[Shader], width: int) -> tuple[KernelText, cl.Program]:
+def built(shader: type[Shader], width: int) -> tuple[StageText, cl.Program]:
     """A kernel's text and program."""
     text = opencl_kernel(shader, width)
     flush = ["-cl-denorms-are-zero"] if compile_shader(shader).flushes_denormals else []
