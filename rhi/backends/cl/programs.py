@@ -26,7 +26,8 @@ from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.states import States
 from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
-from rhi.errors import CallSite, ShaderError
+from rhi.driver_log import make_driver_error
+from rhi.errors import ShaderError
 from rhi.rules import SHADER_DRIVER
 from rhi.shading.faults import FAULT_WORDS, find_fault
 
@@ -34,7 +35,6 @@ __rhi_internal__ = True
 
 _WIDTHS: Final = (16, 8, 4)
 _LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, as Clang has it
-_SHOWN_ERRORS: Final = 10
 
 
 def count_lanes(device: cl.Device) -> int:
@@ -168,21 +168,12 @@ class Programs:
 def make_shader_error(
     descriptor: ProgramDescriptor, stage: Stage, source: str, log: str, before: int = 0
 ) -> ShaderError:
-    """The error for a text that the driver refused: that of `stage`, behind `before` lines of others. `site` is the
-    Python line of the first error, if `descriptor.lines` knows it."""
-    lines, origins = source.split("\n"), descriptor.lines.get(stage, ())
-    rows: list[str] = []
-    site = None
-    for message in [row.strip() for row in log.splitlines() if "error:" in row][:_SHOWN_ERRORS]:
-        match = _LINE.search(message)
-        number = int(match[1]) if match else 0
-        rows.append(message[match.end() :].strip() if match else message)
-        if not 1 <= number <= len(lines):
-            continue
-        rows.append(f"  OpenCL C line {number}: {lines[number - 1].strip()}")
-        if 1 <= number - before <= len(origins):
-            origin = CallSite(*origins[number - before - 1])
-            rows.append(f"  from {origin}")
-            site = site or origin
-    call = f"device.program({descriptor.name}), its {stage.value} stage"
-    return ShaderError(SHADER_DRIVER, call, "\n".join(rows) or log.strip(), site=site)
+    """The error for a text that the driver refused: that of `stage`, behind `before` lines of others."""
+    messages = [_read_message(row.strip()) for row in log.splitlines() if "error:" in row]
+    return make_driver_error(descriptor, stage, source, messages or [(log.strip(), 0)], "OpenCL C", before)
+
+
+def _read_message(row: str) -> tuple[str, int]:
+    """What it says, and of which line; 0: of none."""
+    match = _LINE.search(row)
+    return (row[match.end() :].strip(), int(match[1])) if match else (row, 0)
