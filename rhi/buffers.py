@@ -17,7 +17,7 @@ from rhi.core import Core
 from rhi.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.errors import refuse
 from rhi.layout import accepts, compare_layouts
-from rhi.lifetime import Resource
+from rhi.lifetime import Resource, kept_if_filled
 from rhi.locks import Lock
 from rhi.rules import (
     BUFFER_ALIGNMENT,
@@ -202,9 +202,11 @@ class UniformBuffer(UniformRange[T], Resource):
 
     def __init__(self, core: Core, value: Any, label: str = "") -> None:
         layout = type(value)
+        data = value.to_bytes()
         owner = Buffer(core, 1, layout.uniform_dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
-        owner._upload_bytes(value.to_bytes(), 0)
+        with kept_if_filled(owner):
+            owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
         """Replace the constants; ordered after the draws before."""

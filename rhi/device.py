@@ -35,6 +35,7 @@ from rhi.errors import listen, refuse
 from rhi.formats import Format
 from rhi.immediate import TransientMemory
 from rhi.layout import Layout, element_dtype
+from rhi.lifetime import kept_if_filled
 from rhi.mesh import Mesh, MeshData, VertexSource
 from rhi.program import Program
 from rhi.queries import OcclusionQuery, TimerNode, Timers
@@ -186,7 +187,8 @@ class Device(Encoder):
         if dtype is not None and array.dtype != np.dtype(dtype):
             refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
         buffer = Buffer(self._core, array.size, array.dtype, usage, label)
-        buffer.write(array)
+        with kept_if_filled(buffer):
+            buffer.write(array)
         return buffer
 
     def uniform(self, value: S, *, label: str = "") -> UniformBuffer[S]:
@@ -225,7 +227,8 @@ class Device(Encoder):
             Buffer(self._core, count, dtype, label=name), element, dtype
         )
         if not isinstance(source, (int, np.integer)):
-            storage.write(array)
+            with kept_if_filled(storage):
+                storage.write(array)
         return storage
 
     def texture(
@@ -266,13 +269,10 @@ class Device(Encoder):
         )
         texture = Texture(self._core, descriptor)
         if data is not None:
-            try:
+            with kept_if_filled(texture):
                 texture.write(data)
-            except BaseException:
-                texture.destroy()
-                raise
-            if levels > 1 and not format.is_integer:
-                texture.generate_mipmaps()
+                if levels > 1 and not format.is_integer:
+                    texture.generate_mipmaps()
         return texture
 
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:

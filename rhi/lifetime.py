@@ -1,7 +1,10 @@
-"""How long resources live: until they are destroyed, at the latest at the end of their `with`."""
+"""How long resources live: until they are destroyed, at the latest at the end of their `with`, or where they can't be
+filled."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Self
 
 __rhi_internal__ = True
@@ -21,3 +24,13 @@ class Resource:
 
     def __exit__(self, *_: object) -> None:
         self.destroy()
+
+
+@contextmanager
+def kept_if_filled(resource: Resource) -> Iterator[None]:
+    """What is filled inside stays; if that fails, nobody else has a name for it, and it is given back."""
+    try:
+        yield
+    except BaseException:
+        resource.destroy()
+        raise

@@ -39,7 +39,7 @@ Clear: TypeAlias = "Sequence[float] | Sequence[Sequence[float] | None] | None"
 class RenderPass:
     """`with device.render_pass(...)`; see there."""
 
-    __slots__ = ("_core", "_descriptor", "_desk", "_kinds", "_textures")
+    __slots__ = ("_core", "_descriptor", "_desk", "_kinds", "_resolves", "_textures")
 
     def __init__(
         self,
@@ -59,6 +59,7 @@ class RenderPass:
         resolves: list[Texture | None] = list(_listed(resolve)) or [None] * len(colors)
         depth_target = None if depth is None else _target(depth)
         self._textures = [t.texture for t in colors] + ([depth_target.texture] if depth_target else [])
+        self._resolves = [texture for texture in resolves if texture is not None]
         clears = _clears(clear, len(colors))
         self._check(colors, depth_target, resolves, clear_depth, clear_stencil)
         first = colors[0] if colors else depth_target
@@ -84,7 +85,7 @@ class RenderPass:
         core.check_open()
         if core.render_pass is not None:
             refuse(PASS_NESTED, "device.render_pass", "a second pass")
-        for texture in self._textures:
+        for texture in (*self._textures, *self._resolves):
             core.check_usable(texture, "device.render_pass")
         core.backend.begin_pass(self._descriptor)
         core.render_pass = self._descriptor

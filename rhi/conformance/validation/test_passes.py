@@ -205,6 +205,18 @@ def test_a_target_destroyed_before_its_pass_opens_is_refused(recording: Device) 
         pass
 
 
+def test_a_resolve_destroyed_before_its_pass_opens_is_refused(recording: Device) -> None:
+    require_samples(recording, 2)
+    with recording.texture(SIZE, Format.R8, samples=2) as image:
+        single = recording.texture(SIZE, Format.R8)
+        prepared = recording.render_pass(image, resolve=single)
+        with prepared:
+            pass
+        single.destroy()
+        with refuses(rules.RESOURCE_DESTROYED, recording), prepared:
+            pass
+
+
 # -- feedback ----------------------------------------------------------------------------------------------
 
 
