@@ -48,7 +48,10 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
     """
     known = _compiled.get(shader)
     if known is None:
-        known = _compiled[shader] = _compile(shader)
+        try:
+            known = _compiled[shader] = _compile(shader)
+        except ShaderError as error:  # it shows the line; where the compiler found out would bury that
+            raise error.with_traceback(None) from error.__cause__
     return known
 
 

@@ -15,11 +15,11 @@ from typing import Any, Final, NoReturn, Protocol
 
 from rhi.layout import BOOL, FLOAT, INT, UINT, ArrayType, MatrixType, ScalarType, StructType, VectorType
 from rhi.shading import rules, tree
-from rhi.shading.builtins import BUILTINS, Builtin
+from rhi.shading.builtins import Builtin
 from rhi.shading.operators import binary, convert, unary
 from rhi.shading.shader import Declaration, Shader
 from rhi.shading.signatures import Signature
-from rhi.shading.source import MISSING, Place, Source, place_of, suggest
+from rhi.shading.source import MISSING, Place, Source, place_of, suggest, suggest_name
 from rhi.shading.textures import methods_of
 from rhi.shading.tree import Constant, Expression, Operator
 from rhi.shading.types import (
@@ -179,9 +179,7 @@ class ExpressionParser:
     def _static_name(self, node: ast.Name) -> Any:
         found = self.source.scope.find(node.id)
         if found is MISSING:
-            tip = suggest(node.id, [*self.variable_names(), *self.source.scope.names(), *BUILTINS])
-            if not tip and node.id in BUILTINS:
-                tip = f"import it: from rhi.shading import {node.id}"
+            tip = suggest_name(node.id, [*self.variable_names(), *self.source.scope.names()])
             self.refuse(rules.UNKNOWN_NAME, node, repr(node.id), tip=tip)
         return found
 

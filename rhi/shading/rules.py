@@ -56,7 +56,7 @@ BINDING: Final = Rule("shading-binding", "a binding can't have this form")
 UNUSED_BINDING: Final = Rule(
     "shading-unused-binding",
     "a shader declares a binding that none of its methods uses",
-    "remove it: every draw would have to bind it",
+    "use it or remove it",
 )
 SHADOWED_BINDING: Final = Rule(
     "shading-shadowed-binding",

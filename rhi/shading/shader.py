@@ -28,7 +28,7 @@ from rhi.shading import rules
 from rhi.shading.annotations import value_type
 from rhi.shading.bindings import Storage, StorageRW, Uniform
 from rhi.shading.builtins import Precision
-from rhi.shading.source import locals_of, resolve_annotations, suggest
+from rhi.shading.source import locals_of, resolve_annotations, suggest_name
 from rhi.shading.textures import Image, ImageFormat, Texture, image
 from rhi.shading.types import ImageType, StorageType, Type
 from rhi.shading.vectors import Array
@@ -115,7 +115,7 @@ class Shader:
                 try:
                     annotation = eval(annotation, module, dict(names))
                 except NameError as error:
-                    _refuse(cls, name, annotation, suggest(error.name or "", [*names, *module]))
+                    _refuse(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
             origin: Any = get_origin(annotation)
             if origin is ClassVar:
                 continue

@@ -10,7 +10,7 @@ from rhi.layout import ArrayType
 from rhi.shading import rules
 from rhi.shading.annotations import value_type
 from rhi.shading.bindings import Storage, StorageRW, Uniform
-from rhi.shading.source import Source, suggest
+from rhi.shading.source import Source, suggest_name
 from rhi.shading.structs import Struct
 from rhi.shading.textures import Texture
 from rhi.shading.types import VOID, Type
@@ -98,7 +98,7 @@ def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -
         return source.scope.evaluate(known if isinstance(known, str) else ast.unparse(node))
     except NameError as error:
         source.refuse(
-            rules.UNKNOWN_NAME, node, repr(error.name), tip=suggest(error.name or "", source.scope.names())
+            rules.UNKNOWN_NAME, node, repr(error.name), tip=suggest_name(error.name or "", source.scope.names())
         )
     except Exception as error:
         source.refuse(rules.ANNOTATION, node, f"{type(error).__name__}: {error}")

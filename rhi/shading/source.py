@@ -14,6 +14,7 @@ import builtins
 import contextlib
 import difflib
 import linecache
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import FrameType, FunctionType
@@ -174,3 +175,11 @@ def suggest(name: str, known: Iterable[str]) -> str:
     """A did-you-mean for a name that isn't known, or ""."""
     close = difflib.get_close_matches(name, list(known), 1, 0.6)
     return f"did you mean {close[0]!r}?" if close else ""
+
+
+def suggest_name(name: str, known: Iterable[str]) -> str:
+    """A tip for a name that is defined nowhere: to import it if it is one of the language's, or a did-you-mean."""
+    language: list[str] = sys.modules["rhi.shading"].__all__  # a package is imported before its modules are used
+    if name in language:
+        return f"import it: from rhi.shading import {name}"
+    return suggest(name, [*known, *language])

@@ -40,7 +40,7 @@ from rhi.layout import (
 )
 from rhi.shading import rules
 from rhi.shading.annotations import Role, role_of, value_type
-from rhi.shading.source import locals_of, suggest
+from rhi.shading.source import locals_of, suggest, suggest_name
 from rhi.shading.types import scalar_of
 from rhi.shading.vectors import CLASSES, ArrayLength, array, uint
 
@@ -106,7 +106,7 @@ class Struct:
                 try:
                     annotation = eval(annotation, module, names)
                 except NameError as error:
-                    _refuse_field(cls, name, annotation, suggest(error.name or "", [*names, *module]))
+                    _refuse_field(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
             if hasattr(Struct, name) or name.startswith("_"):
                 _refuse_field(cls, name, "a name that Struct needs itself", "choose another name")
             default = cls.__dict__.get(name)
@@ -139,7 +139,8 @@ class Struct:
                 )
         missing = [name for name in names if name not in values and name not in cls._defaults]
         if missing:
-            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", f"no {missing[0]!r}", ", ".join(names))
+            given = f"no {', '.join(missing)}"
+            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default")
         self._values = dict(cls._defaults)
         for name, value in values.items():
             setattr(self, name, value)

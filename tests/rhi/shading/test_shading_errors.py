@@ -387,12 +387,35 @@ def test_an_error_names_file_line_and_column_and_points_at_the_word(define):
     assert shown[at + 1].count("^") == len("wieght")
 
 
+def test_a_traceback_is_not_filled_with_the_compiler(define):
+    with pytest.raises(ShaderError) as error:
+        compile_shader(define(body("x = wieght")))
+    assert len(error.traceback) <= 2  # this line, and the function it calls
+
+
 def test_a_caret_counts_characters_and_not_bytes(define):
     with pytest.raises(ShaderError) as error:
         compile_shader(define(body("größe = 1.0", "y = größe + nnn")))
     shown = str(error.value).splitlines()
     at = next(i for i, row in enumerate(shown) if row.strip() == "y = größe + nnn")
     assert shown[at + 1].index("^") == shown[at].index("nnn")
+
+
+@pytest.mark.parametrize(
+    ("name", "source"),
+    [
+        ("uint", body("x = uint(self.counts[0])")),
+        ("dot", body("x = dot(vec2(1), vec2(1))")),
+        ("vec4", "class Test(Shader):\n    def vertex(self) -> 'vec4':\n        return 0\n"),
+        ("uint", "class Test(Struct):\n    x: 'uint'\n"),
+        ("Uniform", "class Test(Base):\n    x: 'Uniform[float]'\n"),
+    ],
+    ids=["a type", "a function", "an annotation", "a field", "a binding"],
+)
+def test_a_name_of_the_language_that_is_not_imported_is_to_be_imported(define, name, source):
+    with pytest.raises(ShaderError) as caught:
+        compile_shader(define(f"del {name}\n{source}"))
+    assert caught.value.tip == f"import it: from rhi.shading import {name}"
 
 
 def test_a_struct_value_must_fit_its_fields():
@@ -417,7 +440,7 @@ def test_a_struct_value_must_fit_its_fields():
             Pose(**{**good, name: value})
         assert error.value.rule is rules.STRUCT_VALUE
         assert name in str(error.value)
-    with pytest.raises(ValidationError, match="no 'count'"):
+    with pytest.raises(ValidationError, match="no count"):
         Pose(turn=good["turn"], at=good["at"])
 
 
