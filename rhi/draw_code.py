@@ -44,7 +44,7 @@ _APPLY_RECORDED: Final = _APPLY | {
 class DrawCode(NamedTuple):
     """What is generated.
 
-    `draw(mesh, instances=1, **bindings)`, `draw_with(mesh, instances, bindings)`,
+    `draw(mesh, instances=1, /, **bindings)`, `draw_with(mesh, instances, bindings)`,
     `bind(ready, mesh, bindings)` (which calls `ready(mesh)` when everything must be checked), and
     `take_draws()`: how many draws there were since it was last asked.
     """
@@ -71,23 +71,24 @@ def make(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCod
 
 def _source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
     """The text of a function `make` that returns the fields of `DrawCode`. Names of its own start with an
-    underscore and a letter; bindings keep clear of `mesh` and `instances` by rule."""
+    underscore and a letter, those of bindings with a letter."""
     cells = [f"_{what}_{i}" for what in ("bound", "owner") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
     yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
+    yield "    _len = len  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the price of an attribute"
     for i in range(len(bindings)):
         yield f"    _type_{i} = _types[{i}]"
 
-    yield f"    def draw(mesh, instances=1{', *' if bindings else ''}{keywords}):"
+    yield f"    def draw(_mesh, _instances=1, /{', *' if bindings else ''}{keywords}):"
     yield from _draw(bindings, cells, unpack=False, recorded=recorded)
-    yield "    def draw_with(mesh, instances, _given):"
+    yield "    def draw_with(_mesh, _instances, _given):"
     yield from _draw(bindings, cells, unpack=True, recorded=recorded)
-    yield "    def bind(_ready, mesh, _given):"
+    yield "    def bind(_ready, _mesh, _given):"
     yield from _nonlocal(cells)
     yield from _unpack(bindings)
-    yield from _bind(bindings, cells, ready="_ready(mesh)", find=(), recorded=recorded)
+    yield from _bind(bindings, cells, ready="_ready(_mesh)", find=(), recorded=recorded)
     yield "    def take_draws():"
     yield "        nonlocal _draws"
     yield "        taken, _draws = _draws, 0"
@@ -101,19 +102,19 @@ def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorde
         yield from _unpack(bindings)
     find = (
         "try:",
-        f"    _draw = {'_program.calls[mesh]' if recorded else 'mesh.calls[_program]'}",
+        f"    _draw = {'_program.calls[_mesh]' if recorded else '_mesh.calls[_program]'}",
         "except KeyError:",
-        "    _draw = _program.attach(mesh)",
-        "if instances != 1:",
-        "    _program.check_instances(instances)",
+        "    _draw = _program.attach(_mesh)",
+        "if _instances != 1:",
+        "    _program.check_instances(_instances)",
     )
-    yield from _bind(bindings, cells, "_program.ready_to_draw(mesh)", find, recorded)
+    yield from _bind(bindings, cells, "_program.ready_to_draw(_mesh)", find, recorded)
     yield "        if _states.wanted is not _states.hardware:"
     yield "            _core.flush_states()"
     yield "        if _core.tests_alpha:"
-    yield "            _program.draw_unprepared(mesh, instances)"
+    yield "            _program.draw_unprepared(_mesh, _instances)"
     yield "        else:"
-    yield "            _draw(instances)"
+    yield "            _draw(_instances)"
     yield "        _draws += 1"
 
 
@@ -124,7 +125,7 @@ def _nonlocal(cells: list[str]) -> Iterator[str]:
 
 def _unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
     """From the dictionary, with the right names and no others."""
-    yield f"        if len(_given) != {len(bindings)}:"
+    yield f"        if _len(_given) != {len(bindings)}:"
     yield "            _program.check_names(_given)"
     if bindings:
         yield "        try:"
@@ -156,7 +157,7 @@ def _bind(
         if binding.kind in _RANGES:
             yield f"                _owner_{i} = {name}.owner"
     yield "        except AttributeError as _error:"
-    yield f"            _program.explain(mesh, {values}, _error)"
+    yield f"            _program.explain(_mesh, {values}, _error)"
     yield "        if _fresh:"
     yield "            _program.enter()"
     for i, binding in enumerate(bindings):

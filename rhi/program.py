@@ -41,9 +41,6 @@ from rhi.textures import Texture
 __rhi_internal__ = True
 
 P = ParamSpec("P")
-_RESERVED = frozenset(
-    {"program", "mesh", "instances", "groups", "draws", "arguments", "buffer", "offset", "self"}
-)
 _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
@@ -77,7 +74,7 @@ class Program(Generic[P]):
 
     if TYPE_CHECKING:
 
-        def draw(self, mesh: Mesh, instances: int = 1, *args: P.args, **bindings: P.kwargs) -> None:
+        def draw(self, mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
             """Draw `mesh`; the same as `device.draw(program, mesh, …)` with one call less."""
 
     def __init__(self, core: Core, descriptor: ProgramDescriptor) -> None:
@@ -344,5 +341,5 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
             refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
     for binding in descriptor.bindings:
-        if binding.name in _RESERVED or keyword.iskeyword(binding.name):
-            refuse(BINDING_NAME, call, binding.name, f"none of {', '.join(sorted(_RESERVED))}")
+        if binding.name == "self" or keyword.iskeyword(binding.name):
+            refuse(BINDING_NAME, call, binding.name, "what can be the keyword of a draw")

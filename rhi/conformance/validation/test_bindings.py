@@ -11,6 +11,7 @@ from rhi import (
     Comparison,
     Device,
     Format,
+    Op,
     SamplerDescriptor,
     TextureKind,
     rules,
@@ -21,6 +22,8 @@ from rhi.conformance.validation.refusal import refuses
 from rhi.conformance.validation.shaders import Everything, Shift
 from rhi.shading import (
     Shader,
+    Storage,
+    StorageRW,
     Uniform,
     uint,
 )
@@ -213,15 +216,62 @@ def test_a_refused_draw_leaves_the_bindings_of_the_one_before(kit: Kit) -> None:
         assert [command.op.name for command in kit.device.stream[since:]][-1] == "DRAW"
 
 
-class BadName(Shader):
-    """A binding called like an argument of draw."""
+class Plainly(Shader):
+    """Bindings called like arguments of draws, and like what is generated for them might be."""
 
+    instances: Storage[Tint]
     mesh: Uniform[Tint]
+    program: Uniform[Tint]
+    draws: Uniform[Tint]
+    len: Uniform[Tint]
 
     def vertex(self, v: Corner) -> Bare:
-        return Bare(clip=v.position * self.mesh.color)
+        rest = self.program.color * self.draws.color * self.len.color
+        return Bare(clip=v.position * self.mesh.color * self.instances[0].color * rest)
 
 
-def test_a_binding_cannot_be_called_like_an_argument(recording: Device) -> None:
+class Dispatched(Shader):
+    """The same of a dispatch."""
+
+    work_group = (1,)
+    groups: Uniform[Tint]
+    buffer: StorageRW[float]
+    offset: Uniform[Tint]
+
+    def compute(self) -> None:
+        self.buffer[0] = self.groups.color.x + self.offset.color.x
+
+
+class Self(Shader):
+    """A binding that a call with keywords can't give."""
+
+    self: Uniform[Tint]
+
+    def vertex(this, v: Corner) -> Bare:  # noqa: N805
+        return Bare(clip=v.position * this.self.color)
+
+
+def test_a_binding_can_be_called_like_an_argument(kit: Kit) -> None:
+    device = kit.device
+    tint = kit.bindings["tint"]
+    rows = device.storage(Tint, 1)
+    named = {"instances": rows, "mesh": tint, "program": tint, "draws": tint, "len": tint}
+    plainly = device.program(Plainly)
+    with device.render_pass(kit.image):
+        device.draw(plainly, kit.mesh, **named)
+        plainly.draw(kit.mesh, 2, **named)
+        device.draw_many(plainly, kit.mesh, kit.mesh.draws([0, 0]), **named)
+    drawn = device.stream.filter(Op.DRAW)[-2:]
+    assert [draw["instances"] for draw in drawn] == [1, 2]
+
+
+@pytest.mark.needs("compute")
+def test_a_binding_can_be_called_like_an_argument_of_a_dispatch(kit: Kit) -> None:
+    tint, values = kit.bindings["tint"], kit.device.storage(float, 1)
+    kit.device.dispatch(kit.device.program(Dispatched), 1, groups=tint, buffer=values, offset=tint)
+    assert values.read().tolist() == ([2] if kit.device.capabilities.shading else [0])
+
+
+def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device) -> None:
     with refuses(rules.BINDING_NAME, recording):
-        recording.program(BadName)
+        recording.program(Self)
