@@ -64,8 +64,10 @@ class Board:
             self.failed[group].append(report.nodeid.partition("::")[2])
 
 
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+@pytest.hookimpl(wrapper=True, tryfirst=True)  # behind pytest's own summary, which has a line for each failure
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Generator[None]:
     """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were skipped."""
+    yield
     boards: dict[str, Board] = defaultdict(Board)
     for outcome in ("passed", "failed", "error", "skipped"):
         for report in terminalreporter.stats.get(outcome, ()):
@@ -73,7 +75,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
             if place is not None:  # a test of the kit
                 backend, group = place
                 boards[backend].add(outcome, group, report)
-    for backend, board in boards.items():
+    for backend, board in sorted(boards.items(), key=lambda entry: entry[0] != "any"):  # what is next comes last
         terminalreporter.section(f"rhi conformance: {backend}")
         _write_board(terminalreporter, board)
 
