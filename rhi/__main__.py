@@ -7,6 +7,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
 import platform
 import sys
 from collections.abc import Sequence
@@ -115,7 +116,8 @@ def _as_text(reports: list[BackendReport]) -> str:
     lines = [f"rhi {rhi.__version__}, Python {platform.python_version()}, NumPy {np.__version__}", ""]
     for r in reports:
         if r.capabilities is None:
-            lines += [f"{r.name:<6} not usable: {r.reason}", f"       {r.tip}", ""]
+            reason = r.reason.replace("\n", "\n" + " " * 11)
+            lines += [f"{r.name:<6} not usable: {reason}", f"       {r.tip}", ""]
             continue
         limits = r.capabilities
         flags = {f.name: getattr(limits, f.name) for f in dataclasses.fields(limits)}
@@ -129,9 +131,20 @@ def _as_text(reports: list[BackendReport]) -> str:
             *(f"       passed over: {device}" for device in limits.passed_over),
             "",
         ]
-    chosen = next((r.name for r in reports if r.capabilities and r.capabilities.renders), None)
-    lines.append(f"rhi.create_device() would choose: {chosen or 'nothing; see the reasons above'}")
-    return "\n".join(lines)
+    return "\n".join([*lines, f"rhi.create_device() would choose: {_say_choice(reports)}"])
+
+
+def _say_choice(reports: list[BackendReport]) -> str:
+    """What `create_device` chooses without a name, and what would be faster."""
+    named = os.environ.get("RHI_BACKEND")
+    if named:
+        usable = ":" in named or any(r.name == named and r.usable for r in reports)
+        return f"{named}, as RHI_BACKEND says" if usable else f"nothing: RHI_BACKEND names {named}, which can't be used"
+    renderers = {r.name: r.capabilities.device for r in reports if r.capabilities and r.capabilities.renders}
+    chosen = next(iter(renderers), "nothing; see the reasons above")
+    if "llvmpipe" in renderers.get(chosen, "") and "cl" in renderers:
+        return f"{chosen}\nllvmpipe draws on the CPU; RHI_BACKEND=cl does so several times as fast"
+    return chosen
 
 
 if __name__ == "__main__":

@@ -9,7 +9,9 @@ import sys
 import pytest
 
 import rhi
+from rhi import Capabilities
 from rhi.__main__ import main
+from rhi.registry import BackendReport
 
 
 def test_the_null_device_is_never_chosen_by_itself() -> None:
@@ -85,6 +87,48 @@ def test_the_report_names_every_backend(capsys: pytest.CaptureFixture[str]) -> N
     main([])
     text = capsys.readouterr().out
     assert all(name in text for name in rhi.backend_names())
+
+
+def report_of(name: str, device: str | None = None) -> BackendReport:
+    limits = Capabilities(name, device, "a driver") if device is not None else None
+    return BackendReport(name, limits is not None, "" if limits else "one reason\nanother", "a tip", limits)
+
+
+@pytest.mark.parametrize(
+    ("named", "reports", "says"),
+    [
+        ("", [report_of("gl", "a GPU"), report_of("cl", "a CPU")], "gl"),
+        ("", [report_of("gl"), report_of("cl", "a CPU")], "cl"),
+        ("", [report_of("gl")], "nothing; see the reasons above"),
+        ("cl", [report_of("gl", "a GPU"), report_of("cl", "a CPU")], "cl, as RHI_BACKEND says"),
+        ("cl", [report_of("gl", "a GPU"), report_of("cl")], "nothing: RHI_BACKEND names cl, which can't be used"),
+        ("", [report_of("gl", "llvmpipe"), report_of("cl")], "gl"),
+        (
+            "",
+            [report_of("gl", "llvmpipe"), report_of("cl", "a CPU")],
+            "gl\nllvmpipe draws on the CPU; RHI_BACKEND=cl does so several times as fast",
+        ),
+    ],
+)
+def test_the_report_says_what_would_be_chosen(
+    named: str,
+    reports: list[BackendReport],
+    says: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", named)
+    monkeypatch.setattr(rhi, "report", lambda: reports)
+    main([])
+    assert capsys.readouterr().out.endswith(f"would choose: {says}\n")
+
+
+def test_a_reason_of_several_lines_is_indented(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rhi, "report", lambda: [report_of("gl")])
+    main([])
+    assert "gl     not usable: one reason\n           another\n       a tip\n" in capsys.readouterr().out
 
 
 def test_the_report_as_json_has_capabilities(capsys: pytest.CaptureFixture[str]) -> None:
