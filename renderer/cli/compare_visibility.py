@@ -272,9 +272,11 @@ def plot(rows: list[Row], title: str, path: Path) -> None:
     for place, (label, values, form) in enumerate(charts, 1):
         axes = figure.add_subplot(1, len(charts), place)
         bars = axes.barh(names, values, color="#4477aa")
-        axes.bar_label(bars, labels=[form.format(value) for value in values])
+        axes.bar_label(bars, labels=[form.format(value) for value in values], padding=3)
         axes.set_xlabel(label)
-        axes.margins(x=0.2)
+        axes.xaxis.set_major_formatter("{x:,.0f}")
+        axes.locator_params(axis="x", nbins=5)
+        axes.margins(x=0.3)
         axes.invert_yaxis()
     figure.savefig(path, dpi=100)
 

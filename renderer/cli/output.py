@@ -21,7 +21,7 @@ class OutputError(Exception):
     """An image can't be written where it should be."""
 
 
-def show_progress(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+def show_progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
     """A progress bar on stderr while the items are worked on: on a terminal, and if it takes over a second."""
     bar: Iterator[T] = tqdm(
         items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0

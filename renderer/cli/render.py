@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -118,8 +119,7 @@ def run(given: argparse.Namespace) -> None:
         ) as renderer,
     ):
         shots = list(enumerate(cameras, given.frame))
-        measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
-        while isinstance(renderer.visibility, AutoCulling) and renderer.visibility.is_trying:
+        for _ in show_progress(warm_up(renderer), None, "find the fastest way"):
             measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
         costs = []
         for frame, camera in show_progress(shots, len(shots), "render"):
@@ -137,6 +137,13 @@ def run(given: argparse.Namespace) -> None:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
         report = describe_run(renderer, costs, image)
     print(json.dumps(report) if given.json else show_report(report))
+
+
+def warm_up(renderer: Renderer) -> Iterator[None]:
+    """As many turns as there are frames to draw before one counts: the first, and with `auto` those on trial."""
+    yield
+    while isinstance(renderer.visibility, AutoCulling) and renderer.visibility.is_trying:
+        yield
 
 
 def with_depth(camera: Camera, depth: Depth) -> Camera:

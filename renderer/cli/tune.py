@@ -202,7 +202,8 @@ def plot(trials: Sequence[Trial], finals: Sequence[Trial], title: str, path: Pat
     both.scatter(
         [t.batch for t in finals], [t.persistence for t in finals], s=120, facecolors="none", edgecolors="red"
     )
-    figure.colorbar(points, ax=both, label="time, default = 1")
+    figure.colorbar(points, ax=both)
+    both.set_title("time, default = 1", fontsize="medium")
     both.set(xscale="log", yscale="log", xlabel="b", ylabel="n")
     for axes, name, label in ((batch, "batch", "b"), (persistence, "persistence", "n")):
         axes.scatter([getattr(t, name) for t in trials], [t.ratio for t in trials], s=12, color="#4477aa")
