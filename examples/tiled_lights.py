@@ -1,0 +1,433 @@
+"""A small renderer on `rhi`: boxes as instances, a sun with a shadow map, 192 lamps, MSAA, culling by queries.
+
+    python examples/tiled_lights.py [--backend NAME] [--frames N] [--output FILE.png]
+
+A frame, and what it shows of the interface:
+
+1. `depth`: the boxes, cell by cell of the plain, that were visible in the last frame: one `draw_many`.
+2. `queries`: the bounds of every cell against that depth: one `draw_counted`, answered in the next frame.
+3. `shadows`: all boxes as the sun sees them: one instanced draw with a slope-scaled bias.
+4. `lights`: a compute shader finds, for each tile of 16×16 pixels, the lamps that reach its depths.
+5. `view`: the visible boxes again with four samples a pixel, each pixel asking the lamps of its tile only, resolved.
+
+The same lines run on every backend that draws (tests/examples compares their pictures), and on the null device.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi
+from rhi import (
+    Comparison,
+    CullMode,
+    DepthFunction,
+    DepthWrite,
+    Format,
+    PolygonOffset,
+    SamplerDescriptor,
+    Wrap,
+)
+from rhi.shading import (
+    DepthTexture2D,
+    Precision,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    atomic_add,
+    atomic_max,
+    atomic_min,
+    barrier,
+    clamp,
+    distance,
+    dot,
+    exp,
+    float_bits_to_int,
+    fragment_coordinate,
+    function,
+    global_id,
+    group_id,
+    instance_index,
+    int_bits_to_float,
+    ivec2,
+    length,
+    local_index,
+    mat4,
+    max,
+    min,
+    mix,
+    normalize,
+    saturate,
+    shared,
+    uniform,
+    vec2,
+    vec3,
+    vec4,
+)
+
+TILE: Final = 16
+LAMPS: Final = 192
+CELLS: Final = 12
+"""Along each side of the plain; each has 5×5 boxes."""
+SHADOW_SIZE: Final = 2048
+SUN: Final = np.array([0.76, 0.46, 0.46])
+HAZE: Final = vec3(0.16, 0.20, 0.32)
+NEAR: Final = 0.1
+
+
+class Vertex(Struct):
+    position: vec3
+    normal: vec3
+
+
+class View(Struct):
+    from_world: mat4
+    to_world: mat4
+    sun_from_world: mat4
+    eye: vec3
+    sun: vec3
+    size: ivec2
+    tiles: ivec2
+
+
+class Box(Struct):
+    center: vec3
+    half: vec3
+    color: vec3
+
+
+class Lamp(Struct):
+    place: vec3
+    reach: float
+    color: vec3
+
+
+class Surface(Struct):
+    clip: vec4
+    world: vec3
+    normal: vec3
+    color: vec3
+
+
+@function
+def film_curve(color: vec3) -> vec3:
+    """Narkowicz's fit of the ACES filmic curve."""
+    return saturate(color * (2.51 * color + 0.03) / (color * (2.43 * color + 0.59) + 0.14))
+
+
+class Depth(Shader):
+    view: Uniform[View]
+    boxes: Storage[Box]
+    of_the_sun = False
+
+    def vertex(self, v: Vertex) -> vec4:
+        box = self.boxes[instance_index()]
+        world = vec4(v.position * box.half + box.center, 1.0)
+        if self.of_the_sun:
+            return self.view.sun_from_world @ world
+        return self.view.from_world @ world
+
+
+class Shadow(Depth):
+    of_the_sun = True
+
+
+class FindLamps(Shader):
+    """A work-group for each tile: the depths in it, then the lamps whose reach meets the box around them."""
+
+    work_group = (TILE, TILE)
+    view: Uniform[View]
+    lamps: Storage[Lamp]
+    depth: Texture2D
+    counts: StorageRW[int]
+    lists: StorageRW[int]
+    depths = shared(int, 2)  # bits of the nearest and the farthest: of floats above 0, ordered as ints
+    found = shared(int, 1)
+
+    def place(self, pixel: vec2, depth: float) -> vec3:
+        size = vec2(self.view.size)
+        point = self.view.to_world @ vec4(
+            pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0
+        )
+        return point.xyz / point.w
+
+    def compute(self) -> None:
+        if local_index() == 0:
+            self.depths[0] = 0
+            self.depths[1] = float_bits_to_int(1.0)
+            self.found[0] = 0
+        barrier()
+        pixel = global_id().xy
+        if pixel.x < self.view.size.x and pixel.y < self.view.size.y:
+            depth = self.depth.load(pixel).x
+            if depth > 0.0:  # else the sky
+                atomic_max(self.depths[0], float_bits_to_int(depth))
+                atomic_min(self.depths[1], float_bits_to_int(depth))
+        barrier()
+        near = int_bits_to_float(self.depths[0])
+        far = int_bits_to_float(self.depths[1])
+        tile = group_id().y * self.view.tiles.x + group_id().x
+        if near > 0.0:
+            low = vec3(1e9)
+            high = vec3(-1e9)
+            for i in range(8):
+                corner = (vec2(group_id().xy) + vec2(float(i & 1), float(i >> 1 & 1))) * float(TILE)
+                point = self.place(corner, far if i < 4 else near)
+                low = min(low, point)
+                high = max(high, point)
+            for first in range(0, len(self.lamps), TILE * TILE):
+                i = first + local_index()
+                if i < len(self.lamps):
+                    lamp = self.lamps[i]
+                    if distance(clamp(lamp.place, low, high), lamp.place) < lamp.reach:
+                        self.lists[tile * LAMPS + atomic_add(self.found[0], 1)] = i
+        barrier()
+        if local_index() == 0:
+            self.counts[tile] = self.found[0]
+
+
+class Lit(Shader):
+    precision = Precision.FAST  # small powers of cosines may count as 0
+    view: Uniform[View]
+    boxes: Storage[Box]
+    lamps: Storage[Lamp]
+    counts: Storage[int]
+    lists: Storage[int]
+    shadow: DepthTexture2D
+
+    def vertex(self, v: Vertex) -> Surface:
+        box = self.boxes[instance_index()]
+        world = v.position * box.half + box.center
+        return Surface(
+            clip=self.view.from_world @ vec4(world, 1.0), world=world, normal=v.normal, color=box.color
+        )
+
+    def sunlight(self, world: vec3) -> float:
+        """How much of the sun arrives: the mean of four comparisons, each of which is filtered."""
+        at = self.view.sun_from_world @ vec4(world, 1.0)
+        uv = vec2(at.x * 0.5 + 0.5, 0.5 - at.y * 0.5)
+        step = 0.75 / SHADOW_SIZE
+        lit = self.shadow.sample_compare(uv + vec2(-step, -step), at.z)
+        lit += self.shadow.sample_compare(uv + vec2(step, -step), at.z)
+        lit += self.shadow.sample_compare(uv + vec2(-step, step), at.z)
+        lit += self.shadow.sample_compare(uv + vec2(step, step), at.z)
+        return lit / 4.0
+
+    def fragment(self, s: Surface) -> vec4:
+        normal = normalize(s.normal)
+        to_eye = normalize(self.view.eye - s.world)
+        light = mix(vec3(0.03, 0.025, 0.03), vec3(0.05, 0.08, 0.15), normal.y * 0.5 + 0.5)
+        facing = dot(normal, self.view.sun)
+        if facing > 0.0:
+            light += vec3(0.95, 0.55, 0.30) * (facing * self.sunlight(s.world + 0.04 * normal))
+        shine = vec3(0.0)
+        at = ivec2(fragment_coordinate().xy) // TILE
+        tile = uniform(at.y * self.view.tiles.x + at.x)  # a block of pixels lies in one tile: its list is read once
+        for k in range(self.counts[tile]):
+            lamp = self.lamps[self.lists[tile * LAMPS + k]]
+            to_lamp = lamp.place - s.world
+            far = length(to_lamp)
+            direction = to_lamp / max(far, 1e-3)
+            window = saturate(1.0 - (far / lamp.reach) ** 4)
+            power = lamp.color * (window * window / (far * far + 0.05) * saturate(dot(normal, direction)))
+            light += power
+            shine += power * saturate(dot(normal, normalize(direction + to_eye))) ** 32
+        color = s.color * light + 0.6 * shine
+        haze = 1.0 - exp(-0.006 * distance(self.view.eye, s.world))
+        return vec4(film_curve(mix(color, HAZE, haze)), 1.0)
+
+
+class Renderer:
+    """The scene on a device, and what draws it."""
+
+    def __init__(self, device: rhi.Device, size: tuple[int, int] = (960, 540), samples: int = 4) -> None:
+        self.device, self.size = device, size
+        self.tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
+        self.depth_only, self.shadow_only = device.program(Depth), device.program(Shadow)
+        self.find_lamps, self.lit = device.program(FindLamps), device.program(Lit)
+        self.sky = (*film_curve.evaluate(HAZE).tolist(), 1.0)  # the shader's function, run on NumPy
+        self.image = device.texture(size, Format.RGBA8_SRGB, label="image")
+        self.colors = device.texture(size, Format.RGBA8_SRGB, samples=samples, label="samples of color")
+        self.depths = device.texture(size, Format.D32F, samples=samples, label="samples of depth")
+        self.depth = device.texture(size, Format.D32F, label="depth")
+        self.shadow_map = device.texture((SHADOW_SIZE, SHADOW_SIZE), Format.D32F, label="shadow map")
+        border = Wrap.BORDER  # 0, the farthest: what lies beyond the map is lit
+        self.shadow = self.shadow_map.sampled(
+            SamplerDescriptor(compare=Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border)
+        )
+        self.cube = device.mesh(*make_cube(), label="cube")
+        boxes, self.first = make_boxes()
+        self.count = np.diff(self.first)
+        bounds = np.zeros(len(self.count), Box.dtype)
+        low = np.minimum.reduceat(boxes["center"] - boxes["half"], self.first[:-1])
+        high = np.maximum.reduceat(boxes["center"] + boxes["half"], self.first[:-1])
+        bounds["center"], bounds["half"] = (low + high) / 2, (high - low) / 2 + 0.01
+        self.boxes = device.storage(Box, boxes, label="boxes")
+        self.bounds = device.storage(Box, bounds, label="bounds of cells")
+        self.lamps = device.storage(Lamp, make_lamps(boxes), label="lamps")
+        tiles = self.tiles[0] * self.tiles[1]
+        self.counts = device.storage(int, tiles, label="lamps of each tile")
+        self.lists = device.storage(int, tiles * LAMPS, label="lists of lamps")
+        self.queries = device.query_set(len(self.count))
+        self.visible = np.ones(len(self.count), bool)
+        self.is_asked = False
+
+    def render(self, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
+        """Draw and present a frame."""
+        device = self.device
+        if self.is_asked:  # a cell that comes into view is drawn a frame late
+            self.visible = self.queries.wait() != 0
+        from_world = perspective(self.size[0] / self.size[1]) @ look(eye, target)
+        view = device.transient.uniform(
+            View(
+                from_world=from_world,
+                to_world=np.linalg.inv(from_world),
+                sun_from_world=orthographic(50.0, 120.0) @ look(tuple(SUN * 60), (0.0, 0.0, 0.0)),
+                eye=eye,
+                sun=SUN / np.linalg.norm(SUN),
+                size=self.size,
+                tiles=self.tiles,
+            )
+        )
+        cells = np.flatnonzero(self.visible)
+        draws = self.cube.draws(
+            np.zeros(len(cells), int), instances=self.count[cells], base_instance=self.first[cells]
+        )
+        with device.event("depth"), device.render_pass(depth=self.depth, clear_depth=0.0):
+            device.draw_many(self.depth_only, self.cube, draws, view=view, boxes=self.boxes)
+        every = self.cube.draws(np.zeros(len(self.count), int), base_instance=np.arange(len(self.count)))
+        unseen = (CullMode.NONE, DepthWrite.OFF, DepthFunction.GREATER_EQUAL)
+        with device.event("queries"), device.render_pass(depth=self.depth), device.states(*unseen):
+            device.draw_counted(self.depth_only, self.cube, every, self.queries, view=view, boxes=self.bounds)
+        self.is_asked = True
+        with (
+            device.event("shadows"),
+            device.render_pass(depth=self.shadow_map, clear_depth=0.0),
+            device.states(PolygonOffset(slope=-2.0)),  # away from the sun: reversed depth
+        ):
+            device.draw(self.shadow_only, self.cube, len(self.boxes), view=view, boxes=self.boxes)
+        with device.event("lights"):
+            device.dispatch(
+                self.find_lamps, self.tiles,
+                view=view, lamps=self.lamps, depth=self.depth, counts=self.counts, lists=self.lists,
+            )  # fmt: skip
+        with (
+            device.event("view"),
+            device.render_pass(self.colors, self.depths, clear=self.sky, clear_depth=0.0, resolve=self.image),
+        ):
+            device.draw_many(
+                self.lit, self.cube, draws, view=view, boxes=self.boxes, shadow=self.shadow,
+                lamps=self.lamps, counts=self.counts, lists=self.lists,
+            )  # fmt: skip
+        device.present(self.image)
+
+
+def make_cube() -> tuple[NDArray[np.void], NDArray[np.uint16]]:
+    """From -1 to 1, its faces counter-clockwise from outside."""
+    vertices = np.zeros((6, 4), Vertex.dtype)
+    u, v = np.array([-1, 1, 1, -1]), np.array([-1, -1, 1, 1])
+    for face in range(6):
+        axis, sign = face // 2, 1 - face % 2 * 2
+        vertices["normal"][face, :, axis] = sign
+        vertices["position"][face, :, axis] = sign
+        vertices["position"][face, :, (axis + 1) % 3] = u * sign
+        vertices["position"][face, :, (axis + 2) % 3] = v
+    indices = np.arange(6)[:, None] * 4 + [0, 1, 2, 0, 2, 3]
+    return vertices.ravel(), indices.ravel().astype(np.uint16)
+
+
+def make_boxes() -> tuple[NDArray[np.void], NDArray[np.intp]]:
+    """Boxes in cells of 5×5, a plate under each; the first of each cell, and their number."""
+    rng = np.random.default_rng(7)
+    boxes = np.zeros((CELLS, CELLS, 26), Box.dtype)
+    x, z = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
+    middle = (np.stack([x, np.zeros_like(x), z], -1) - [CELLS / 2 - 0.5, 0, CELLS / 2 - 0.5]) * 7.0
+    i, k = np.meshgrid(np.arange(5), np.arange(5), indexing="ij")
+    offset = np.stack([i, np.zeros_like(i), k], -1).reshape(25, 3) * 1.25 - [2.5, 0, 2.5]
+    centers = middle[:, :, None] + offset
+    tall = 0.12 + 1.9 * rng.random((CELLS, CELLS, 25)) ** 4
+    tall += 3.0 * rng.random((CELLS, CELLS, 25)) ** 16
+    centers[..., 1] = tall
+    boxes["center"][:, :, :25] = centers
+    boxes["half"][:, :, :25] = np.stack([0.45 + 0 * tall, tall, 0.45 + 0 * tall], -1)
+    hue = rng.random((CELLS, CELLS, 1, 1)) * 0.9 + rng.random((CELLS, CELLS, 25, 1)) * 0.2 + [0, 0.33, 0.67]
+    boxes["color"][:, :, :25] = 0.5 + 0.07 * np.cos(2 * np.pi * hue)
+    boxes["center"][:, :, 25] = middle - [0, 0.1, 0]
+    boxes["half"][:, :, 25] = (3.5, 0.1, 3.5)
+    boxes["color"][:, :, 25] = np.where((x + z)[..., None] % 2, 0.36, 0.42)
+    return boxes.ravel(), np.arange(0, CELLS * CELLS * 26 + 1, 26)
+
+
+def make_lamps(boxes: NDArray[np.void]) -> NDArray[np.void]:
+    """Lamps of all colours between the boxes."""
+    rng = np.random.default_rng(11)
+    lamps = np.zeros(LAMPS, Lamp.dtype)
+    near = boxes[rng.choice(len(boxes), len(lamps), replace=False)]
+    lamps["place"] = near["center"] * (1, 0, 1) + [0.62, 0.45, 0.62]
+    lamps["reach"] = rng.uniform(3.0, 5.0, len(lamps))
+    hue = rng.random((len(lamps), 1)) + np.array([0, 0.33, 0.67])
+    lamps["color"] = 1.6 + 1.4 * np.cos(2 * np.pi * hue)
+    return lamps
+
+
+def look(eye: tuple[float, ...], target: tuple[float, ...]) -> NDArray[np.float64]:
+    """World to view space, which looks along -Z."""
+    forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
+    right = np.cross(forward, (0, 1, 0)) / np.linalg.norm(np.cross(forward, (0, 1, 0)))
+    view = np.eye(4)
+    view[:3, :3] = right, np.cross(right, forward), -forward
+    view[:3, 3] = -view[:3, :3] @ eye
+    return view
+
+
+def perspective(aspect: float, lens: float = 1.7) -> NDArray[np.float64]:
+    """Reversed depth with an infinite far plane: 1 at `NEAR`, 0 at infinity."""
+    return np.array([[lens / aspect, 0, 0, 0], [0, lens, 0, 0], [0, 0, 0, NEAR], [0, 0, -1, 0]])
+
+
+def orthographic(reach: float, far: float) -> NDArray[np.float64]:
+    """Reversed depth: 1 at the eye, 0 at `far`."""
+    return np.array([[1 / reach, 0, 0, 0], [0, 1 / reach, 0, 0], [0, 0, 1 / far, 1], [0, 0, 0, 1]])
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Render frames along a short path and write the last one."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--backend", help="gl, cl, null (default: RHI_BACKEND, or the first that works)")
+    parser.add_argument("--frames", type=int, default=8, help="how many (default: 8)")
+    parser.add_argument("--output", type=Path, default=Path("tiled_lights.png"), help="default: tiled_lights.png")
+    given = parser.parse_args(arguments)
+    with rhi.create_device(given.backend, timing=True) as device:
+        if device.backend_name == "null":
+            from rhi.backends.null import NullBackend
+
+            device.backend_as(NullBackend).count_samples(lambda draw: 1)  # everything is seen
+        renderer = Renderer(device)
+        for frame in range(given.frames):
+            renderer.render((15.0 - 0.05 * frame, 7.5, 31.0), (-1.0, 0.0, 0.0))
+        device.finish()
+        print(f"{device.backend_name}, {device.capabilities.device}")
+        print(f"{renderer.visible.sum()} of {len(renderer.visible)} cells seen")
+        for timer in device.timers:
+            print(timer.format())
+        if device.capabilities.renders:
+            from PIL import Image
+
+            Image.fromarray(renderer.image.read()[..., :3]).save(given.output)
+            print(given.output)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
