@@ -1,7 +1,7 @@
 """Arrays of draws as places in the table of prepared draws.
 
-- A draw that comes again, in whichever array, finds its place by what it says; an array that comes again finds all of
-  its places at once, by its bytes.
+- A draw that comes again, in whichever array, finds its place by what it says; an array that comes again and is counted
+  by the same counters finds all of its places and its table at once, by its bytes.
 - Places are prepared for a version of the indices: other indices, other places.
 """
 
@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.draws import PreparedDraws
+from rhi.backends.cl.draws import DrawList, PreparedDraws
 
 __rhi_internal__ = True
 
@@ -41,31 +41,35 @@ class DrawLists:
     def __init__(self, prepared: PreparedDraws) -> None:
         self._prepared = prepared
         self._draws: dict[object, Place] = {}
-        self._arrays: dict[object, tuple[NDArray[np.int64], list[Place]]] = {}
+        self._arrays: dict[object, DrawList] = {}
         self._listed = 0  # draws of all arrays
 
     def find(
-        self, key: object, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
-    ) -> NDArray[np.int64]:
-        """The places of draws.
+        self, key: object, draws: NDArray[Any], counters: NDArray[np.int64] | None, indexed: bool,
+        fill: Callable[..., None],
+    ) -> DrawList:  # fmt: skip
+        """Draws with their places.
 
         Args:
             key: all that the places depend on besides the draws.
             draws: (n,) of five uint32, as an indirect draw reads them: count, instances, first, and what depends on
                 whether they are indexed, third and fourth.
+            counters: (n,) numbers of those that draws are counted by.
             fill: prepares a place: `fill(place, first, count, base_vertex, base_instance)`.
         """
-        whole = key, draws.tobytes()
+        whole = key, draws.tobytes(), None if counters is None else counters.tobytes()
         known = self._arrays.get(whole)
         if known is None:
             places = self._find_each(key, draws, indexed, fill)
-            known = np.array([place.number for place in places], np.int64), places
+            numbers = np.array([place.number for place in places], np.int64)
+            instances = draws["instances"].astype(np.int64)
+            known = DrawList(self._prepared, numbers, places, instances, counters)
             self._listed += len(places)
             if self._listed > _MAX_KNOWN:
                 self._arrays.clear()
                 self._listed = len(places)
             self._arrays[whole] = known
-        return known[0]
+        return known
 
     def _find_each(
         self, key: object, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]

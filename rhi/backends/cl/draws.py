@@ -2,6 +2,7 @@
 
 - A draw is a row of 64-bit words in one flat array: its prepared part (`PreparedDraws`), instances, view, counter,
   condition, and what is bound. Consecutive draws of one pass and pipeline make a batch, whatever they bind.
+- An array of draws (`DrawList`) that is a batch of its own has a table that is made once, however often it comes.
 - What draws have in common stands in the table that kernels are given from `begin` on; a batch fills in the rest.
 - `flush` turns the rows into the tables of kernels/common.cl by NumPy, whole columns at a time, and launches vertex,
   set-up, binning and raster kernels. Whoever enqueues something else flushes first.
@@ -14,7 +15,7 @@
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from struct import Struct
 from typing import Any, Final, TypeAlias
@@ -63,12 +64,15 @@ _COUNTERS: Final = Struct("=2Q")  # samples, condition
 _GROUPS: Final = Struct("=2i")  # vertex_group, primitive_group, or how many of both
 _STATES: Final = Struct("=4i")  # number, row, view, inverted
 
-Piece: TypeAlias = tuple[int, int, int, bytes, bytes]
-"""Of a batch: the number of its draws, their groups of vertices and of primitives, their table, what they bind."""
+Table: TypeAlias = tuple[int, int, int, bytes]
+"""Of draws: how many, their groups of vertices and of primitives, themselves."""
+Piece: TypeAlias = tuple[Table, bytes]
+"""Of a batch: some of its draws, and what they bind."""
 
 # Columns of a row before what is bound. The upper half of INSTANCES is the draw's number among those of its array.
 PREPARED, INSTANCES, VIEW, SAMPLES, CONDITION, INVERTED = range(6)
 FIXED_COLUMNS: Final = 6
+COUNTER_BYTES: Final = 8
 
 POOLS: Final = (
     "positions", "clips", "varyings", "extents", "records", "planes", "boxes", "counts", "starts", "list", "survivors",
@@ -116,11 +120,63 @@ class PreparedDraws:
         self._left.clear()
 
 
+class DrawList:
+    """Draws of an array, which bind the same.
+
+    Attributes:
+        numbers: (n,) of each among the draws of its array.
+        samples: (n,) of each one's counter, in bytes from the batch's `counters` on; None: they aren't told apart.
+    """
+
+    __slots__ = ("_holders", "_prepared", "_tables", "instances", "numbers", "places", "samples")
+
+    def __init__(
+        self, prepared: PreparedDraws, places: NDArray[np.int64], holders: object, instances: NDArray[np.int64],
+        counters: NDArray[np.int64] | None,
+    ) -> None:  # fmt: skip
+        """`holders` keep the places; `counters` are numbers of those that draws are counted by: they have no numbers of
+        their own then."""
+        self._prepared = prepared
+        self._holders = holders
+        self._tables: list[Table] = []
+        self.places = places
+        self.instances = instances
+        self.numbers = np.arange(len(places)) if counters is None else np.zeros(len(places), np.int64)
+        self.samples = None if counters is None else COUNTER_BYTES * (1 + counters)
+
+    @property
+    def tables(self) -> list[Table]:
+        """Those of draws that have the first view and row, and no condition."""
+        if not self._tables:
+            for part, table in number_groups(self._prepared.take(self.places), self.instances):
+                table["number"][:-1] = self.numbers[part]
+                if self.samples is not None:
+                    table["samples"][:-1] = self.samples[part]
+                self._tables.append(pack_table(table))
+        return self._tables
+
+    def list_streams(self, count: int) -> list[int]:
+        """The addresses of the vertex streams, the same for all of one vertex array."""
+        streams: list[int] = self._prepared.streams[self.places[0], :count].tolist()
+        return streams
+
+    def spread(self, row: Sequence[int], counters: int) -> NDArray[np.uint64]:
+        """A row for each draw."""
+        rows = np.empty((len(self.places), len(row)), np.uint64)
+        rows[:] = row
+        rows[:, PREPARED] = self.places
+        words = rows.view(np.uint32)
+        words[:, 2 * INSTANCES], words[:, 2 * INSTANCES + 1] = self.instances, self.numbers
+        if self.samples is not None:
+            rows[:, SAMPLES] = counters + self.samples
+        return rows
+
+
 class Batch:
     """The draws gathered and not yet flushed.
 
     Attributes:
-        rows: their words, `width` for each draw.
+        rows: their words, `width` for each draw, unless a list is alone.
         views: what their VIEW columns number.
     """
 
@@ -129,6 +185,7 @@ class Batch:
         self._queue = context.queue
         self.prepared = PreparedDraws()
         self.rows = array("Q")
+        self._alone: tuple[DrawList, Sequence[int], int] | None = None  # and what `gather` was told with it
         self.views: list[bytes] = []
         self.pipeline: Pipeline | None = None
         self.target: Target | None = None
@@ -150,6 +207,25 @@ class Batch:
     def geometry(self) -> Geometry:
         """The kernels that all batches share, built when first asked for."""
         return Geometry(self._builds)
+
+    def __bool__(self) -> bool:
+        """Whether draws were gathered."""
+        return bool(self.rows) or self._alone is not None
+
+    def gather(self, draws: DrawList, row: Sequence[int], counters: int = 0) -> None:
+        """Add draws that have `row` in common, and are counted from the address `counters` on."""
+        if self or row[VIEW] or row[CONDITION] or (row[SAMPLES] and draws.samples is None):
+            self.mix()
+            self.rows.frombytes(draws.spread(row, counters).tobytes())
+        else:
+            self._alone = draws, row, counters
+
+    def mix(self) -> None:
+        """Other draws follow: none is alone."""
+        if self._alone is not None:
+            draws, row, counters = self._alone
+            self._alone = None
+            self.rows.frombytes(draws.spread(row, counters).tobytes())
 
     def begin(
         self, pipeline: Pipeline, target: Target, vertex: Kernel, streams: int, raster: Kernel, key: MergerKey
@@ -188,12 +264,11 @@ class Batch:
             pyopencl.Error: out of memory; the draws are lost.
             ShaderError: a checked program found a fault.
         """
-        if not self.rows:
+        if not self:
             return None
         assert self.target is not None
         assert self.pipeline is not None
-        words, views = self.rows[:], b"".join(self.views)
-        del self.rows[:]
+        pieces, views = self._take_pieces(), b"".join(self.views)
         self.views.clear()
         texture = self.target.texture
         depth = self.target.depth and (self.target.depth.address, self.target.depth.place)
@@ -204,7 +279,7 @@ class Batch:
         )
         self._bounds = None
         event = None
-        for piece in self._tabulate_one(words) if len(words) == self._width else self._tabulate(words):
+        for piece in pieces:
             event = self._draw(piece, views) or event
         self.prepared.recycle()
         if event is not None:
@@ -214,45 +289,60 @@ class Batch:
                 faults.read(self._queue)
         return event
 
+    def _take_pieces(self) -> Iterable[Piece]:
+        """The pieces of what was gathered, which is forgotten."""
+        words, alone = self.rows[:], self._alone
+        del self.rows[:]
+        self._alone = None
+        self._table["counters"] = 0 if alone is None else alone[2]
+        if alone is not None:
+            draws, row, _ = alone
+            bound = self._bind_one(row[FIXED_COLUMNS:], draws.list_streams(self._streams))
+            return [(table, bound) for table in draws.tables]
+        return self._tabulate_one(words) if len(words) == self._width else self._tabulate(words)
+
+    def _bind_one(self, words: Iterable[int], streams: list[int]) -> bytes:
+        """What a draw binds, as kernels see it."""
+        bound = [*words, *streams]
+        for at, size in self._elements:
+            bound[at] //= size
+        return array("Q", bound).tobytes()
+
     def _tabulate(self, words: array[int]) -> Iterator[Piece]:
         """The pieces of many draws: NumPy, whole columns at a time."""
         rows = np.frombuffer(words.tobytes(), np.uint64).reshape(-1, self._width)
         places = rows[:, PREPARED].astype(np.int64)
         draws, streams = self.prepared.take(places), self.prepared.streams[places, : self._streams]
-        instances = rows.view(np.uint32)[:, 2 * INSTANCES].astype(np.int64)
-        ends = np.cumsum(draws["vertex_groups"] * instances)
-        begin, room = 0, min(_FIRST_PIECE_GROUPS, _PIECE_GROUPS)
-        while begin < len(rows):
-            before = int(ends[begin - 1]) if begin else 0
-            end = max(int(np.searchsorted(ends, before + room, "right")), begin + 1)
-            part = slice(begin, end)
-            table = _number_groups(rows[part], instances[part], draws[part])
-            bound = np.concatenate([rows[part, FIXED_COLUMNS:], streams[part]], axis=1)
+        numbered = rows.view(np.uint32)[:, 2 * INSTANCES : 2 * INSTANCES + 2].astype(np.int64)
+        for part, table in number_groups(draws, numbered[:, 0]):
+            mine, own = rows[part], table[:-1]
+            own["view"], own["samples"] = mine[:, VIEW], mine[:, SAMPLES]
+            own["condition"], own["inverted"] = mine[:, CONDITION], mine[:, INVERTED]
+            own["row"], own["number"] = np.arange(len(mine)), numbered[part, 1]
+            bound = np.concatenate([mine[:, FIXED_COLUMNS:], streams[part]], axis=1)
             for at, size in self._elements:
                 bound[:, at] //= np.uint64(size)
-            groups = int(table["vertex_group"][-1]), int(table["primitive_group"][-1])
-            yield end - begin, *groups, table.tobytes(), bound.tobytes()
-            begin, room = end, min(2 * room, _PIECE_GROUPS)
+            yield pack_table(table), bound.tobytes()
 
     def _tabulate_one(self, words: array[int]) -> Iterator[Piece]:
         """The same of one draw, which takes plain Python a third of the time."""
         place, numbered, view, samples, condition, inverted, *bound = words
-        for at, size in self._elements:
-            bound[at] //= size
-        bound += self.prepared.streams[place, : self._streams].tolist()
         draw = self.prepared.draws[place].tobytes()
         instances = numbered & 0xFFFFFFFF
-        vertex_groups, groups = (instances * count for count in _GROUPS.unpack_from(draw, _AT["vertex_groups"]))
+        vertex_groups, groups = (
+            instances * count for count in _GROUPS.unpack_from(draw, _AT["vertex_groups"])
+        )
         table = bytearray(2 * DRAW.itemsize)
         table[: len(draw)] = draw
         _COUNTERS.pack_into(table, _AT["samples"], samples, condition)
         _STATES.pack_into(table, _AT["number"], numbered >> 32, 0, view, inverted)
         _GROUPS.pack_into(table, DRAW.itemsize + _AT["vertex_group"], vertex_groups, groups)
-        yield 1, vertex_groups, groups, bytes(table), array("Q", bound).tobytes()
+        streams = self.prepared.streams[place, : self._streams].tolist()
+        yield (1, vertex_groups, groups, bytes(table)), self._bind_one(bound, streams)
 
     def _draw(self, piece: Piece, views: bytes) -> cl.Event | None:
         """One piece: its vertices all at once, its primitives slice by slice."""
-        count, vertex_groups, groups, draws, bound = piece
+        (count, vertex_groups, groups, draws), bound = piece
         if not groups:
             return None
         tables = draws, bound, self._places, views
@@ -317,20 +407,29 @@ class Batch:
         return event
 
 
-def _number_groups(
-    rows: NDArray[np.uint64], instances: NDArray[np.int64], prepared: NDArray[Any]
-) -> NDArray[Any]:
-    """The table of draws; the last row is where groups end."""
-    draws = np.empty(len(rows) + 1, DRAW)
-    words = draws.view(np.uint64).reshape(len(draws), -1)
-    words[:-1] = prepared.view(np.uint64).reshape(len(prepared), -1)
-    words[-1] = 0
-    numbered = draws[:-1]
-    numbered["view"], numbered["samples"] = rows[:, VIEW], rows[:, SAMPLES]
-    numbered["condition"], numbered["inverted"] = rows[:, CONDITION], rows[:, INVERTED]
-    numbered["row"] = np.arange(len(rows))
-    numbered["number"] = rows.view(np.uint32)[:, 2 * INSTANCES + 1]
-    draws["vertex_group"][0] = draws["primitive_group"][0] = 0
-    np.cumsum(prepared["vertex_groups"] * instances, out=draws["vertex_group"][1:], dtype=np.int32)
-    np.cumsum(prepared["primitive_groups"] * instances, out=draws["primitive_group"][1:], dtype=np.int32)
-    return draws
+def number_groups(
+    prepared: NDArray[Any], instances: NDArray[np.int64]
+) -> Iterator[tuple[slice, NDArray[Any]]]:
+    """The pieces of draws: which of them, and their table with numbered groups; its last row is where groups end."""
+    ends = np.cumsum(prepared["vertex_groups"] * instances)
+    begin, room = 0, min(_FIRST_PIECE_GROUPS, _PIECE_GROUPS)
+    while begin < len(prepared):
+        before = int(ends[begin - 1]) if begin else 0
+        end = max(int(np.searchsorted(ends, before + room, "right")), begin + 1)
+        part = slice(begin, end)
+        mine, counts = prepared[part], instances[part]
+        table = np.empty(len(mine) + 1, DRAW)
+        words = table.view(np.uint64).reshape(len(table), -1)
+        words[:-1] = mine.view(np.uint64).reshape(len(mine), -1)
+        words[-1] = 0
+        table["vertex_group"][0] = table["primitive_group"][0] = 0
+        np.cumsum(mine["vertex_groups"] * counts, out=table["vertex_group"][1:], dtype=np.int32)
+        np.cumsum(mine["primitive_groups"] * counts, out=table["primitive_group"][1:], dtype=np.int32)
+        yield part, table
+        begin, room = end, min(2 * room, _PIECE_GROUPS)
+
+
+def pack_table(table: NDArray[Any]) -> Table:
+    """A table of `number_groups` as kernels read it."""
+    groups = int(table["vertex_group"][-1]), int(table["primitive_group"][-1])
+    return len(table) - 1, *groups, table.tobytes()

@@ -28,7 +28,7 @@ class QuerySet:
         counters = self._rasteriser.counters
         self._segment = segment = counters.begin_set(self._size)
         try:
-            self._rasteriser.draw_counted(vertex_array, primitive, draws, segment.address + 8 * rows)
+            self._rasteriser.draw_counted(vertex_array, primitive, draws, rows, segment.address)
         finally:
             counters.end_set(segment)
 

@@ -25,6 +25,7 @@ from rhi.backends.cl.counters import Counters
 from rhi.backends.cl.draw_lists import DrawLists, Place
 from rhi.backends.cl.draws import (
     CONDITION,
+    COUNTER_BYTES,
     FIXED_COLUMNS,
     INSTANCES,
     INVERTED,
@@ -328,7 +329,10 @@ class Rasteriser:
         array = self._arrays[vertex_array]
         place = Place(self._batch.prepared)
         self._assemble(place, array, primitive, first, count, base_vertex, base_instance)
-        self._gather(array, place.number, instances)
+        program = self._begin_gathering(array)
+        self._bound[PREPARED], self._bound[INSTANCES] = place.number, instances
+        self._batch.rows.extend(program.pick(self._bound))
+        self._end_gathering(program)
 
     def prepare_draw(
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int, base_instance: int
@@ -374,14 +378,14 @@ class Rasteriser:
         self._gather_list(vertex_array, primitive, arguments)
 
     def draw_counted(
-        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], counters: NDArray[np.int64]
-    ) -> None:
-        """Draws of an array, each counted by the counter at its address."""
-        self._gather_list(vertex_array, primitive, draws.view(_COMMAND), counters)
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], counters: NDArray[np.int64], first: int
+    ) -> None:  # fmt: skip
+        """Draws of an array, each counted by the counter of its number; `first`: the address of number 0."""
+        self._gather_list(vertex_array, primitive, draws.view(_COMMAND), counters, first - COUNTER_BYTES)
 
     def _gather_list(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any],
-        counters: NDArray[np.int64] | None = None,
+        counters: NDArray[np.int64] | None = None, start: int = 0,
     ) -> None:  # fmt: skip
         """Draws that are numbered or, with counters, each counted by its own."""
         array = self._arrays[vertex_array]
@@ -391,8 +395,11 @@ class Rasteriser:
 
         key = vertex_array, primitive, array.version[0]
         indexed = bool(array.descriptor.index_buffer)
-        places = self._lists.find(key, draws, indexed, fill)
-        self._gather(array, places, draws["instances"], counters)
+        found = self._lists.find(key, draws, counters, indexed, fill)
+        program = self._begin_gathering(array)
+        self._batch.gather(found, program.pick(self._bound), start)
+        self.stale = True  # what follows makes room for itself
+        self._end_gathering(program)
 
     def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:
         host = self._buffers[buffer].host
@@ -400,8 +407,8 @@ class Rasteriser:
             return host[offset : offset + size].tobytes()
         return self._read(buffer, offset, size)
 
-    def _gather(self, array: _Array, places: Any, instances: Any, counters: Any = None) -> None:
-        """Add draws, one or many, to the batch. Many are numbered or have counters of their own."""
+    def _begin_gathering(self, array: _Array) -> _Program:
+        """Draws of this array follow."""
         if self.stale or self._batch.vertex is not array.kernel:
             self._get_ready(array)
         program = self._program
@@ -409,20 +416,9 @@ class Rasteriser:
         if program.descriptor.writes_memory:
             self.flush()
             self._get_ready(array)
-        bound = self._bound
-        if isinstance(places, int):
-            bound[PREPARED], bound[INSTANCES] = places, instances
-            self._batch.rows.extend(program.pick(bound))
-        else:
-            row = program.pick(bound)
-            rows = np.empty((len(places), len(row)), np.uint64)
-            rows[:] = row
-            rows[:, PREPARED], rows[:, INSTANCES] = places, instances
-            if counters is None:
-                rows.view(np.uint32)[:, 2 * INSTANCES + 1] = np.arange(len(places))
-            else:
-                rows[:, SAMPLES] = counters
-            self._batch.rows.frombytes(rows.tobytes())
+        return program
+
+    def _end_gathering(self, program: _Program) -> None:
         if program.descriptor.writes_memory:
             self.flush()
             self.change_stored(program.written)
@@ -445,6 +441,7 @@ class Rasteriser:
         if batch.raster is not raster or batch.vertex is not array.kernel or batch.target is not target:
             self._flush_batch()
             batch.begin(program.pipeline, target, array.kernel, len(array.descriptor.streams), raster, merger)
+        batch.mix()
         if not batch.views or batch.views[-1] is not view:
             batch.views.append(view)
         self._bound[VIEW] = len(batch.views) - 1
@@ -496,7 +493,7 @@ class Rasteriser:
 
     def _flush_batch(self) -> None:
         """Hand what was gathered to the device; other draws of the pass follow."""
-        if self._batch.rows:
+        if self._batch:
             self.stale = True
             event = None
             try:
@@ -506,7 +503,7 @@ class Rasteriser:
                 self.counters.finish_batch(event or cl.enqueue_marker(self._context.queue))
 
     def _is_gathering(self) -> bool:
-        return bool(self._batch.rows)
+        return bool(self._batch)
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         self._bound[CONDITION], self._bound[INVERTED] = self.counters.find_condition(query), inverted

@@ -46,7 +46,7 @@ BATCH: Final = np.dtype(
     [
         *_fields(
             "draws views rows positions clips varyings records planes boxes counts starts list survivors scratch "
-            "extents bounds",
+            "extents bounds counters",
             "u8",
         ),
         ("surfaces", "u8", (MAX_PLANES,)),

@@ -48,7 +48,7 @@ enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
 
 typedef struct {
     ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
-    ulong extents, bounds;
+    ulong extents, bounds, counters;
     ulong surfaces[10], places;       // color targets, depth, stencil; where they begin in their memory, and the texels
                                       // that they are cleared to, each repeated to 4 words
     int draw_count, row_words;
@@ -74,7 +74,8 @@ typedef struct {
 typedef struct {
     ulong indices;                          // of its first corner; 0: vertices in order
     ulong vertex_indices;                   // of its first vertex; 0: those from first_vertex on
-    ulong samples, condition;               // counters of samples; 0: none
+    ulong samples;                          // its counter, from the batch's `counters` on; 0: none
+    ulong condition;                        // the address of a counter; 0: none
     int vertex_group, primitive_group;      // numbers of its first groups in the batch
     int vertex_groups, primitive_groups;    // for one instance
     int first_vertex, vertices;             // what is added to a vertex's number; how many are transformed

@@ -222,11 +222,11 @@ INLINE void fill_blocks(float16 *blocks, int width, int height, float depth) {
 }
 #endif
 
-// Add what each lane has passed to a counter, if there is one.
-INLINE void count_samples(ulong address, int16 passed) {
-    uint count = address ? find_sum(passed) : 0;
+// Add what each lane has passed to the batch's counter at `samples`, if that is one.
+INLINE void count_samples(global const Batch *batch, ulong samples, int16 passed) {
+    uint count = samples ? find_sum(passed) : 0;
     if (!count) return;
-    volatile global uint *counter = AT(volatile uint, address);
+    volatile global uint *counter = AT(volatile uint, batch->counters + samples);
     if (atomic_add(counter, count) + count < count) atomic_inc(counter + 1);
 }
 
@@ -288,7 +288,7 @@ SINGLE raster(ulong address) {
     global const uint *state = 0;
     global const ulong *row = 0;
     int number = -1;
-    ulong counter = 0;
+    ulong samples = 0;
     int16 passed = (int16)(0);  // by each lane, for this counter
     for (; place >= 0; place = next_record(&records)) {
         global const int *record = record_memory + (long)place * 16;
@@ -321,9 +321,9 @@ SINGLE raster(ulong address) {
             view = AT(const View, batch->views) + draw->view;
             state = view->state;
             row = AT(const ulong, batch->rows) + (long)draw->row * batch->row_words;
-            if (draw->samples != counter) {
-                count_samples(counter, passed);
-                counter = draw->samples;
+            if (draw->samples != samples) {
+                count_samples(batch, samples, passed);
+                samples = draw->samples;
                 passed = (int16)(0);
             }
         }
@@ -511,7 +511,7 @@ SINGLE raster(ulong address) {
             }
         }
     }
-    count_samples(counter, passed);
+    count_samples(batch, samples, passed);
 #if STAGES_DEPTH && DEPTH_WRITES
     stage_depth(&targets, tile_x, tile_y, width, height, blocks, true);
 #endif

@@ -308,6 +308,58 @@ def test_each_draw_of_a_batch_counts_for_its_own_query(device: Device, launches:
     assert launches.count("raster") == 1
 
 
+@pytest.fixture
+def bars(device: Device) -> Iterator[rhi.Mesh]:
+    """16 rectangles; of a target of 16 x 4 texels the i-th covers 4 (i + 1)."""
+    with device.mesh(np.concatenate([rectangle(-1, -1, -1 + (i + 1) / 8, 1) for i in range(16)])) as bars:
+        yield bars
+
+
+def test_an_array_of_draws_that_comes_again_brings_its_table(
+    device: Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[int] = []
+    number = draws.number_groups
+
+    def note(*args: Any) -> Any:
+        made.append(len(args[0]))
+        return number(*args)
+
+    monkeypatch.setattr(draws, "number_groups", note)
+    queries = device.query_set(16)
+    array = bars.draws(6 * np.arange(16), 6)
+    with device.texture((16, 4), Format.R8) as image, device.states(ColorWrite.OFF, DepthWrite.OFF):
+        for rows in (range(16), range(16), range(15, -1, -1)):
+            with device.render_pass(image):
+                device.draw_counted(device.program(Colored), bars, array.copy(), queries, list(rows))
+            assert queries.wait().tolist() == [4 * (rows[i] + 1) for i in range(16)]
+    assert made == [16, 16]
+
+
+@pytest.mark.parametrize("order", ["array first", "array last", "two arrays"])
+def test_an_array_of_draws_and_others_are_one_batch(
+    device: Device, bars: rhi.Mesh, launches: list[str], order: str
+) -> None:
+    queries, more, query = device.query_set(16), device.query_set(2), device.occlusion_query()
+    program = device.program(Colored)
+    with device.texture((16, 4), Format.R8) as image:
+        with device.render_pass(image), device.states(ColorWrite.OFF, DepthWrite.OFF):
+            if order == "array last":
+                with query:
+                    device.draw(program, bars.view(6 * 3, 6))
+            device.draw_counted(program, bars, bars.draws(6 * np.arange(16), 6), queries)
+            if order == "two arrays":
+                device.draw_counted(program, bars, bars.draws(6 * np.array([9, 2]), 6), more, [1, 0])
+            if order != "array last":
+                with query:
+                    device.draw(program, bars.view(6 * 3, 6))
+        assert query.wait() == 16
+        assert queries.wait().tolist() == [4 * (i + 1) for i in range(16)]
+        if order == "two arrays":
+            assert more.wait().tolist() == [12, 40]
+    assert launches.count("raster") == 1
+
+
 def test_counters_are_used_again(device: Device) -> None:
     """Pages are, once nobody needs their answers, and count from zero."""
     counters = device.backend_as(ClBackend)._rasteriser.counters
