@@ -281,6 +281,29 @@ def test_a_polygon_offset_is_kept_within_its_clamp(device: Device, sign: float) 
     assert_near(offset - plain, 0.01 * sign, 2.0**-20, "slopes are computed in float32")
 
 
+@pytest.mark.parametrize(
+    ("function", "units", "end"),
+    [(DepthFunction.LESS_EQUAL, 1e9, 1.0), (DepthFunction.GREATER_EQUAL, -1e9, 0.0)],
+    ids=["standard", "reversed"],
+)
+@pytest.mark.parametrize("format", [Format.D16, Format.D24S8, Format.D32F], ids=lambda f: f.name)
+def test_depth_that_a_bias_moves_beyond_the_range_is_its_end(
+    device: Device, format: Format, function: DepthFunction, units: float, end: float
+) -> None:
+    """Where equal depths pass, so does what was moved beyond what is stored."""
+    require_format(device, format)
+    with (
+        device.texture(SIZE, Format.R8) as image,
+        device.texture(SIZE, format) as depth,
+        device.mesh(rectangle()) as mesh,
+    ):
+        for stored, seen in ((end, 255), (0.5 + (end - 0.5) / 2, 0)):
+            with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=stored):
+                with device.states(function, DepthBias(units)):
+                    device.draw(device.program(Colored), mesh)
+            assert_same(image.read(), seen)
+
+
 def test_lines_and_points_are_not_offset(device: Device) -> None:
     rows = rectangle(depth=0.5)
     with (

@@ -369,6 +369,8 @@ SINGLE set_up(ulong address) {
             slack += batch->depth_step;
             float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
                                            : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;
+            // Depth is clamped behind the test's offset, where equal depths may pass.
+            if (biased) nearest = near_is_less ? fmin(nearest, (float16)(1.0f)) : fmax(nearest, (float16)(0.0f));
             int16 cuts = (left < left_limit) | (top < top_limit) | (right > right_limit) | (bottom > bottom_limit);
             cuts |= (right < (high_x + reach) >> 8) & (batch->width & 3 ? -1 : 0);
             cuts |= (bottom < (high_y + reach) >> 8) & (batch->height & 3 ? -1 : 0);
