@@ -14,7 +14,7 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NoReturn
 
 import numpy as np
 import pyopencl as cl
@@ -32,6 +32,7 @@ _CALL: Final = "rhi.create_device('cl')"
 _ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
 _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
 _OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
+_UNWRITABLE: Final = "PoCL has none if it can't write its cache: set POCL_CACHE_DIR to a folder that can be written"
 PAGE: Final = 4096
 """Bytes: drivers use host memory in place only where it begins at a multiple of so many."""
 _COUNT: Final = 64
@@ -89,19 +90,32 @@ def open_context() -> Context:
             if len(begun) == device.max_compute_units:  # workers, begun with the process's first device
                 spread_threads(begun)
             return Context(device, context, queue, program, shares_memory, tuple(passed_over))
-    given = "\n".join(passed_over) or "no OpenCL device"
+    if not devices:
+        _refuse_nothing()
+    given = "\n".join(passed_over)
     tip = f"{_OUTDATED}{_INSTALL}" if "unknown target CPU" in given else _INSTALL
     raise DeviceError(DEVICE_DRIVER, _CALL, given, _ALLOWED, tip)
 
 
-def find_devices() -> list[cl.Device]:
-    """All devices of all platforms, in OpenCL's order."""
+def _refuse_nothing() -> NoReturn:
+    """There is no device: no driver, or one that has none."""
+    empty = ", ".join(platform.name for platform in _find_platforms())
+    given = "no OpenCL device" + (f"; there is {empty}, but without a device" if empty else "")
+    raise DeviceError(DEVICE_DRIVER, _CALL, given, _ALLOWED, _UNWRITABLE if empty else _INSTALL)
+
+
+def _find_platforms() -> list[cl.Platform]:
     try:
-        platforms = cl.get_platforms()
+        platforms: list[cl.Platform] = cl.get_platforms()
     except cl.Error:  # there are none
         return []
+    return platforms
+
+
+def find_devices() -> list[cl.Device]:
+    """All devices of all platforms, in OpenCL's order."""
     devices: list[cl.Device] = []
-    for platform in platforms:
+    for platform in _find_platforms():
         try:
             devices += platform.get_devices()
         except cl.Error:  # a platform without any
@@ -128,7 +142,7 @@ def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
     if meant:
         return meant[0]
     if not names:
-        raise DeviceError(DEVICE_DRIVER, _CALL, "no OpenCL device", _ALLOWED, _INSTALL)
+        _refuse_nothing()
     rows = "".join(f"\n{number}: {name}" for number, name in enumerate(names))
     tip = f"unset {ENVIRONMENT}, or set it to a device's number or a part of its name"
     raise DeviceError(DEVICE_DRIVER, _CALL, f"{ENVIRONMENT}={wanted!r}; the devices are{rows}", tip=tip)

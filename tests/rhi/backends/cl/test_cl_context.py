@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import pyopencl as cl
 import pytest
@@ -102,6 +103,20 @@ def test_the_report_says_why_a_device_was_passed_over(
     (line,) = [row for row in capsys.readouterr().out.splitlines() if "passed over:" in row]
     assert "undeclared" in line
     assert describe(find_devices()[0]) in line
+
+
+@pytest.mark.parametrize("wanted", ["", "0"])
+def test_a_driver_without_a_device_is_told_from_no_driver(monkeypatch: pytest.MonkeyPatch, wanted: str) -> None:
+    monkeypatch.setenv("RHI_CL_DEVICE", wanted)
+    for platforms, says in (
+        ([], "apt install"),
+        ([SimpleNamespace(name="Empty", get_devices=list)], "POCL_CACHE_DIR"),
+    ):
+        monkeypatch.setattr(context.cl, "get_platforms", lambda found=platforms: found)
+        with pytest.raises(DeviceError) as caught:
+            open_context()
+        assert says in caught.value.tip
+        assert ("Empty" in caught.value.given) == bool(platforms)
 
 
 def test_the_report_says_what_to_install_where_no_device_works(
