@@ -253,7 +253,7 @@ def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
 def test_a_device_with_memory_of_its_own_draws_the_same(
     device: Device, distant_device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(memory, "_PAGE", 1 << 12)  # tables need several pages
+    monkeypatch.setattr(memory, "_PAGE_BYTES", 1 << 12)  # tables need several pages
     rows = random_corners(200)
     for parts in (1, 40):
         assert (picture(device, rows, parts) == picture(distant_device, rows, parts)).all()
