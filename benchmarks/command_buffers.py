@@ -12,62 +12,50 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-import statistics
 import threading
-import time
+from collections.abc import Callable
 
 from scenes import Scene
 
 import rhi
+from renderer.measure import alternate
 
 
 def measure(backend: str, draws: int, rounds: int) -> dict[str, float]:
     """Microseconds a draw, by variant."""
     with rhi.create_device(backend, record=False) as device:
         scene = Scene(device, draws, scale=0.0)
-        times: dict[str, list[float]] = {}
 
-        def take(name: str, start: float) -> None:
-            times.setdefault(name, []).append((time.perf_counter() - start) / draws * 1e6)
+        def record(draw: Callable[[rhi.Encoder], None]) -> rhi.CommandBuffer:
+            with device.record() as commands:
+                draw(commands)
+            return commands
 
-        with device.record() as kept:
-            scene.draw(kept)
+        kept, fresh = record(scene.draw), [record(scene.draw)]
         device.submit(kept)
-        for _ in range(rounds):
+        makes_anew = {
+            "first submission": scene.draw,
+            "first submission, transient constants": scene.draw_transient,
+        }
+
+        def get_ready(name: str) -> None:
+            if name in makes_anew:
+                fresh[0] = record(makes_anew[name])
             device.finish()
             gc.collect()
-            start = time.perf_counter()
-            scene.draw(device)
-            take("drawn at once", start)
-            device.finish()
-            start = time.perf_counter()
-            device.submit(kept)
-            take("replayed", start)
-            device.finish()
-            start = time.perf_counter()
-            with device.record() as commands:
-                scene.draw(commands)
-            take("recorded", start)
-            start = time.perf_counter()
-            device.submit(commands)
-            take("first submission", start)
-            device.finish()
-            start = time.perf_counter()
-            with device.record() as transient:
-                scene.draw_transient(transient)
-            take("recorded, transient constants", start)
-            start = time.perf_counter()
-            device.submit(transient)
-            take("first submission, transient constants", start)
-            device.finish()
-            start = time.perf_counter()
-            scene.draw_transient(device)
-            take("drawn at once, transient constants", start)
-            device.finish()
-            start = time.perf_counter()
-            record_on_threads(scene, 4)
-            take("recorded on 4 threads, together", start)
-        return {name: statistics.median(each) for name, each in times.items()}
+
+        work: dict[str, Callable[[int], object]] = {
+            "drawn at once": lambda _: scene.draw(device),
+            "replayed": lambda _: device.submit(kept),
+            "recorded": lambda _: record(scene.draw),
+            "first submission": lambda _: device.submit(fresh[0]),
+            "recorded, transient constants": lambda _: record(scene.draw_transient),
+            "first submission, transient constants": lambda _: device.submit(fresh[0]),
+            "drawn at once, transient constants": lambda _: scene.draw_transient(device),
+            "recorded on 4 threads, together": lambda _: record_on_threads(scene, 4),
+        }
+        times = alternate(work, range(rounds), before=get_ready)
+        return {name: each.median / draws * 1e6 for name, each in times.items()}
 
 
 def record_on_threads(scene: Scene, count: int) -> None:

@@ -12,14 +12,13 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-import statistics
 import sys
-import time
 from collections.abc import Callable
 
 from scenes import Scene
 
 import rhi
+from renderer.measure import alternate
 from rhi.backends.null import create_backend
 from rhi.descriptors import Primitive
 from rhi.recorder import Recorder
@@ -52,30 +51,32 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
         "program.draw": (through_program, device.finish, device.stream),
         "recorder alone": (bare, lambda: recorder.signal(next(fences)), recorder.stream),
     }
-    recorded: dict[str, list[float]] = {name: [] for name in variants}
-    executed: dict[str, list[float]] = {name: [] for name in variants}
-    size: dict[str, float] = {}
-    for _ in range(rounds):
-        for name, (run, finish, stream) in variants.items():
-            stream.clear()
-            gc.collect()
-            start = time.perf_counter()
-            run()
-            middle = time.perf_counter()
+
+    def get_ready(name: str) -> None:
+        for _, finish, stream in variants.values():
             finish()
-            end = time.perf_counter()
-            recorded[name].append(len(stream) / (middle - start))
-            executed[name].append(len(stream) / (end - start))
-            size[name] = bytes_per_command(stream)
-    device.close()
-    return {
-        name: {
-            "commands_per_second": statistics.median(recorded[name]),
-            "executed_per_second": statistics.median(executed[name]),
-            "bytes_per_command": size[name],
+            stream.clear()
+        gc.collect()
+
+    def record_and_execute(name: str) -> None:
+        run, finish, _ = variants[name]
+        run()
+        finish()
+
+    work: dict[str, Callable[[int], object]] = {name: lambda _, run=run: run() for name, (run, *_) in variants.items()}
+    work |= {f"{name}, executed": lambda _, name=name: record_and_execute(name) for name in variants}
+    times = alternate(work, range(rounds), before=get_ready)
+    rows = {}
+    for name, (run, _, stream) in variants.items():
+        get_ready(name)
+        run()
+        rows[name] = {
+            "commands_per_second": len(stream) / times[name].median,
+            "executed_per_second": len(stream) / times[f"{name}, executed"].median,
+            "bytes_per_command": bytes_per_command(stream),
         }
-        for name in variants
-    }
+    device.close()
+    return rows
 
 
 def bytes_per_command(stream: rhi.CommandStream) -> float:

@@ -11,12 +11,11 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-import statistics
-import time
 
 from scenes import Scene
 
 import rhi
+from renderer.measure import alternate
 from rhi.backends.null import Simulation
 
 
@@ -26,33 +25,27 @@ def make(draws: int, simulation: Simulation | None) -> Scene:
     return Scene(rhi.create_device("null", **options), draws, size=256)
 
 
-def frame(scene: Scene, transient: bool) -> int:
-    """Record and execute one, with constants in own memory or in the ring; returns how many commands it was."""
-    if transient:
-        scene.draw_transient(scene.device)
-    else:
-        scene.draw(scene.device)
-    scene.present()
-    return len(scene.device.stream)
-
-
 def measure(draws: int, rounds: int) -> dict[str, float]:
-    """Commands a second, by variant."""
+    """Commands a second, by variant: with constants in memory of their own, or in the ring."""
     scenes = {
-        "executed": (make(draws, None), False),
-        "simulated": (make(draws, Simulation()), False),
-        "executed, transient": (make(draws, None), True),
-        "simulated, transient": (make(draws, Simulation()), True),
+        "executed": make(draws, None),
+        "simulated": make(draws, Simulation()),
+        "executed, transient": make(draws, None),
+        "simulated, transient": make(draws, Simulation()),
     }
-    rates: dict[str, list[float]] = {name: [] for name in scenes}
-    for _ in range(rounds):
-        for name, (scene, transient) in scenes.items():
-            scene.device.stream.clear()
-            gc.collect()
-            start = time.perf_counter()
-            commands = frame(scene, transient)
-            rates[name].append(commands / (time.perf_counter() - start))
-    return {name: statistics.median(each) for name, each in rates.items()}
+
+    def clear(name: str) -> None:
+        scenes[name].device.stream.clear()
+        gc.collect()
+
+    def frame(name: str) -> None:
+        scene = scenes[name]
+        draw = scene.draw_transient if "transient" in name else scene.draw
+        draw(scene.device)
+        scene.present()
+
+    times = alternate({name: lambda _, name=name: frame(name) for name in scenes}, range(rounds), before=clear)
+    return {name: len(scenes[name].device.stream) / each.median for name, each in times.items()}
 
 
 def main() -> None:

@@ -12,15 +12,14 @@ from __future__ import annotations
 import argparse
 import gc
 import json
-import statistics
 import tempfile
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from scenes import Scene
 
 import rhi
+from renderer.measure import alternate
 from rhi import CullMode, DepthWrite
 from rhi.trace import Trace, diff, load, replay, save
 
@@ -52,23 +51,18 @@ def measure(commands: int = 10_000, rounds: int = 7) -> dict[str, float]:
             replay(trace, on=device)
             device.finish()
 
-    work: dict[str, Callable[[], object]] = {
-        "replay": lambda: replay_on(),
-        "replay, not recorded": lambda: replay_on(record=False),
-        "diff, one change": lambda: diff(trace, other),
-        "diff, equal": lambda: diff(trace, trace),
-        "save": lambda: save(trace, file),
-        "load": lambda: load(file),
+    work: dict[str, Callable[[int], object]] = {
+        "replay": lambda _: replay_on(),
+        "replay, not recorded": lambda _: replay_on(record=False),
+        "diff, one change": lambda _: diff(trace, other),
+        "diff, equal": lambda _: diff(trace, trace),
+        "save": lambda _: save(trace, file),
+        "load": lambda _: load(file),
     }
-    times: dict[str, list[float]] = {name: [] for name in work}
-    for _ in range(rounds):
-        for name, run in work.items():
-            gc.collect()
-            start = time.perf_counter()
-            run()
-            times[name].append(time.perf_counter() - start)
-    folder.cleanup()
-    medians = {name: statistics.median(values) for name, values in times.items()}
+    with folder:
+        save(trace, file)
+        times = alternate(work, range(rounds), before=lambda name: gc.collect())
+    medians = {name: each.median for name, each in times.items()}
     rates = {f"{name} commands_per_second": len(trace) / medians[name] for name in work if "diff" not in name}
     return rates | {f"{name} seconds": medians[name] for name in work if "diff" in name}
 

@@ -26,23 +26,27 @@ class Measurement:
 
 
 def alternate(
-    work: Mapping[str, Callable[[int], object]], rounds: Iterable[int], warm_ups: int = 1
-) -> dict[str, Measurement]:
+    work: Mapping[str, Callable[[int], object]], rounds: Iterable[int], warm_ups: int = 1,
+    before: Callable[[str], object] = lambda name: None,
+) -> dict[str, Measurement]:  # fmt: skip
     """Time each of `work` once a round; each round starts with the next of them.
 
     Args:
         work: what to time, by name; called with the round's number. It must wait for what it starts.
         rounds: the rounds' numbers, at least one: a `range`, or a progress bar around one.
         warm_ups: how often all are run before, untimed, with the number 0.
+        before: what is done untimed before each run, given its name.
     """
     names = list(work)
     for _ in range(warm_ups):
         for name in names:
+            before(name)
             work[name](0)
     times: dict[str, list[float]] = {name: [] for name in names}
     for turn, number in enumerate(rounds):
         start = turn % len(names)
         for name in names[start:] + names[:start]:
+            before(name)
             began = perf_counter()
             work[name](number)
             times[name].append(perf_counter() - began)

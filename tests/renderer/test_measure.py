@@ -22,6 +22,13 @@ def test_warm_ups_are_not_timed() -> None:
     assert len(times["a"].seconds) == 4
 
 
+def test_each_run_is_got_ready_for() -> None:
+    order: list[str] = []
+    work = {name: lambda _, name=name: order.append(name) for name in "ab"}
+    alternate(work, range(2), before=lambda name: order.append(f"before {name}"))
+    assert order == [entry for name in "ababba" for entry in (f"before {name}", name)]
+
+
 def test_a_ratio_is_the_median_of_the_rounds_ratios() -> None:
     # The second round was disturbed; its ratio is not.
     fast, slow = Measurement("fast", (1.0, 50.0, 1.0)), Measurement("slow", (2.0, 100.0, 2.2))
