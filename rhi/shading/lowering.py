@@ -170,7 +170,7 @@ class Lowering(TextureLowering):
 
     def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
         """Whether a function is left anywhere but in its last statement."""
-        return has_early_return(function.body)
+        return tree.has_early_return(function.body)
 
     def discard(self) -> None:
         """The lanes that are here end."""
@@ -488,21 +488,3 @@ class Lowering(TextureLowering):
 def caller_line(frame: Frame, at: object) -> tuple[str, int]:
     """The line of a call."""
     return frame.function.file, getattr(at, "line", 0)
-
-
-def has_early_return(body: tree.Block) -> bool:
-    """Whether a function returns anywhere but in its last statement."""
-    return any(_returns(statement) for statement in body[:-1]) or (
-        bool(body) and not isinstance(body[-1], tree.Return) and _returns(body[-1])
-    )
-
-
-def _returns(statement: tree.Statement) -> bool:
-    match statement:
-        case tree.Return():
-            return True
-        case tree.If(then=then, otherwise=otherwise):
-            return any(map(_returns, then)) or any(map(_returns, otherwise))
-        case tree.For(body=body) | tree.While(body=body):
-            return any(map(_returns, body))
-    return False

@@ -12,7 +12,7 @@ from typing import Final
 from rhi.descriptors import TextureKind
 from rhi.shading import lanes, tree
 from rhi.shading.lanes import Get, Kind, Level, Memory, Space, Value, literal, number
-from rhi.shading.lowering_expressions import ExpressionLowering
+from rhi.shading.lowering_builtins import BuiltinLowering
 from rhi.shading.lowering_places import KINDS, all_kinds
 from rhi.shading.types import ImageType, TextureType
 
@@ -22,7 +22,7 @@ _ONE_LEVEL: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3:
 """How many components of a coordinate decide about the level."""
 
 
-class TextureLowering(ExpressionLowering):
+class TextureLowering(BuiltinLowering):
     """Lowers the methods in `rhi.shading.textures`."""
 
     has_helpers = False

@@ -346,6 +346,24 @@ def has_effect(node: Expression) -> bool:
     return any(has_effect(part) for part in parts_of(node))
 
 
+def has_early_return(body: Block) -> bool:
+    """Whether a function returns anywhere but in its last statement."""
+    return any(_returns(statement) for statement in body[:-1]) or (
+        bool(body) and not isinstance(body[-1], Return) and _returns(body[-1])
+    )
+
+
+def _returns(statement: Statement) -> bool:
+    match statement:
+        case Return():
+            return True
+        case If(then=then, otherwise=otherwise):
+            return any(map(_returns, then)) or any(map(_returns, otherwise))
+        case For(body=body) | While(body=body):
+            return any(map(_returns, body))
+    return False
+
+
 def root_of(place: Expression) -> Expression:
     """The variable or binding that a place lies in."""
     while isinstance(place, Member | Swizzle | Index):
