@@ -14,6 +14,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import TracebackType
 from typing import Final, NamedTuple
 
@@ -225,8 +226,6 @@ def _needs_capability(state: State) -> bool:
 
 
 def _without_target(state: State) -> State:
-    from dataclasses import replace
-
     return replace(state, target=None)  # type: ignore[type-var]
 
 

@@ -125,7 +125,6 @@ class Nodes:
 
 def _depths(parents: NDArray[np.int64]) -> NDArray[np.int64]:
     """Depth of each node, by pointer doubling: log2(depth) passes over all nodes."""
-    count = len(parents)
     depth = (parents >= 0).astype(np.int64)
     ancestor = parents.copy()
     while (ancestor >= 0).any():
@@ -133,7 +132,6 @@ def _depths(parents: NDArray[np.int64]) -> NDArray[np.int64]:
         above = ancestor[inside]
         depth[inside] += depth[above]
         ancestor[inside] = ancestor[above]
-    assert len(depth) == count
     return depth
 
 

@@ -33,7 +33,6 @@ from rhi.shading.types import ImageType, TextureType, Type, VoidType, scalar_of
 
 __rhi_internal__ = True
 
-_SAME: Final = frozenset(["+", "-", "*", "/", "&", "|", "^", "<<", ">>", "==", "!=", "<", "<=", ">", ">="])
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
 _LONGEST_LIST: Final = 32

@@ -41,17 +41,6 @@ _FOLD: Final[dict[Operator, Callable[[Any, Any], Any]]] = {
     Operator.AND: lambda a, b: a and b,
     Operator.OR: lambda a, b: a or b,
 }
-ARITHMETIC: Final = frozenset(
-    {
-        Operator.ADD,
-        Operator.SUBTRACT,
-        Operator.MULTIPLY,
-        Operator.DIVIDE,
-        Operator.FLOOR_DIVIDE,
-        Operator.MODULO,
-        Operator.POWER,
-    }
-)
 BITWISE: Final = frozenset({Operator.BIT_AND, Operator.BIT_OR, Operator.BIT_XOR})
 SHIFTS: Final = frozenset({Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT})
 EQUALITY: Final = frozenset({Operator.EQUAL, Operator.NOT_EQUAL})

@@ -30,8 +30,7 @@ VECTORS: Final = {
     (scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)
 }
 MATRICES: Final = {size: MatrixType(size) for size in (2, 3, 4)}
-VEC2, VEC3, VEC4 = (VECTORS[FLOAT, size] for size in (2, 3, 4))
-IVEC2, IVEC3, IVEC4 = (VECTORS[INT, size] for size in (2, 3, 4))
+VEC4: Final = VECTORS[FLOAT, 4]
 
 
 @dataclass(frozen=True, slots=True)

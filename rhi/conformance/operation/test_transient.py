@@ -14,16 +14,8 @@ from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
-from rhi.shading import Struct, vec4
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
-
-
-class Big(Struct):
-    """A color among a lot of other constants."""
-
-    before: vec4
-    color: vec4
 
 
 def points(count: int, size: tuple[int, int]) -> NDArray[Any]:
