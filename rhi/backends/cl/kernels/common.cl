@@ -41,7 +41,7 @@ enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
 // Flags: the draw's number, whether less may be drawn than the blocks that the box touches, whether it is a front, the kind.
 #define PACK_FLAGS(draw, cuts, front, kind) ((draw) << 4 | (cuts) << 3 | (front) << 2 | (kind))
 
-// Whether an edge owns what lies on it: it is a left or a top one.
+// Whether an edge owns what lies on it: it is a left or a top one. Of vectors true is -1, of scalars 1.
 #define OWNS(a, b) (((a) > 0) | (((a) == 0) & ((b) > 0)))
 
 #define SAMPLE_REACH 96  // subtexels from a texel's centre to its outermost sample, along an axis

@@ -8,7 +8,7 @@
 // - Multi-sampled: four coverages, one shading.
 // - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
 // - Before this text stand targets.cl, the fragment stage and what tables.py writes: OPEN_SURFACES, BINDINGS,
-//   VARYING_WORDS, VARYINGS, GIVES_DEPTH, STAGES_DEPTH.
+//   VARYING_WORDS, VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH.
 
 #define LANE_X (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #define LANE_Y (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
