@@ -96,7 +96,11 @@ class Renderer:
             self._own.append(visibility)
         self.visibility: VisibilityAlgorithm = visibility
         self._targets = Targets(device, size)
-        self._resources = SceneResources(device, scene)
+        try:
+            self._resources = SceneResources(device, scene)
+        except BaseException:
+            self._targets.destroy()
+            raise
 
     @property
     def size(self) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 
 from renderer.frame.passes import Drawn, ScenePass
@@ -15,8 +16,10 @@ class Targets:
     """The image (sRGB) and the depth buffer (32-bit float) of one size."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
-        self.color: Texture = device.texture(size, Format.RGBA8_SRGB, label="image")
-        self.depth: Texture = device.texture(size, Format.D32F, label="depth")
+        with ExitStack() as made:  # both or neither
+            self.color: Texture = made.enter_context(device.texture(size, Format.RGBA8_SRGB, label="image"))
+            self.depth: Texture = made.enter_context(device.texture(size, Format.D32F, label="depth"))
+            made.pop_all()
 
     @property
     def size(self) -> tuple[int, int]:

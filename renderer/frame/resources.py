@@ -9,8 +9,9 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import cached_property
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,12 @@ from renderer.visibility import SceneArrays
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer
 from rhi.shading import Struct
 
+
+class _Made(Protocol):
+    def destroy(self) -> None: ...
+
+
+R = TypeVar("R", bound=_Made)
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
@@ -109,12 +116,24 @@ class SceneResources:
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
+        """What can't be made whole leaves nothing on the device."""
+        with ExitStack() as made:
+            self._made = made
+            self._make(device, scene)
+            self._made = made.pop_all()
+
+    def _keep(self, resource: R) -> R:
+        """To be given back with the others."""
+        self._made.callback(resource.destroy)
+        return resource
+
+    def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
         self.simulator = Simulator(scene.simulated, len(scene.objects))
         self._simulated: dict[int, int] = {}  # by object, the step whose vertices the device has
         self._device = device
         meshes, objects = scene.meshes, scene.objects
-        self.mesh: Mesh = device.mesh(meshes.vertices, meshes.indices, label=scene.name)
+        self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
         ranges = meshes.ranges[objects.mesh]
         self.draws: NDArray[Any] = self.mesh.draws(
             ranges["first_index"],
@@ -122,19 +141,21 @@ class SceneResources:
             base_vertex=ranges["base_vertex"],
             base_instance=np.arange(len(objects)),
         )
-        self.images: Texture | None = _make_images(device, scene)
-        self.objects = MirroredArray(device, shaders.Object, "objects")
-        self.places = MirroredArray(device, shaders.Place, "places")
-        self.materials = MirroredArray(device, shaders.Material, "materials")
-        self.directional = MirroredArray(device, shaders.DirectionalLight, "directional lights")
-        self.point = MirroredArray(device, shaders.PointLight, "point lights")
-        self.spot = MirroredArray(device, shaders.SpotLight, "spot lights")
-        self.light_rows = MirroredArray(device, int, "light rows")
+        images = _make_images(device, scene)
+        self.images: Texture | None = images and self._keep(images)
+        keep = self._keep
+        self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
+        self.places = keep(MirroredArray(device, shaders.Place, "places"))
+        self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
+        self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
+        self.point = keep(MirroredArray(device, shaders.PointLight, "point lights"))
+        self.spot = keep(MirroredArray(device, shaders.SpotLight, "spot lights"))
+        self.light_rows = keep(MirroredArray(device, int, "light rows"))
         self._lit: tuple[NDArray[Any], ...] = ()  # what the lists were made from
         self._reaching = (False, False)  # whether point lights are on them, and spot lights
-        self.view = MirroredValue(device, _view(np.eye(4), np.zeros(3)))
-        self.ambient = MirroredValue(device, _ambient(scene))
-        self.haze = MirroredValue(device, _haze(scene))
+        self.view = keep(MirroredValue(device, _view(np.eye(4), np.zeros(3))))
+        self.ambient = keep(MirroredValue(device, _ambient(scene)))
+        self.haze = keep(MirroredValue(device, _haze(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._rows["material"] = objects.material
         self._places: NDArray[Any] = np.zeros(len(objects), shaders.Place.dtype)
@@ -153,7 +174,7 @@ class SceneResources:
         parts["lower"], parts["upper"] = meshes.lower, meshes.upper
         parts["first"], parts["count"] = meshes.ranges["first_index"], meshes.ranges["index_count"]
         parts["base_vertex"] = meshes.ranges["base_vertex"]
-        return self._device.storage(shaders.MeshPart, parts, label="mesh parts")
+        return self._keep(self._device.storage(shaders.MeshPart, parts, label="mesh parts"))
 
     @property
     def arrays(self) -> SceneArrays:
@@ -246,14 +267,7 @@ class SceneResources:
 
     def destroy(self) -> None:
         """Give everything back."""
-        arrays = (self.objects, self.places, self.materials, self.directional, self.point, self.spot)
-        self.light_rows.destroy()
-        for resource in (self.mesh, self.view, self.ambient, self.haze, *arrays):
-            resource.destroy()
-        if self.images is not None:
-            self.images.destroy()
-        if "parts" in self.__dict__:
-            self.parts.destroy()
+        self._made.close()
 
 
 def _split(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:

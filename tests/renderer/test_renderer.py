@@ -14,6 +14,7 @@ from renderer.scene import Camera, Depth, Perspective, Scene, load_scene
 from renderer.shaders import View
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op
+from rhi.backends.null import Faults
 
 TIMELINE = {Op.SIGNAL, Op.WAIT}
 """What depends on how fast the GPU is."""
@@ -149,6 +150,21 @@ def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
     gone = {command.values[0] for command in null.stream.filter(Op.DESTROY)}
     assert len(made) > 5
     assert {command.values[0] for command in made} <= gone
+
+
+@pytest.mark.parametrize("failing", range(20))
+def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int) -> None:
+    """Whichever creation finds no memory."""
+    with rhi.create_device("null", faults=Faults(memory=failing)) as device:
+        with pytest.raises(rhi.DeviceError), Renderer(device, city) as renderer:
+            renderer.render(city.views["overview"])
+        device.finish()
+        made = device.stream.filter(
+            (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
+            where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+        )
+        gone = {command.values[0] for command in device.stream.filter(Op.DESTROY)}
+        assert {command.values[0] for command in made} <= gone
 
 
 def queries_left(device: rhi.Device) -> int:
