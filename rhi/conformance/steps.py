@@ -60,7 +60,10 @@ STEPS: Final = (
     Step(
         "depth, stencil, blending and targets",
         ("resolve_texture",),
-        ("operation · depth", "operation · stencil", "operation · blending", "operation · targets"),
+        (
+            "operation · depth", "operation · stencil", "operation · blending", "operation · targets",
+            "operation · clears",
+        ),
     ),
     Step("texture reads", ("bind_texture",), ("operation · sampling", "operation · fragments")),
     Step(
