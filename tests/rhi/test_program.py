@@ -152,11 +152,12 @@ def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> 
     assert kit.ops(Op.DRAW)[0]["instances"] == instances
 
 
-def test_a_binding_named_like_an_argument_of_draw_is_refused(kit: Kit) -> None:
-    binding = Binding("mesh", BindingKind.UNIFORM, 0, False, Camera, 16)
+@pytest.mark.parametrize("name", ["class", "self"])
+def test_a_binding_that_no_keyword_can_give_is_refused(kit: Kit, name: str) -> None:
     with pytest.raises(rhi.ValidationError) as caught:
-        kit.device.program(hand_made_program("bad", binding))
+        kit.device.program(hand_made_program("bad", Binding(name, BindingKind.UNIFORM, 0, False, Camera, 16)))
     assert caught.value.rule.id == "binding-name"
+    kit.device.program(hand_made_program("good", Binding("mesh", BindingKind.UNIFORM, 0, False, Camera, 16)))
 
 
 def test_a_mesh_without_a_field_the_program_reads_is_refused_with_both_lists(kit: Kit) -> None:
