@@ -282,8 +282,9 @@ class Program(Generic[P]):
 
     def check_instances(self, instances: Any) -> None:
         """Refuse what is no number of instances."""
-        if not isinstance(instances, int) or instances < 0:
-            refuse(DRAW_COUNT, f"draw of program {self.name!r}", f"instances={instances!r}", "0 or more")
+        if not isinstance(instances, int) or not 0 <= instances < 1 << 31:
+            given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
+            refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
 
 
 def shader_kind(form: Format) -> str:

@@ -131,7 +131,7 @@ PASS_FEEDBACK: Final = Rule(
 DRAW_OUTSIDE_PASS: Final = Rule(
     "draw-outside-pass", "a draw needs an open render pass", "put it inside `with device.render_pass(...)`"
 )
-DRAW_COUNT: Final = Rule("draw-count", "a number of instances can't be negative")
+DRAW_COUNT: Final = Rule("draw-count", "a number of instances is not allowed")
 DRAW_ARRAY: Final = Rule("draw-array", "not an array of draws", "use mesh.draws(...), or the dtype rhi.DRAW")
 DISPATCH_SIZE: Final = Rule("dispatch-size", "the number of work-groups is not allowed")
 INDIRECT_RANGE: Final = Rule("indirect-range", "the indirect arguments lie outside their buffer")

@@ -138,14 +138,14 @@ def test_the_refusal_names_the_line_of_the_call(kit: Kit) -> None:
     assert caught.value.site.line == caught.tb.tb_lineno
 
 
-@pytest.mark.parametrize("instances", [-1, 1.5, "2"])
+@pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, "2"])
 def test_a_number_of_instances_that_is_none_is_refused(kit: Kit, instances: int) -> None:
     with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
         kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])
     assert caught.value.rule.id == "draw-count"
 
 
-@pytest.mark.parametrize("instances", [0, 2])
+@pytest.mark.parametrize("instances", [0, 2, (1 << 31) - 1])
 def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> None:
     with kit.device.render_pass(kit.image):
         kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])

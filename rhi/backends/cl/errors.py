@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
+from types import TracebackType
 from typing import Final
 
 import pyopencl as cl
@@ -23,16 +23,29 @@ _RULES: Final[dict[int, Rule]] = {
 }
 
 
-@contextmanager
-def translate_errors(call: str, given: str = "") -> Iterator[None]:
+class _Translation:
+    """No generator: contextlib's frame on the stack would pass for the user's line."""
+
+    def __init__(self, call: str, given: str) -> None:
+        self._call = call
+        self._given = given
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if isinstance(error, cl.Error):
+            told = f"{self._given}: {shorten(error)}" if self._given else shorten(error)
+            raise DeviceError(_RULES.get(error.code, DEVICE_DRIVER), self._call, told) from error
+        if isinstance(error, MemoryError):
+            raise DeviceError(DEVICE_MEMORY, self._call, self._given) from error
+
+
+def translate_errors(call: str, given: str = "") -> AbstractContextManager[None]:
     """Raise what OpenCL or NumPy refuse inside as a `DeviceError` of `call`."""
-    try:
-        yield
-    except cl.Error as error:
-        told = f"{given}: {shorten(error)}" if given else shorten(error)
-        raise DeviceError(_RULES.get(error.code, DEVICE_DRIVER), call, told) from error
-    except MemoryError as error:
-        raise DeviceError(DEVICE_MEMORY, call, given) from error
+    return _Translation(call, given)
 
 
 def shorten(error: Exception) -> str:

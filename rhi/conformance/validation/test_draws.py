@@ -63,7 +63,7 @@ def test_a_draw_needs_a_pass(recording: Device) -> None:
             recording.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
 
 
-@pytest.mark.parametrize("instances", [-1, 1.5, "two", None])
+@pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, "two", None])
 def test_instances_are_counted(recording: Device, instances: Any) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         with recording.render_pass(image):

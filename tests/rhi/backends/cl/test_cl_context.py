@@ -149,6 +149,17 @@ def test_an_unknown_device_is_refused_with_those_there_are(
     assert "RHI_CL_DEVICE" in caught.value.tip
 
 
+def test_the_report_keeps_the_devices_there_are_in_its_column(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("RHI_CL_DEVICE", "no such name")
+    main([])
+    told = capsys.readouterr().out.splitlines()
+    begin = next(i for i, row in enumerate(told) if row.startswith("cl     not usable: RHI_CL_DEVICE="))
+    assert told[begin + 1].startswith(f"{" " * 11}0: {describe(find_devices()[0])}")
+    assert "unset RHI_CL_DEVICE" in told[begin + 1 + len(find_devices())]
+
+
 def test_a_device_that_was_asked_for_is_the_only_one_tried(monkeypatch: pytest.MonkeyPatch) -> None:
     devices_twice(monkeypatch, BROKEN)
     monkeypatch.setenv("RHI_CL_DEVICE", "0")

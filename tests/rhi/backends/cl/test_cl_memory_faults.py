@@ -132,6 +132,7 @@ def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.Mon
     assert len(errors) > 15
     assert {error.rule.id for error in errors} == {"device-out-of-memory"}
     assert all(error.tip for error in errors)
+    assert {error.site.file for error in errors if error.site} == {__file__}
 
 
 def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -170,5 +171,7 @@ def test_what_is_too_large_is_refused_and_the_device_goes_on(
             make(device)
         assert caught.value.rule.id == "device-out-of-memory"
         assert "destroy" in caught.value.tip
+        assert caught.value.site is not None
+        assert caught.value.site.file == __file__
         for given, wanted in zip(work(device), expected, strict=True):
             np.testing.assert_array_equal(given, wanted)
