@@ -332,6 +332,9 @@ class Batch:
         vertex_groups, groups = (
             instances * count for count in _GROUPS.unpack_from(draw, _AT["vertex_groups"])
         )
+        if instances > 1 and vertex_groups > _FIRST_PIECE_GROUPS:
+            yield from self._tabulate(words)
+            return
         table = bytearray(2 * DRAW.itemsize)
         table[: len(draw)] = draw
         _COUNTERS.pack_into(table, _AT["samples"], samples, condition)
@@ -409,9 +412,15 @@ class Batch:
 
 def number_groups(
     prepared: NDArray[Any], instances: NDArray[np.int64]
-) -> Iterator[tuple[slice, NDArray[Any]]]:
+) -> Iterator[tuple[slice | NDArray[np.intp], NDArray[Any]]]:
     """The pieces of draws: which of them, and their table with numbered groups; its last row is where groups end."""
-    ends = np.cumsum(prepared["vertex_groups"] * instances)
+    groups, which = prepared["vertex_groups"] * instances, None
+    if groups.max() > _FIRST_PIECE_GROUPS:
+        which, instances, done = split_instances(prepared["vertex_groups"], instances)
+        prepared = prepared[which]
+        prepared["base_instance"] += done.astype(np.int32)
+        groups = prepared["vertex_groups"] * instances
+    ends = np.cumsum(groups)
     begin, room = 0, min(_FIRST_PIECE_GROUPS, _PIECE_GROUPS)
     while begin < len(prepared):
         before = int(ends[begin - 1]) if begin else 0
@@ -425,8 +434,20 @@ def number_groups(
         table["vertex_group"][0] = table["primitive_group"][0] = 0
         np.cumsum(mine["vertex_groups"] * counts, out=table["vertex_group"][1:], dtype=np.int32)
         np.cumsum(mine["primitive_groups"] * counts, out=table["primitive_group"][1:], dtype=np.int32)
-        yield part, table
+        yield part if which is None else which[part], table
         begin, room = end, min(2 * room, _PIECE_GROUPS)
+
+
+def split_instances(
+    groups: NDArray[np.int32], instances: NDArray[np.int64]
+) -> tuple[NDArray[np.intp], NDArray[np.int64], NDArray[np.int64]]:
+    """Draws of many instances as several of fewer, none more than the first piece holds unless an instance is: which
+    draw each is of, its instances, and how many came before them."""
+    most = np.maximum(_FIRST_PIECE_GROUPS // np.maximum(groups, 1), 1)
+    parts = np.maximum(-(-instances // most), 1)
+    which = np.repeat(np.arange(len(parts)), parts)
+    done = (np.arange(len(which)) - np.repeat(np.cumsum(parts) - parts, parts)) * most[which]
+    return which, np.minimum(most[which], instances[which] - done), done
 
 
 def pack_table(table: NDArray[Any]) -> Table:

@@ -31,7 +31,7 @@ from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle, window_to_clip
 from rhi.errors import DeviceError
-from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, uint, vec4
+from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, instance_index, uint, vec2, vec4
 
 SIZE = (200, 150)
 
@@ -248,6 +248,49 @@ def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
         assert (image.read() > 0).any()
     pools = device.backend_as(ClBackend)._rasteriser._batch._pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
+
+
+class Placed(Shader):
+    """A square for each instance, row by row from the top left, 512 in a row."""
+
+    def vertex(self, v: Corner) -> Bare:
+        i = instance_index()
+        place = vec2(float(i % 512), float(i // 512)) / 256.0 - 1.0
+        return Bare(clip=vec4(place + (v.position.xy + 1.0) / 512.0, 0.5, 1.0))
+
+    def fragment(self, v: Bare) -> vec4:
+        return vec4(1.0)
+
+
+@pytest.mark.parametrize("before", [0, 1], ids=["alone", "behind_another"])
+def test_many_instances_take_no_more_memory_than_many_draws(device: Device, before: int) -> None:
+    """They go in pieces: 200 bytes a triangle at the most, and each instance at its place."""
+    instances, program = 512 * 480, device.program(Placed)
+    draws_of = [(512 * 500, 512 * 12), (512, instances)][1 - before :]
+    queries = [device.occlusion_query() for _ in draws_of]
+    with device.texture((512, 512), Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
+            for query, (first, count) in zip(queries, draws_of, strict=True):
+                with query:
+                    device.draw(program, mesh.view(base_instance=first), count)
+        rows = (image.read()[::-1] > 0).all(axis=1)
+    assert np.flatnonzero(rows).tolist() == [*range(1, 481), *range(500, 512)][: 480 + 12 * before]
+    assert [query.wait() for query in queries] == [count for _, count in draws_of]
+    pools = device.backend_as(ClBackend)._rasteriser._batch._pools
+    assert sum(pool.size for pool in pools.values()) <= 200 * 2 * instances
+
+
+@pytest.mark.parametrize("instances", [1 << 20, (1 << 31) - 1])
+def test_draws_split_into_pieces_are_each_instance_once(
+    monkeypatch: pytest.MonkeyPatch, instances: int
+) -> None:
+    monkeypatch.setattr(draws, "_FIRST_PIECE_GROUPS", 1 << 19)
+    groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
+    which, parts, done = draws.split_instances(groups, counts)
+    assert np.array_equal(np.bincount(which, parts), counts)
+    assert (parts * groups[which] <= np.maximum(1 << 19, groups[which])).all()
+    ends = np.cumsum(parts) - np.repeat(np.cumsum(counts) - counts, np.bincount(which))
+    assert np.array_equal(done, ends - parts)
 
 
 def test_a_device_with_memory_of_its_own_draws_the_same(
