@@ -30,14 +30,16 @@ from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
 from rhi.backends.cl.pipelines import Geometry, Pipeline
 from rhi.backends.cl.surfaces import Surface, Target
 from rhi.backends.cl.tables import (
-    BATCH,
     DRAW,
+    EMPTY_BATCH,
     EXTENT_BYTES,
     GROUP,
+    MAX_PLANES,
     MAX_STREAMS,
     PART,
     RECORD_BYTES,
     TILE,
+    pack_batch,
     varying_words,
 )
 from rhi.backends.cl.targets import MergerKey
@@ -191,12 +193,14 @@ class Batch:
         self.target: Target | None = None
         self.vertex: Kernel | None = None
         self.raster: Kernel | None = None
-        self._table = np.zeros((), BATCH)
+        self._table = EMPTY_BATCH.copy()
         self._surfaces: list[Surface] = []  # that its raster kernel draws into
+        self._addresses = [0] * MAX_PLANES  # of theirs
         self._places = b""  # where they begin in their memory, and what they are cleared to
         self._bounds_depth = False  # whether its raster kernel leaves bounds
         self._bounds: tuple[object, ...] | None = None  # what the bounds in memory belong to
-        self._room = 0, 0  # vertices and primitives that the table's scratch memory is for
+        self._scratch: dict[str, int] = {}  # scratch memory, as a batch has it
+        self._wanted: object = None  # what it is for
         self._streams = 0
         self._width = FIXED_COLUMNS
         self._elements: list[tuple[int, int]] = []  # of what is bound: sizes in bytes, and of an element
@@ -241,11 +245,11 @@ class Batch:
         ]
         surfaces = self._surfaces = target.surfaces_of(key)
         tiles_x, tiles_y = (-(-size // TILE) for size in target.size)
-        table = self._table = np.zeros((), BATCH)
+        self._addresses = [surface.address for surface in surfaces] + [0] * (MAX_PLANES - len(surfaces))
+        table = self._table = EMPTY_BATCH.copy()
         table["row_words"] = pipeline.starts[-1] + streams
-        table["surfaces"][: len(surfaces)] = [surface.address for surface in surfaces]
-        places = np.array([surface.place for surface in surfaces], np.uint64).tobytes()
-        self._places = places + b"".join(surface.pattern for surface in surfaces)
+        places = array("Q", [word for surface in surfaces for word in surface.place])
+        self._places = places.tobytes() + b"".join(surface.pattern for surface in surfaces)
         table["vertex_chunk"] = _VERTEX_CHUNK
         table["width"], table["height"] = target.size
         table["tiles_x"], table["tiles"] = tiles_x, tiles_x * tiles_y
@@ -255,7 +259,6 @@ class Batch:
         self._bounds_depth = key.bounds_depth
         varyings = pipeline.descriptor.varyings
         table["linear"] = any(varying.interpolation is Interpolation.NO_PERSPECTIVE for varying in varyings)
-        self._room = 0, 0
 
     def flush(self) -> cl.Event | None:
         """Rasterise what was gathered. The event is that of the last kernel.
@@ -358,33 +361,35 @@ class Batch:
         self._reserve(table, vertex_groups * GROUP, min(groups, _SLICE_GROUPS) * GROUP)
         return self._launch(table, vertex_groups, groups)
 
-    def _reserve(self, batch: NDArray[Any], vertices: int, primitives: int) -> None:
+    def _reserve(self, batch: dict[str, float], vertices: int, primitives: int) -> None:
         """Scratch memory for a piece's vertices and a slice's primitives."""
         assert self.pipeline is not None
-        if self._room == (vertices, primitives):
-            return
-        tiles, listed = int(batch["tiles"]), max(_LIST_WORDS, primitives * _LISTED_PER_PRIMITIVE)
-        sizes = {
-            "positions": 16 * vertices,
-            "clips": 16 * vertices,
-            "varyings": 4 * varying_words(self.pipeline.descriptor) * vertices,
-            "extents": EXTENT_BYTES * vertices // GROUP,
-            "bounds": 4 * (TILE // PART) ** 2 * tiles,
-            "records": RECORD_BYTES * primitives,
-            "planes": RECORD_BYTES * primitives if batch["shades"] else 0,
-            "boxes": 4 * primitives,
-            "counts": 4 * _CHUNKS * tiles,
-            "starts": 4 * (tiles + 1),
-            "survivors": 4 * _CHUNKS,
-            "scratch": 4 * 3 * GROUP * _CHUNKS,
-            "list": 4 * listed,
-        }
-        for name, size in sizes.items():
-            batch[name] = self._pools[name].reserve(size)
-        batch["list_size"] = listed
-        self._room = vertices, primitives
+        tiles, words = int(batch["tiles"]), varying_words(self.pipeline.descriptor)
+        wanted = vertices, primitives, tiles, words, batch["shades"]
+        if wanted != self._wanted:
+            listed = max(_LIST_WORDS, primitives * _LISTED_PER_PRIMITIVE)
+            sizes = {
+                "positions": 16 * vertices,
+                "clips": 16 * vertices,
+                "varyings": 4 * words * vertices,
+                "extents": EXTENT_BYTES * vertices // GROUP,
+                "bounds": 4 * (TILE // PART) ** 2 * tiles,
+                "records": RECORD_BYTES * primitives,
+                "planes": RECORD_BYTES * primitives if batch["shades"] else 0,
+                "boxes": 4 * primitives,
+                "counts": 4 * _CHUNKS * tiles,
+                "starts": 4 * (tiles + 1),
+                "survivors": 4 * _CHUNKS,
+                "scratch": 4 * 3 * GROUP * _CHUNKS,
+                "list": 4 * listed,
+            }
+            self._wanted = None
+            self._scratch = {name: self._pools[name].reserve(size) for name, size in sizes.items()}
+            self._scratch["list_size"] = listed
+            self._wanted = wanted
+        batch.update(self._scratch)
 
-    def _launch(self, batch: NDArray[Any], vertex_groups: int, groups: int) -> cl.Event | None:
+    def _launch(self, batch: dict[str, float], vertex_groups: int, groups: int) -> cl.Event | None:
         """All kernels of a piece; the event is that of the last one."""
         assert self.vertex is not None
         assert self.raster is not None
@@ -396,7 +401,7 @@ class Batch:
             batch["first_group"], batch["end_group"] = first, end
             batch["chunk_groups"], batch["chunks"] = chunk, chunks
             batch["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
-            place = self._uploads.write(batch.tobytes())
+            place = self._uploads.write(pack_batch(self._addresses, batch))
             if first == 0:
                 self.vertex.launch(queue, place, -(-vertex_groups // _VERTEX_CHUNK))
             geometry.set_up.launch(queue, place, chunks)

@@ -47,10 +47,11 @@ enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
 #define SAMPLE_REACH 96  // subtexels from a texel's centre to its outermost sample, along an axis
 
 typedef struct {
+    ulong surfaces[10];               // color targets, depth, stencil
     ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
     ulong extents, bounds, counters;
-    ulong surfaces[10], places;       // color targets, depth, stencil; where they begin in their memory, and the texels
-                                      // that they are cleared to, each repeated to 4 words
+    ulong places;                     // where surfaces begin in their memory, and the texels that they are cleared to, each
+                                      // repeated to 4 words
     int draw_count, row_words;
     int vertex_groups, vertex_chunk;  // of the batch, and for one work-item
     int first_group, end_group, chunk_groups, chunks;  // of primitives: this slice, and for one work-item

@@ -331,7 +331,7 @@ def test_out_of_memory_names_the_draw_and_the_device_goes_on(
     with monkeypatch.context() as patch:
         patch.setattr(draws.Pool, "reserve", fail)
         with pytest.raises(DeviceError) as caught:
-            picture(device, rows)
+            picture(device, random_corners(500))  # more than there is memory for
     assert caught.value.rule.id == "device-out-of-memory"
     assert (picture(device, rows) == usual).all()
 
