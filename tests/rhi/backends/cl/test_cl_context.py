@@ -156,7 +156,7 @@ def test_the_report_keeps_the_devices_there_are_in_its_column(
     main([])
     told = capsys.readouterr().out.splitlines()
     begin = next(i for i, row in enumerate(told) if row.startswith("cl     not usable: RHI_CL_DEVICE="))
-    assert told[begin + 1].startswith(f"{" " * 11}0: {describe(find_devices()[0])}")
+    assert told[begin + 1].startswith(" " * 11 + f"0: {describe(find_devices()[0])}")
     assert "unset RHI_CL_DEVICE" in told[begin + 1 + len(find_devices())]
 
 
