@@ -1,9 +1,9 @@
 """`python -m rhi shading accuracy`: how exact each built-in is on each backend of this machine, and what it costs.
 
-Each is called on the same sample (`rhi.shading.probes`) and compared with float64. Its time is the difference between a
-kernel that calls it many times and one that reads the same arguments and doesn't. Both alternate, and of each the
-shortest run counts: of a difference this small, what else the machine does would be most. What is left is the time of
-all cores for a call; of functions that hide behind the reading it is next to nothing.
+Each is called on the same sample (`rhi.shading.probes`, and `sample_probes` of textures) and compared with float64. Its
+time is the difference between a kernel that calls it many times and one that reads the same arguments and doesn't. Both
+alternate, and of each the shortest run counts: of a difference this small, what else the machine does would be most.
+What is left is the time of all cores for a call; of functions that hide behind the reading it is next to nothing.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -28,14 +29,13 @@ from rhi.program import Program
 from rhi.shading import Precision
 from rhi.shading.builtins import BUILTINS
 from rhi.shading.probes import PASSES, WORK_GROUP, Probe, Way, all_probes, count_units, judge
+from rhi.shading.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
 
 __rhi_internal__ = True
 
 Array = NDArray[Any]
 
 SAMPLES: Final = 1 << 16
-TURNS: Final = 64
-"""How many calls an invocation makes where they are timed."""
 REPEATS: Final = 15
 LEAST_NANOSECONDS: Final = 0.01
 _WAYS: Final[dict[tuple[str, Precision], Way]] = {
@@ -52,7 +52,8 @@ class Row:
 
     Attributes:
         precision: "exact" or "fast" where a shader can choose, else "".
-        median_ulp, max_ulp: units (`rhi.shading.probes.count_units`) over the sample.
+        median_ulp, max_ulp: units over the sample, as `rhi.shading.probes.count_units` counts them; of textures'
+            samples those of 2^-23.
         bound_ulp: most units that the table of built-ins states.
         keeps: whether the whole sample is within that, OpenGL's absolute bounds included.
         worst_input: the arguments that gave `max_ulp`.
@@ -73,7 +74,9 @@ class Row:
 def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[Row]:
     """Rows of all built-ins and operators that are not exact everywhere, or of those named. Backends that don't work
     here are left out."""
-    probes = [probe for probe in all_probes() if (probe.name in names if names else _is_inexact(probe))]
+    probes: list[Probe | SampleProbe] = []
+    probes += [probe for probe in all_probes() if (probe.name in names if names else _is_inexact(probe))]
+    probes += [probe for probe in SAMPLE_PROBES if probe.name in names or not names]
     for backend in backends:
         if backend == "numpy":
             yield from (_row(probe, backend, Precision.EXACT, *_on_numpy(probe)) for probe in probes)
@@ -98,12 +101,17 @@ def _is_inexact(probe: Probe) -> bool:
 
 
 def _row(
-    probe: Probe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
-) -> Row:
+    probe: Probe | SampleProbe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
+) -> Row:  # fmt: skip
     way = _WAYS[backend, precision]
-    units = count_units(probe, given, results).max(axis=1)
-    worst = int(units.argmax())
     bound = getattr(probe.error, way)
+    if isinstance(probe, SampleProbe):
+        units = probe.count_units(given, results)
+        keeps, columns = units <= bound, [given[:, :3]]
+    else:
+        units = count_units(probe, given, results).max(axis=1)
+        keeps, columns = judge(probe, given, results, way) <= bound, list(probe.columns(given).values())
+    worst = int(units.argmax())
     return Row(
         str(probe),
         backend,
@@ -111,8 +119,8 @@ def _row(
         float(np.median(units)),
         float(units[worst]),
         float(bound),
-        bool((judge(probe, given, results, way) <= bound).all()),
-        [float(number) for column in probe.columns(given).values() for number in np.ravel(column[worst])],
+        bool(keeps.all()),
+        [float(number) for column in columns for number in np.ravel(column[worst])],
         1e9 * max(seconds, 0.0) / SAMPLES,
     )
 
@@ -120,13 +128,17 @@ def _row(
 # -- backends ----------------------------------------------------------------------------------------------
 
 
-def _on_numpy(probe: Probe) -> tuple[Array, Array, float]:
+def _on_numpy(probe: Probe | SampleProbe) -> tuple[Array, Array, float]:
     given = probe.sample(SAMPLES)
     (seconds,) = _least([lambda: probe.evaluate(given, np.float32)])
     return given, probe.evaluate(given, np.float32), seconds
 
 
-def _on_device(device: Device, probe: Probe, precision: Precision) -> tuple[Array, Array, float]:
+def _on_device(
+    device: Device, probe: Probe | SampleProbe, precision: Precision
+) -> tuple[Array, Array, float]:
+    if isinstance(probe, SampleProbe):
+        return _sample_on_device(device, probe, precision)
     given = probe.sample(SAMPLES)
     uint: Any = rhi.shading.uint
     buffer = device.storage(uint, given.ravel())
@@ -147,6 +159,30 @@ def _on_device(device: Device, probe: Probe, precision: Precision) -> tuple[Arra
         runs.append(run)
     often, idle = _least(runs)
     return given, probe.numbers(words), (often - idle) / PASSES
+
+
+def _sample_on_device(
+    device: Device, probe: SampleProbe, precision: Precision
+) -> tuple[Array, Array, float]:
+    given, levels, four = probe.sample(SAMPLES), probe.texture.levels, rhi.shading.vec4
+    height, width = levels[0].shape[1:3]
+    with (
+        device.texture((width, height), probe.format, levels=len(levels)) as image,
+        device.storage(four, given) as at,
+        device.storage(four, SAMPLES) as results,
+    ):
+        for level, texels in enumerate(levels):
+            image.write(texels, level)
+        once, often, idle = (device.program(shader) for shader in SHADERS[precision])
+        device.dispatch(once, SAMPLES // WORK_GROUP, image=image, at=at, results=results)
+        taken = results.read()
+
+        def run(program: Program[Any]) -> None:
+            device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, image=image, at=at, results=results)
+            device.finish()
+
+        sampled, read = _least([partial(run, often), partial(run, idle)])
+    return given, taken, sampled - read
 
 
 def _least(runs: Sequence[Callable[[], object]]) -> list[float]:
