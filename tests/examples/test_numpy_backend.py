@@ -59,7 +59,7 @@ class PrefixSum(Shader):
         self.numbers[global_id().x] = total * self.scale.factor
 
 
-def test_it_computes() -> None:
+def test_a_dispatch_computes_what_numpy_does() -> None:
     numbers = np.arange(24, dtype=np.float32)
     with rhi.create_device(FUNCTION) as device:
         scale, rows = device.uniform(Scale(factor=2.0)), device.storage(float, numbers)

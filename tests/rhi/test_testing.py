@@ -133,7 +133,7 @@ def test_a_predicate_has_a_name(frame) -> None:
     assert "draws wide" in failure(lambda: wide.exactly(2))
 
 
-def test_order(frame) -> None:
+def test_draws_that_come_later_are_not_before(frame) -> None:
     shadow, lit = expect(frame).draws(program="Shadow"), expect(frame).draws(program="Lit")
     shadow.before(lit)
     message = failure(lambda: lit.before(shadow))

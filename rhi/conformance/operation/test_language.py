@@ -133,7 +133,7 @@ class Angles(Shader):
         self.target[o + 10] = atan2(x, 0.5)
 
 
-def test_angles(device: Device) -> None:
+def test_trigonometric_functions_are_near_float64_s(device: Device) -> None:
     x = np.array([-3.0, -1.5, -1.0, -0.7, -0.1, 0.0, 0.2, 0.5, 1.0, 1.4, 2.0, 3.1], "f4")
     d = x.astype(np.float64)
     c = np.clip(d, -1, 1)
@@ -164,7 +164,7 @@ class Powers(Shader):
         self.target[o + 8] = pow(x, -1.0)
 
 
-def test_powers(device: Device) -> None:
+def test_powers_and_roots_are_near_float64_s(device: Device) -> None:
     x = np.array([0.01, 0.3, 0.5, 0.999, 1.0, 1.001, 2.0, 3.7, 10.0, 20.0], "f4")
     d = x.astype(np.float64)
     expected = [np.exp(d), np.exp2(d), np.log(d), np.log2(d), np.sqrt(d), d**-0.5, d**2.5, d**3, 1 / d]
@@ -200,7 +200,7 @@ class Steps(Shader):
         self.target[o + 13] = fma(x, 2.0, 1.0)
 
 
-def test_steps(device: Device) -> None:
+def test_functions_with_steps_are_exact(device: Device) -> None:
     x = np.array([-2.5, -2.0, -1.5, -0.5, -0.25, 0.0, 0.5, 0.75, 1.0, 1.5, 2.5, 3.5, 1e6], "f4")
     d = x.astype(np.float64)
     t = np.clip((d + 2) / 4, 0, 1)
@@ -235,7 +235,7 @@ class Specials(Shader):
         self.target[2 * i + 1] = float_bits_to_uint(x)
 
 
-def test_infinities_and_nan(device: Device) -> None:
+def test_infinities_and_nan_are_known_for_what_they_are(device: Device) -> None:
     values = np.array([0.0, -0.0, 1.5, np.inf, -np.inf, np.nan], "f4")
     back = run(device, Specials, uint, values.view("u4"), 2)
     assert_same(back[:, 0], [4, 4, 12, 14, 6, 1])
@@ -265,7 +265,7 @@ class Geometry(Shader):
         )
 
 
-def test_geometry(device: Device) -> None:
+def test_geometric_functions_of_vectors_are_numpy_s(device: Device) -> None:
     rng = np.random.default_rng(1)
     rows = rng.normal(size=(20, 4)).astype("f4")
     back = run(device, Geometry, vec4, rows, 5)
@@ -305,7 +305,7 @@ class Matrices(Shader):
         self.target[9] = vec4(m[1], 0.0)
 
 
-def test_matrices(device: Device) -> None:
+def test_matrices_are_rows_as_numpy_s(device: Device) -> None:
     m = np.array([(2.0, 1, 0), (0.5, 3, -1), (1, 0, 4)])
     rows = np.zeros((3, 4), "f4")
     rows[:, :3] = m
@@ -342,7 +342,7 @@ class Swizzles(Shader):
         self.target[4] = u * v + vec4(v.xyz, 1.0) / 2.0 - u
 
 
-def test_swizzles(device: Device) -> None:
+def test_components_are_read_and_written_in_any_order(device: Device) -> None:
     with device.storage(vec4, np.array([(1, 2, 3, 4)], "f4")) as source, device.storage(vec4, 5) as target:
         device.dispatch(device.program(Swizzles), 1, source=source, target=target)
         back = target.read()
@@ -416,7 +416,7 @@ class Bits(Shader):
         self.target[o + 3] = uvec4(uint(a > uint(1 << 30)), ~a, a << uint(5), a & uint(0xFF00))
 
 
-def test_bits(device: Device) -> None:
+def test_bits_are_moved_and_counted(device: Device) -> None:
     values = np.array([1, 2, 0xFF, 0x80000000, 0xFFFFFFFF, 0x12345678, 1 << 30, 10], "u4")
     wrap = 1 << 32
     expected = []
@@ -451,7 +451,7 @@ class Packing(Shader):
         )
 
 
-def test_packing(device: Device) -> None:
+def test_packed_numbers_are_rounded_to_the_nearest(device: Device) -> None:
     rows = np.array([(0.0, 1.0, 0.5, -1.0), (0.25, -0.25, 2.0, 0.2), (-3.0, 100.0, 0.1, 0.9)], "f4")
     back = run(device, Packing, vec4, rows, 2, uvec4)
     halves = rows[:, :2].astype("f2")

@@ -190,7 +190,9 @@ def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filte
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 @pytest.mark.parametrize("size", [(1, 1), (4, 4), (3, 5), (1, 7)], ids=str)
-def test_hard_coordinates(device: Device, wrap: Wrap, filter: Filter, size: tuple[int, int]) -> None:
+def test_hard_coordinates_read_the_same_texels_everywhere(
+    device: Device, wrap: Wrap, filter: Filter, size: tuple[int, int]
+) -> None:
     """Exactly on texels' borders and centers, one step beside them, denormals, thousands of repetitions."""
     hard = [0.0, -0.0, 1e-40, -1e-40, -1e-9, 0.5, 0.25, 0.125, 0.0625, 1.0, -1.0, 2.0, 1 - 2**-24, 1 + 2**-23]
     hard += [1e4 + 0.375, -1e4 - 0.375]

@@ -215,7 +215,7 @@ class Control(Shader):
         self.out[i] = self.classify(i) * 1000 + self.collatz(i + 1)
 
 
-def test_early_return_break_and_continue(run_everywhere):
+def test_early_return_break_and_continue_leave_what_they_leave_in_python(run_everywhere):
     def collatz(n):
         steps = 0
         while n != 1:
@@ -587,7 +587,7 @@ class Overridden(Calls):
         return super().virtual(x) * 10
 
 
-def test_functions_helpers_defaults_and_overrides(run_everywhere):
+def test_functions_helpers_defaults_and_overrides_are_found_as_in_python(run_everywhere):
     assert run_everywhere(Calls, out=4)["out"].tolist() == [2, 3, 4, 5]
     assert run_everywhere(Overridden, out=4)["out"].tolist() == [2, 30, 4, 5]
 
@@ -607,7 +607,7 @@ class Bits(Shader):
         self.out[7] = uint(0xF0) ^ 0xFF & ~uint(1) | 0x100
 
 
-def test_bit_operations(run_everywhere):
+def test_bit_operations_are_numpy_s(run_everywhere):
     out = run_everywhere(Bits, out=8)["out"]
     expected = [0x3F800000, 0xC0003C00, 1, 20, 0xFFFFFFFF, 0x3F800000, 2**32 - 5, 0xF0 ^ 0xFF & ~1 | 0x100]
     assert out.tolist() == expected
