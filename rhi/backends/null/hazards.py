@@ -16,12 +16,10 @@ import enum
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from types import CodeType
-from typing import Any, TypeAlias
-
-import numpy as np
+from typing import Any
 
 from rhi.backends.null.resources import IndirectDraws, Resources
+from rhi.backends.null.streams import StreamMemory, Use, vertex_ranges
 from rhi.commands import find_site
 from rhi.descriptors import (
     Attachment,
@@ -83,42 +81,6 @@ class Hazard:
         return "\n".join(lines)
 
 
-Use: TypeAlias = tuple[int, CodeType | None, int, int]
-"""A call as seen by hazards: its number in the order of the calls, its site (code and instruction offset) and
-its op. A plain tuple, for one is made for each draw."""
-
-
-class _StreamMemory:
-    """The uses of a buffer that the CPU writes unordered, sorted into pages so that a write looks at few."""
-
-    __slots__ = ("_pages", "_shift", "written")
-
-    def __init__(self, size: int) -> None:
-        self._pages: dict[int, list[tuple[int, int, Use]]] = {}
-        self._shift = max(8, size.bit_length() - 10)
-        self.written = (0, 0)  # by the latest write
-
-    def use(self, begin: int, end: int, use: Use, known: int) -> None:
-        for page in range(begin >> self._shift, (max(end, begin + 1) - 1 >> self._shift) + 1):
-            uses = self._pages.setdefault(page, [])
-            if uses and uses[-1][0] == begin and uses[-1][1] == end:
-                uses[-1] = (begin, end, use)
-                continue
-            if len(uses) >= 64:
-                uses[:] = [each for each in uses if each[2][0] > known]
-            uses.append((begin, end, use))
-
-    def find(self, begin: int, end: int, known: int) -> tuple[int, int, Use] | None:
-        """The latest use that a write of these bytes meets."""
-        found: tuple[int, int, Use] | None = None
-        for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
-            for each in self._pages.get(page, ()):
-                meets = each[0] < end and begin < each[1] and each[2][0] > known
-                if meets and (found is None or each[2][0] > found[2][0]):
-                    found = each
-        return found
-
-
 class _Deferred:
     """A draw whose vertices are known when it is executed, and writes until then to buffers it reads."""
 
@@ -138,7 +100,6 @@ _BINDING = frozenset(
     {Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE}
 )
 """What is bound isn't used before something is drawn or dispatched."""
-_STRIPS = frozenset({Primitive.LINE_STRIP, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN})
 
 
 class HazardTracker:
@@ -160,7 +121,7 @@ class HazardTracker:
         self._fences: deque[tuple[int, int]] = deque()  # (value, serial) of signals not known to be reached
         self._uses: dict[Id, Use] = {}  # by resource, the latest
         self._destroyed: dict[Id, Use] = {}
-        self._streams: dict[Id, _StreamMemory] = {}
+        self._streams: dict[Id, StreamMemory] = {}
         self._deferred: deque[_Deferred] = deque()
         self._slots: dict[Id, _Slots] = {}
         # By vertex array: its descriptor, all that its draws use, whether any of that is a stream buffer.
@@ -201,7 +162,7 @@ class HazardTracker:
 
     def create_stream(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         """A buffer that is written unordered."""
-        self._streams[buffer] = _StreamMemory(descriptor.size)
+        self._streams[buffer] = StreamMemory(descriptor.size)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         slots: dict[BindingKind, list[int]] = {kind: [] for kind in BindingKind}
@@ -322,7 +283,7 @@ class HazardTracker:
         if index and index not in streams:
             self._deferred.append(_Deferred(use, array, arguments))
         else:
-            for buffer, begin, end in self._vertex_ranges(array, *arguments):
+            for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._resources.buffers):
                 streams[buffer].use(begin, end, use, self.known)
 
     def draw_indirect(
@@ -416,7 +377,7 @@ class HazardTracker:
             primitive, draws = deferred.arguments
         else:
             primitive, draws = indirect[-1].primitive, indirect[-1].draws.tolist()
-        ranges = self._vertex_ranges(array, primitive, draws)
+        ranges = vertex_ranges(array, primitive, draws, self._streams, self._resources.buffers)
         if not deferred.arguments and array.index_buffer in self._streams:
             size = array.index_format.size
             ranges += [(array.index_buffer, first * size, (first + count) * size)
@@ -428,40 +389,6 @@ class HazardTracker:
                     self._report(kind, buffer, deferred.use, use, both, happened=True)
             if buffer in self._streams:
                 self._streams[buffer].use(begin, end, deferred.use, self.known)
-
-    def _vertex_ranges(
-        self, array: VertexArrayDescriptor, primitive: Primitive, draws: Sequence[tuple[int, ...]]
-    ) -> list[tuple[Id, int, int]]:
-        """(buffer, begin, end) of what draws read of vertex streams in stream buffers."""
-        ranges = []
-        streams = [stream for stream in array.streams if stream.buffer in self._streams]
-        for count, instances, first, base_vertex, base_instance in draws:
-            if not count or not instances:
-                continue
-            vertices: tuple[int, int] | None = (first, first + count)
-            if array.index_buffer and any(not stream.per_instance for stream in streams):
-                vertices = self._indexed(array, primitive, first, count, base_vertex)
-            for stream in streams:
-                span = (base_instance, base_instance + instances) if stream.per_instance else vertices
-                if span is not None:
-                    begin, end = (stream.offset + place * stream.stride for place in span)
-                    ranges.append((stream.buffer, begin, end))
-        return ranges
-
-    def _indexed(
-        self, array: VertexArrayDescriptor, primitive: Primitive, first: int, count: int, base: int
-    ) -> tuple[int, int] | None:
-        """The first and one past the last vertex that indices name; None if they only restart strips."""
-        form = array.index_format
-        memory = self._resources.buffers.get(array.index_buffer)
-        if memory is None:  # destroyed, which is a hazard of its own
-            return None
-        indices = memory[first * form.size : (first + count) * form.size].view(form.dtype).astype(np.int64)
-        if primitive in _STRIPS:
-            indices = indices[indices != 256**form.size - 1]
-        if not len(indices):
-            return None
-        return int(indices.min()) + base, int(indices.max()) + base + 1
 
     # -- inside --------------------------------------------------------------------------------------------
 

@@ -27,7 +27,8 @@ from rhi.backend import Capabilities
 from rhi.backends.null.activity import Activity, ActivityLog, ActivityTimeline
 from rhi.backends.null.backend import QUEUED_BYTES, NullBackend, Statistics
 from rhi.backends.null.cost import CostModel, Work
-from rhi.backends.null.hazards import Hazard, HazardTracker, Use
+from rhi.backends.null.hazards import Hazard, HazardTracker
+from rhi.backends.null.streams import Use
 from rhi.backends.null.work import WorkMeter
 from rhi.descriptors import (
     BufferDescriptor,
