@@ -155,10 +155,8 @@ def raster_macros(descriptor: ProgramDescriptor, key: MergerKey, faults: int = 0
         for varying in descriptor.varyings
         for word in range(varying.word, varying.word + varying.words)
     )
-    planes = [f"color{place}" for place in range(len(key.colors))]
-    planes += ["depth"] * key.has_depth + ["stencil"] * key.has_stencil
     opened = [
-        f"global uchar *{plane} = AT(uchar, batch->surfaces[{place}]);" for place, plane in enumerate(planes)
+        f"global uchar *{name} = AT(uchar, batch->surfaces[{place}]);" for place, name in enumerate(key.surfaces)
     ]
     opened.append("global const ulong *target_places = AT(const ulong, batch->places);")
     return (

@@ -139,6 +139,12 @@ class MergerKey:
         return self.depth_bits > 0
 
     @property
+    def surfaces(self) -> list[str]:
+        """What the kernel calls the surfaces that it takes, in their order."""
+        colors = [f"color{place}" for place in range(len(self.colors))]
+        return colors + ["depth"] * self.has_depth + ["stencil"] * self.has_stencil
+
+    @property
     def stages_depth(self) -> bool:
         """Whether the raster kernel keeps a tile's depth at hand: one sample, no stencil."""
         return self.has_depth and not self.has_stencil and self.samples == 1
@@ -161,9 +167,7 @@ class MergerKey:
             f"KIND_{color.kind.name}, {int(color.blends)})"
             for place, color in enumerate(self.colors)
         ]
-        planes = [f"color{place}" for place in range(len(self.colors))]
-        planes += ["depth"] * self.has_depth + ["stencil"] * self.has_stencil
-        parameters = [f"global uchar *{plane}" for plane in planes] + ["global const ulong *target_places"]
+        parameters = [f"global uchar *{name}" for name in self.surfaces] + ["global const ulong *target_places"]
         numbers = {
             "SAMPLES": self.samples,
             "COLOR_COUNT": len(self.colors),
@@ -184,7 +188,7 @@ class MergerKey:
                 *numbers.items(),
                 ("COLOR_TARGETS(X)", " ".join(rows)),
                 ("TARGET_PARAMETERS", ", ".join(parameters)),
-                ("TARGET_ARGUMENTS", ", ".join([*planes, "target_places"])),
+                ("TARGET_ARGUMENTS", ", ".join([*self.surfaces, "target_places"])),
             )
         )
 
