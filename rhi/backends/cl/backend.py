@@ -76,10 +76,12 @@ class ClBackend:
         return self._capabilities
 
     def close(self) -> None:
-        self._flush()
-        self._queue.finish()
-        for resource in list(self._destroyers):
-            self.destroy(resource)
+        try:
+            self._flush()
+            self._queue.finish()
+        finally:
+            for resource in list(self._destroyers):
+                self.destroy(resource)
 
     # -- resources ---------------------------------------------------------------------------------------
 

@@ -10,9 +10,11 @@ import pytest
 from cl_kit import FILL, ClKit, describe_program
 
 import rhi
+from rhi.backends.cl import create_backend
 from rhi.backends.cl.queries import is_done
 from rhi.conformance.patience import PATIENCE, comes_true
 from rhi.errors import DeviceError
+from rhi.rules import DEVICE_LOST
 from rhi.timeline import FOREVER
 
 
@@ -136,3 +138,23 @@ def test_a_lost_queue_is_told_of_by_whoever_asks_and_the_device_can_be_closed(
     monkeypatch.undo()
     with rhi.create_device("cl") as device:
         assert device.wait(device.signal())
+
+
+def test_a_close_that_fails_gives_memory_back_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend = create_backend()
+    kit = ClKit(backend)
+    buffer = kit.buffer(bytes(64))
+    memory = backend._buffers[buffer].cl
+    error = DeviceError(DEVICE_LOST, "the command queue")
+    errors = [error]
+
+    def flush_once() -> None:
+        while errors:
+            raise errors.pop()
+
+    monkeypatch.setattr(backend, "_flush", flush_once)
+    with pytest.raises(DeviceError) as caught:
+        backend.close()
+    assert caught.value is error
+    with pytest.raises(cl.LogicError):
+        memory.release()  # a second time
