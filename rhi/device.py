@@ -248,6 +248,8 @@ class Device(Encoder):
         channels), top row first, of the format's dtype. `levels` None means all down to 1×1; they are
         filled from an array's texels if the format can be filtered.
         """
+        if not isinstance(format, Format):
+            refuse(DEVICE_ARGUMENT, "device.texture", f"format={format!r}", "a rhi.Format, such as Format.RGBA8")
         data = None
         if isinstance(source, np.ndarray):
             data = source

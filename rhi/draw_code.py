@@ -106,7 +106,7 @@ def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorde
         "except KeyError:",
         "    _draw = _program.attach(_mesh)",
         "if _instances != 1:",
-        "    _program.check_instances(_instances)",
+        "    _instances = _program.check_instances(_instances)",
     )
     yield from _bind(bindings, cells, "_program.ready_to_draw(_mesh)", find, recorded)
     yield "        if _states.wanted is not _states.hardware:"

@@ -71,6 +71,8 @@ class MeshData:
         call = "device.mesh"
         core.check_open()
         # Everything is checked before the first buffer is made, so that a refusal leaves nothing behind.
+        if isinstance(vertices, np.integer):
+            vertices = int(vertices)
         vertex_array = None if isinstance(vertices, int) else _structured(vertices, call)
         if isinstance(vertices, int) and vertices < 1:
             refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
@@ -171,7 +173,7 @@ class MeshData:
             refuse(
                 MESH_ATTRIBUTE,
                 f"draw of program {program!r}",
-                f"{attribute.name} as {dtype}",
+                f"{attribute.name} as {given}×{code}",
                 f"{attribute.name} as {wanted}: " + ", ".join(_shown(f) for f in VertexFormat
                                                              if f.kind == scalar and f.components >= components),
             )  # fmt: skip

@@ -6,9 +6,12 @@ ended whatever happened inside.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, cast
+from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
+
+import numpy as np
+from numpy.typing import NDArray
 
 from rhi.core import Core, describe
 from rhi.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
@@ -33,7 +36,10 @@ __rhi_internal__ = True
 
 T = TypeVar("T")
 Target: TypeAlias = Texture | TextureTarget
-Clear: TypeAlias = "Sequence[float] | Sequence[Sequence[float] | None] | None"
+Color: TypeAlias = "Sequence[float] | NDArray[Any]"
+Clear: TypeAlias = "Color | Sequence[Color | None] | None"
+
+_CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
 
 class RenderPass:
@@ -218,19 +224,21 @@ def _clears(clear: Clear, count: int) -> list[Vec4 | None]:
     """One clear value per target from one for all, one per target, or none."""
     if clear is None:
         return [None] * count
+    if not isinstance(clear, Iterable):
+        refuse(PASS_CLEAR, "device.render_pass", f"clear={clear!r}", _CLEAR)
     parts: list[Any] = list(clear)
-    each = (
-        parts if any(part is None or isinstance(part, (list, tuple)) for part in parts) else [parts] * count
-    )
+    several = any(part is None or isinstance(part, (list, tuple, np.ndarray)) for part in parts)
+    each = parts if several else [parts] * count
     call = "device.render_pass"
     if len(each) != count:
         refuse(PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
     values: list[Vec4 | None] = []
     for part in each:
-        numbers = None if part is None else tuple(part)
-        if numbers is not None and (
-            len(numbers) != 4 or not all(isinstance(n, (int, float)) and abs(n) < 1e39 for n in numbers)
-        ):
-            refuse(PASS_CLEAR, call, f"clear={clear!r}", "4 finite numbers: red, green, blue, alpha")
-        values.append(numbers)
+        if part is None:
+            values.append(None)
+            continue
+        numbers = tuple(n.item() if isinstance(n, np.generic) else n for n in part)
+        if len(numbers) != 4 or not all(isinstance(n, (int, float)) and abs(n) < 1e39 for n in numbers):
+            refuse(PASS_CLEAR, call, f"clear={clear!r}", _CLEAR)
+        values.append(cast(Vec4, numbers))
     return values

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable
 from types import CodeType
 from typing import TYPE_CHECKING, Any, Generic, NoReturn
 
+import numpy as np
 from typing_extensions import ParamSpec
 
 from rhi.core import Core, describe
@@ -35,6 +36,7 @@ from rhi.rules import (
     PROGRAM_OUTPUT,
     PROGRAM_STAGE,
 )
+from rhi.shading import Struct
 from rhi.shading.bindings import ImageBinding, StorageRange, TextureBinding, UniformRange
 from rhi.textures import Texture
 
@@ -202,7 +204,8 @@ class Program(Generic[P]):
     def _check_range(self, binding: Binding, value: Any, call: str) -> None:
         fits = isinstance(value, _RANGES[binding.kind])
         if not fits or value.type is not binding.type:
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
+            tip = "" if isinstance(value, UniformRange | StorageRange) else _how_to_make(binding)
+            refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
         self.core.check_usable(value.owner, call)
         limits = self.core.capabilities
         uniform = binding.kind is BindingKind.UNIFORM
@@ -280,11 +283,12 @@ class Program(Generic[P]):
         if wanted - names:
             refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
-    def check_instances(self, instances: Any) -> None:
-        """Refuse what is no number of instances."""
-        if not isinstance(instances, int) or not 0 <= instances < 1 << 31:
+    def check_instances(self, instances: Any) -> int:
+        """Instances as an int; refuse what is no number of them."""
+        if not isinstance(instances, (int, np.integer)) or not 0 <= instances < 1 << 31:
             given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
             refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
+        return int(instances)
 
 
 def shader_kind(form: Format) -> str:
@@ -299,8 +303,20 @@ def _given(value: object) -> str:
 
 
 def _wanted(binding: Binding) -> str:
-    shown = getattr(binding.type, "__name__", None) or str(binding.type)
-    return f"{binding.kind.name.lower()} of {shown}"
+    return f"{binding.kind.name.lower()} of {_type_name(binding)}"
+
+
+def _type_name(binding: Binding) -> str:
+    return getattr(binding.type, "__name__", None) or str(binding.type)
+
+
+def _how_to_make(binding: Binding) -> str:
+    """The call that makes what a uniform or storage binding takes."""
+    made = _type_name(binding)
+    if binding.kind is BindingKind.STORAGE:
+        return f"make it with device.storage({made}, …)"
+    value = f"{made}(…)" if isinstance(binding.type, type) and issubclass(binding.type, Struct) else "…"
+    return f"make it with device.uniform({value}), or for a frame device.transient.uniform({value})"
 
 
 def _stages(descriptor: ProgramDescriptor) -> str:

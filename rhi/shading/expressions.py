@@ -127,7 +127,8 @@ class ExpressionParser:
             return tree.Construct(wanted, place_of(node), parts)
         parse = getattr(self, f"_{type(node).__name__.lower()}", None)
         if parse is None:
-            self.unsupported(node)
+            tip = "array(float, 4) makes an array of zeros; a constant one is a tuple of the module's or the class's"
+            self.unsupported(node, tip if isinstance(node, ast.List) else "")
         result: Expression = parse(node)
         return result
 
@@ -438,6 +439,9 @@ def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
     if op.value in _ORDER_FUNCTIONS and vectors:
         return f"use {_ORDER_FUNCTIONS[op.value]}(a, b), which compares by component"
     if op is Operator.MATRIX_MULTIPLY:
+        if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
+            size = left.type.size
+            return f"a mat{size} takes a vec{size}" + ("; of a point: vec4(v, 1.0)" if size == 4 else "")
         return "@ multiplies matrices; use dot(a, b) for vectors" if vectors else ""
     if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
         return "use @ to multiply a matrix with a vector"

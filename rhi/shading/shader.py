@@ -167,6 +167,9 @@ def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> 
         if wrong or image_type.scalar is not annotation.scalar:
             _refuse(cls, name, f"{annotation.__name__} of {default.format}", "")
         return Declaration(name, Memory.IMAGE, image_type)
+    if value_type(annotation) is not None:
+        made = annotation.__name__
+        _refuse(cls, name, made, f"`{name}: Uniform[{made}]`, or a constant: `{name} = …`")
     _refuse(cls, name, repr(annotation), "")
 
 

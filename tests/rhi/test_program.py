@@ -57,6 +57,13 @@ def test_a_range_of_another_struct_is_refused_with_both_names(kit: Kit) -> None:
     assert caught.value.rule.id == "binding-type"
 
 
+def test_what_is_no_binding_is_refused_with_the_call_that_makes_one(kit: Kit) -> None:
+    for wrong in (np.eye(4), Camera(tint=(0, 0, 0, 0))):
+        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(kit.program, kit.mesh, camera=wrong, object=kit.objects[0])
+        assert "device.uniform(Camera(…))" in caught.value.tip
+
+
 def test_a_missing_binding_is_refused_by_both_draws(kit: Kit) -> None:
     with kit.device.render_pass(kit.image):
         with pytest.raises(rhi.ValidationError) as by_device:
@@ -145,11 +152,13 @@ def test_a_number_of_instances_that_is_none_is_refused(kit: Kit, instances: int)
     assert caught.value.rule.id == "draw-count"
 
 
-@pytest.mark.parametrize("instances", [0, 2, (1 << 31) - 1])
+@pytest.mark.parametrize("instances", [0, 2, np.int64(3), (1 << 31) - 1])
 def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> None:
     with kit.device.render_pass(kit.image):
         kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])
-    assert kit.ops(Op.DRAW)[0]["instances"] == instances
+    given = kit.ops(Op.DRAW)[0]["instances"]
+    assert given == instances
+    assert type(given) is int
 
 
 @pytest.mark.parametrize("name", ["class", "self"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from contextlib import ExitStack
 from typing import Any
 
+import numpy as np
 import pytest
 
 from rhi import (
@@ -139,6 +140,7 @@ def test_targets_have_one_number_of_samples(recording: Device) -> None:
         (float("inf"), 0, 0, 0),
         [(0, 0, 0, 0)] * 2,
         ("a", 0, 0, 0),
+        0,
     ],
     ids=str,
 )
@@ -148,6 +150,8 @@ def test_a_clear_is_four_finite_numbers_per_target(recording: Device, clear: Any
             recording.render_pass(image, clear=clear)
         recording.render_pass(image, clear=(0, 0, 0, 0))
         recording.render_pass(image, clear=[(0, 0, 0, 0)])
+        recording.render_pass(image, clear=np.zeros(4, np.float32))
+        recording.render_pass(image, clear=np.zeros((1, 4), np.float32))
 
 
 @pytest.mark.parametrize("value", [-0.001, 1.001, float("nan")])

@@ -362,6 +362,12 @@ def test_a_texture_of_another_device_is_not_used(recording: Device, device: Devi
                 use()
 
 
+def test_a_format_is_no_text(recording: Device) -> None:
+    with refuses(rules.DEVICE_ARGUMENT, recording):
+        recording.texture((4, 4), "R8")  # type: ignore[arg-type]
+    recording.texture((4, 4), Format.R8).destroy()
+
+
 def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:
     for format in recording.capabilities.unsupported_formats:
         with refuses(rules.DEVICE_CAPABILITY, recording):

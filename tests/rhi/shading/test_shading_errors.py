@@ -106,6 +106,7 @@ BODIES = [
     ("type", ["x = ivec2(1) + vec2(1)"], ["x = vec2(ivec2(1)) + vec2(1)"], "ivec2 + vec2"),
     ("type", ["x = vec3(1) < vec3(2)"], ["x = less_than(vec3(1), vec3(2))"], "less_than"),
     ("type", ["x = mat3(1) * vec3(1)"], ["x = mat3(1) @ vec3(1)"], "use @"),
+    ("type", ["x = mat4(1) @ vec3(1)"], ["x = mat4(1) @ vec4(vec3(1), 1.0)"], "vec4(v, 1.0)"),
     ("type", ["x = vec3(1) @ vec3(1)"], ["x = dot(vec3(1), vec3(1))"], "dot"),
     ("type", ["if self.scale:", "    pass"], ["if self.scale != 0:", "    pass"], "!= 0"),
     (
@@ -215,6 +216,7 @@ BODIES = [
     ("unsupported", ["with self.scale:", "    pass"], ["pass"], "`with`"),
     ("unsupported", ["try:", "    pass", "finally:", "    pass"], ["pass"], "no exceptions"),
     ("unsupported", ["x = [1, 2]"], ["x = array(int, 2)"], "List"),
+    ("unsupported", ["x = [1, 2]"], ["x = array(int, 2)"], "array(float, 4)"),
     ("unsupported", ["x = lambda: 1"], ["x = 1"], "Lambda"),
     ("unsupported", ["x = 'text'"], ["'''a docstring'''"], "str"),
     ("unsupported", ["x, y = 1, 2"], ["x = 1", "y = 2"], "line for each"),
@@ -347,6 +349,7 @@ CLASSES = [
     ),
     ("binding", COMPUTE, "StorageRW[float]", "StorageRW[bool]", "uint"),
     ("binding", COMPUTE, "StorageRW[float]", "float", "Uniform[T]"),
+    ("binding", COMPUTE, "StorageRW[float]", "float", "`out: Uniform[float]`"),
     ("binding", COMPUTE, "StorageRW[float]", "'StorageRV[float]'", "did you mean 'StorageRW'"),
     ("binding", COMPUTE, "    out:", "    work_group: Uniform[int]\n    out:", "another name"),
     ("binding", COMPUTE, "    out:", "    target: Image2D\n    out:", "image(Format"),
