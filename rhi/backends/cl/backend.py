@@ -8,7 +8,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import Final
+from functools import wraps
+from typing import Concatenate, Final, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.backend import Capabilities, PreparedQueries
 from rhi.backends.cl.context import Context
-from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.programs import Programs
 from rhi.backends.cl.queries import Fence, Timestamps
 from rhi.backends.cl.query_sets import QuerySet
@@ -42,8 +43,29 @@ from rhi.state_cache import StateChange
 
 __rhi_internal__ = True
 
+P = ParamSpec("P")
+R = TypeVar("R")
+
 _GROUPS_BYTES: Final = 12
 _MAX_UNIFORM_BYTES: Final = 65536
+
+
+def _told_as(
+    call: str,
+) -> Callable[[Callable[Concatenate[ClBackend, P], R]], Callable[Concatenate[ClBackend, P], R]]:
+    """What OpenCL refuses in a method is a `DeviceError` of this call, and of the labels that it lies in."""
+
+    def decorate(method: Callable[Concatenate[ClBackend, P], R]) -> Callable[Concatenate[ClBackend, P], R]:
+        @wraps(method)
+        def run(self: ClBackend, /, *arguments: P.args, **named: P.kwargs) -> R:
+            try:
+                return method(self, *arguments, **named)
+            except DRIVER_ERRORS as error:
+                raise make_error(error, self._states.place(call)) from error
+
+        return run
+
+    return decorate
 
 
 class ClBackend:
@@ -134,34 +156,41 @@ class ClBackend:
 
     # -- memory ------------------------------------------------------------------------------------------
 
+    @_told_as("Buffer.write")
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if self._buffers[buffer].host is None:
             self._flush()
         self._rasteriser.write(buffer, offset, data)
         self._buffers.write(buffer, offset, data)
 
+    @_told_as("Buffer.read")
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._flush()
         return self._buffers.read(buffer, offset, size)
 
+    @_told_as("Buffer.copy_to")
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         self._flush()
         self._rasteriser.change(target)
         self._buffers.copy(source, source_offset, target, target_offset, size)
 
+    @_told_as("Buffer.clear")
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
         self._flush()
         self._rasteriser.change(buffer)
         self._buffers.clear(buffer, offset, size, value)
 
+    @_told_as("Texture.write")
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
         self._flush()
         self._textures.write(texture, level, region, data)
 
+    @_told_as("Texture.read")
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._flush()
         return self._textures.read(texture, level, region, stencil)
 
+    @_told_as("Texture.copy_to")
     def copy_texture(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
@@ -169,16 +198,19 @@ class ClBackend:
         self._flush()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
+    @_told_as("Texture.resolve_to")
     def resolve_texture(self, source: Id, target: Id) -> None:
         self._flush()
         self._textures.resolve(source, target)
 
+    @_told_as("Texture.generate_mipmaps")
     def generate_mipmaps(self, texture: Id) -> None:
         self._flush()
         self._textures.generate_mipmaps(texture)
 
     # -- passes and bindings -----------------------------------------------------------------------------
 
+    @_told_as("device.render_pass")
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         self._flush()
         self._states.render_pass = descriptor
@@ -187,6 +219,7 @@ class ClBackend:
     def set_states(self, changes: Sequence[StateChange]) -> None:
         self._rasteriser.set_states(changes)
 
+    @_told_as("the end of a pass")
     def end_pass(self) -> None:
         self._flush()
         for color in self._states.render_pass.colors:
@@ -241,6 +274,7 @@ class ClBackend:
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Nobody interrupts: nothing is shared with other contexts."""
 
+    @_told_as("device.draw_indirect")
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
@@ -250,13 +284,14 @@ class ClBackend:
             vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
         )
 
+    @_told_as("device.dispatch")
     def dispatch(self, x: int, y: int, z: int) -> None:
         self._flush()
-        states = self._states
-        with translate_errors(states.place("device.dispatch")):
-            self._programs[states.program].launch(self._queue, states, (x, y, z))
-        self._rasteriser.change_stored(self._programs[states.program].written)
+        program = self._programs[self._states.program]
+        program.launch(self._queue, self._states, (x, y, z))
+        self._rasteriser.change_stored(program.written)
 
+    @_told_as("device.dispatch_indirect")
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         """Waits: OpenCL takes the number of work-groups from the CPU."""
         self._flush()
@@ -265,6 +300,7 @@ class ClBackend:
 
     # -- time --------------------------------------------------------------------------------------------
 
+    @_told_as("device.signal")
     def signal(self, value: int) -> None:
         self._flush()
         self._fence.signal(value)
@@ -281,6 +317,7 @@ class ClBackend:
     def end_query(self, query: Id) -> None:
         self._counters.end(query)
 
+    @_told_as("a timestamp")
     def write_query(self, query: Id) -> None:
         if self._kinds[query] is QueryKind.TIMESTAMP:
             self._flush()
@@ -292,6 +329,7 @@ class ClBackend:
         queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._counters
         return queries.read(query)
 
+    @_told_as("device.conditional")
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         self._rasteriser.begin_conditional(query, inverted)
 
@@ -304,6 +342,7 @@ class ClBackend:
     def pop_label(self) -> None:
         self._states.labels.pop()
 
+    @_told_as("device.present")
     def present(self, texture: Id) -> None:
         self._flush()
         self._queue.flush()

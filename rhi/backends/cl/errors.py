@@ -23,6 +23,18 @@ _RULES: Final[dict[int, Rule]] = {
 }
 
 
+DRIVER_ERRORS: Final = (cl.Error, MemoryError)
+"""What OpenCL and NumPy raise."""
+
+
+def make_error(error: Exception, call: str, given: str = "") -> DeviceError:
+    """One of `DRIVER_ERRORS` as a `DeviceError` of `call`."""
+    if not isinstance(error, cl.Error):
+        return DeviceError(DEVICE_MEMORY, call, given)
+    told = f"{given}: {shorten(error)}" if given else shorten(error)
+    return DeviceError(_RULES.get(error.code, DEVICE_DRIVER), call, told)
+
+
 class _Translation:
     """No generator: contextlib's frame on the stack would pass for the user's line."""
 
@@ -36,11 +48,8 @@ class _Translation:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if isinstance(error, cl.Error):
-            told = f"{self._given}: {shorten(error)}" if self._given else shorten(error)
-            raise DeviceError(_RULES.get(error.code, DEVICE_DRIVER), self._call, told) from error
-        if isinstance(error, MemoryError):
-            raise DeviceError(DEVICE_MEMORY, self._call, self._given) from error
+        if isinstance(error, DRIVER_ERRORS):
+            raise make_error(error, self._call, self._given) from error
 
 
 def translate_errors(call: str, given: str = "") -> AbstractContextManager[None]:

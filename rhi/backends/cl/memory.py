@@ -17,6 +17,7 @@ import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.errors import translate_errors
 
 __rhi_internal__ = True
 
@@ -43,7 +44,8 @@ class Addresses:
 
     def find(self, memory: cl.Buffer) -> int:
         """The address of a buffer's first byte."""
-        return self._ask(self._find, memory)
+        with translate_errors("device.draw", "where memory lies"):
+            return self._ask(self._find, memory)
 
     def _ask(self, kernel: cl.Kernel, what: Any) -> int:
         kernel.set_args(what, self._memory)

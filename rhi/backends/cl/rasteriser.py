@@ -227,7 +227,8 @@ class Rasteriser:
 
     def _read(self, buffer: Id, offset: int, size: int) -> bytes:
         self.flush()
-        return self._buffers.read(buffer, offset, size)
+        with translate_errors("device.draw", "indices or arguments"):
+            return self._buffers.read(buffer, offset, size)
 
     def _upload(self, indices: NDArray[np.uint32]) -> IndexList:
         flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
@@ -453,8 +454,7 @@ class Rasteriser:
     ) -> None:  # fmt: skip
         """Fill in a prepared draw."""
         made = array.descriptor
-        form = made.index_format
-        assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, form)
+        assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, made.index_format)
         row = self._batch.prepared.draws[place.number]
         place.memory = assembly.memory
         primitives = assembly.count // assembly.corners
@@ -464,8 +464,8 @@ class Rasteriser:
         if assembly.memory is not None:
             indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
         elif assembly.indexed:
-            indices = self.find_buffer(made.index_buffer) + form.size * assembly.start
-            index_bytes = form.size
+            indices = self.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
+            index_bytes = made.index_format.size
         base = assembly.base + (base_vertex if made.index_buffer else 0)
         row["indices"], row["index_bytes"] = indices, index_bytes
         row["vertex_indices"], row["vertex_index_bytes"] = 0, 0
@@ -496,11 +496,11 @@ class Rasteriser:
         if self._batch:
             self.stale = True
             event = None
-            try:
-                with translate_errors("a draw"):
+            with translate_errors("a draw"):
+                try:
                     event = self._batch.flush()
-            finally:
-                self.counters.finish_batch(event or cl.enqueue_marker(self._context.queue))
+                finally:
+                    self.counters.finish_batch(event or cl.enqueue_marker(self._context.queue))
 
     def _is_gathering(self) -> bool:
         return bool(self._batch)

@@ -1,8 +1,11 @@
-"""Out of memory at every allocation in turn: a named error with a tip, nothing half-made, and the device goes on."""
+"""Every allocation and every command fails in turn: a named error with a tip and the user's line, nothing half-made,
+and the device goes on."""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,7 +14,18 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import BlendFunction, CullMode, Device, DeviceError, Format, Primitive, Region, TextureKind
+from rhi import (
+    BlendFunction,
+    CullMode,
+    Device,
+    DeviceError,
+    Format,
+    IndirectDraws,
+    Primitive,
+    Region,
+    TextureKind,
+)
+from rhi.backends.cl import resources
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
 from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4
@@ -150,6 +164,99 @@ def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> No
     # As a driver's if no device passed the probe for want of memory.
     assert {error.rule.id for error in errors} == {"device-out-of-memory", "device-driver"}
     assert all(error.tip for error in errors)
+
+
+def move(device: Device) -> list[NDArray[Any]]:
+    """A bit of all that moves memory about, and of what waits for it; gives back what it made."""
+    made: list[Any] = []
+
+    def keep(thing: Any) -> Any:
+        made.append(thing)
+        return thing
+
+    try:
+        size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
+        image, copy = keep(device.texture(size, Format.RGBA8)), keep(device.texture(size, Format.RGBA8))
+        several, target = (keep(device.texture(size, Format.RGBA8, samples=n)) for n in (4, 1))
+        mesh = keep(device.mesh(rectangle(), np.arange(6, dtype=np.uint32)))
+        numbers, others = keep(device.buffer(np.arange(64, dtype=np.uint32))), keep(device.buffer(64, "u4"))
+        arguments, groups = keep(device.buffer(mesh.draws())), keep(device.buffer(np.array([4, 1, 1], "u4")))
+        values, query = keep(device.storage(float, 64)), keep(device.occlusion_query())
+        colored, ramp = keep(device.program(Colored)), keep(device.program(Ramp))
+        image.write(texels)
+        image.copy_to(copy, region=Region(0, 0, 8, 16))
+        others.clear(7)
+        numbers.copy_to(others, size=128)
+        device.dispatch_indirect(ramp, groups, values=values)
+        with device.event("frame"):
+            with device.render_pass(several, clear=(0, 0, 0, 1)), query:
+                device.draw_indirect(colored, mesh, IndirectDraws(arguments, 1))
+            with device.render_pass(several), device.conditional(query):
+                device.draw(colored, mesh)
+            with device.render_pass(target, clear=(0, 1, 0, 1)):
+                pass
+        several.resolve_to(target)
+        device.present(target)
+        device.finish()
+        return [copy.read(), others.read(), values.read(), target.read(), np.array([query.wait()])]
+    finally:
+        for thing in reversed(made):
+            thing.destroy()
+
+
+class Commands:
+    """Lets OpenCL's commands fail, once for each place where the backend gives one: the innermost three calls.
+
+    Attributes:
+        fail: whether to let the next one fail at a place that hasn't failed yet.
+    """
+
+    NAMES = ("enqueue_nd_range_kernel", "enqueue_copy", "enqueue_fill_buffer", "enqueue_marker")
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self._failed: set[object] = set()
+        self.fail = False
+        monkeypatch.setattr(resources, "_copy_box", partial(self._call, cl.enqueue_copy))
+        for name in self.NAMES:
+            monkeypatch.setattr(cl, name, partial(self._call, getattr(cl, name)))
+
+    def _call(self, command: Callable[..., Any], queue: cl.CommandQueue, *arguments: Any, **named: Any) -> Any:
+        frames = [sys._getframe(depth) for depth in range(1, 4)]
+        place = tuple((frame.f_code.co_qualname, frame.f_lineno) for frame in frames)
+        if self.fail and place not in self._failed:
+            self._failed.add(place)
+            self.fail = False
+            cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, 1 << 60)  # raises what drivers do
+        return command(queue, *arguments, **named)
+
+
+def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    commands = Commands(monkeypatch)
+    errors: list[DeviceError] = []
+    for do in (work, move):
+        with rhi.create_device("cl") as device:
+            expected = do(device)
+        goes_on = True
+        while goes_on:
+            with rhi.create_device("cl", timing=True) as device:
+                commands.fail = True
+                try:
+                    results = do(device)
+                    goes_on = False
+                except DeviceError as error:
+                    errors.append(error)
+                    results = do(device)
+                commands.fail = False
+            for given, wanted in zip(results, expected, strict=True):
+                np.testing.assert_array_equal(given, wanted)
+    assert {error.call for error in errors} >= {
+        "device.texture", "Texture.write", "Texture.read", "Texture.copy_to", "Texture.generate_mipmaps",
+        "Buffer.write", "Buffer.read", "Buffer.copy_to", "Buffer.clear", "device.dispatch", "device.dispatch_indirect",
+        "a draw", "device.draw", "device.render_pass", "the end of a pass", "device.signal", "a timestamp in frame",
+    }  # fmt: skip
+    assert {error.rule.id for error in errors} == {"device-out-of-memory"}
+    assert all(error.tip for error in errors)
+    assert {error.site.file for error in errors if error.site} == {__file__}
 
 
 @pytest.mark.parametrize(
