@@ -104,7 +104,7 @@ class QuerySet(Awaited[NDArray[np.int64]]):
     `draw_counted` didn't ask for. The array is never written again, so it may be kept.
     """
 
-    __slots__ = ("_asked", "_prepared", "_reader", "_size")
+    __slots__ = ("_asked", "_in_order", "_prepared", "_reader", "_size")
 
     def __init__(self, core: Core, size: int, emulated: bool) -> None:
         call = "device.query_set"
@@ -114,6 +114,7 @@ class QuerySet(Awaited[NDArray[np.int64]]):
         super().__init__(core, int(size), emulated, call)
         self._size = int(size)
         self._asked = np.zeros(0, np.int64)
+        self._in_order = np.arange(self._size)
         self._prepared: PreparedQueries = self._plain(core)
         if not self.emulated and hasattr(core.backend, "prepare_queries"):
             self._prepared = cast("PreparesQueries", core.backend).prepare_queries(self.ids)
@@ -134,7 +135,7 @@ class QuerySet(Awaited[NDArray[np.int64]]):
         if rows is None:
             if draws > size:
                 refuse(QUERY_ROWS, call, f"{draws} draws", f"up to {size}, or `rows`")
-            return np.arange(draws)
+            return self._in_order[:draws]
         given = np.asarray(rows)
         if given.shape != (draws,) or (draws and given.dtype.kind not in "iu"):
             refuse(
@@ -155,7 +156,7 @@ class QuerySet(Awaited[NDArray[np.int64]]):
         self, core: Core, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> NDArray[np.int64]:
         """Command `core`, the device's or a command buffer's, to draw and count; gives the rows asked for."""
-        asked = find_runs(rows)
+        asked = rows if rows.base is self._in_order else find_runs(rows)
         prepared = self._prepared if core is self._core else self._plain(core)
         if core is self._core:
             self.forget()
@@ -178,11 +179,15 @@ class QuerySet(Awaited[NDArray[np.int64]]):
         return (EmulatedQueries if self.emulated else PlainQueries)(core.backend, self._ids)
 
     def _read(self) -> NDArray[np.int64] | None:
-        samples = self._reader.read(self._asked) if len(self._asked) else self._asked
+        asked = self._asked
+        samples = self._reader.read(asked) if len(asked) else asked
         if samples is None:
             return None
-        answer = np.full(len(self), NOT_ASKED, np.int64)
-        answer[self._asked] = samples
+        if asked.base is self._in_order and len(asked) == len(self):
+            answer = samples
+        else:
+            answer = np.full(len(self), NOT_ASKED, np.int64)
+            answer[asked] = samples
         answer.flags.writeable = False
         return answer
 

@@ -43,7 +43,7 @@ from rhi.backends.cl.tables import (
     varying_words,
 )
 from rhi.backends.cl.targets import MergerKey
-from rhi.descriptors import BindingKind, Interpolation
+from rhi.descriptors import Interpolation
 
 __rhi_internal__ = True
 
@@ -203,7 +203,6 @@ class Batch:
         self._wanted: object = None  # what it is for
         self._streams = 0
         self._width = FIXED_COLUMNS
-        self._elements: list[tuple[int, int]] = []  # of what is bound: sizes in bytes, and of an element
         self._uploads = Uploads(context, addresses)
         self._pools = {name: Pool(context, addresses, retired) for name in POOLS}
 
@@ -232,33 +231,20 @@ class Batch:
             self.rows.frombytes(draws.spread(row, counters).tobytes())
 
     def begin(
-        self, pipeline: Pipeline, target: Target, vertex: Kernel, streams: int, raster: Kernel, key: MergerKey
-    ) -> None:
-        """What the next draws have in common. The batch is empty."""
+        self, pipeline: Pipeline, target: Target, vertex: Kernel, streams: int, raster: Kernel, key: MergerKey,
+        table: dict[str, float],
+    ) -> None:  # fmt: skip
+        """What the next draws have in common; `table`: of `describe_batch`. The batch is empty."""
         self.pipeline, self.target, self.vertex, self._streams = pipeline, target, vertex, streams
         self.raster = raster
         self._width = FIXED_COLUMNS + pipeline.starts[-1]
-        self._elements = [
-            (at + 1, max(1, binding.size))
-            for binding, at in zip(pipeline.descriptor.bindings, pipeline.starts, strict=False)
-            if binding.kind is BindingKind.STORAGE
-        ]
         surfaces = self._surfaces = target.surfaces_of(key)
-        tiles_x, tiles_y = (-(-size // TILE) for size in target.size)
         self._addresses = [surface.address for surface in surfaces] + [0] * (MAX_PLANES - len(surfaces))
-        table = self._table = EMPTY_BATCH.copy()
-        table["row_words"] = pipeline.starts[-1] + streams
         places = array("Q", [word for surface in surfaces for word in surface.place])
-        self._places = places.tobytes() + b"".join(surface.pattern for surface in surfaces)
-        table["vertex_chunk"] = _VERTEX_CHUNK
-        table["width"], table["height"] = target.size
-        table["tiles_x"], table["tiles"] = tiles_x, tiles_x * tiles_y
-        table["samples"], table["shades"] = key.samples, key.shades
-        table["near_is_less"] = key.depth_passes < _FIRST_GREATER
-        table["depth_step"] = key.depth_step
+        self._places = places.tobytes() + b"".join([surface.pattern for surface in surfaces])
         self._bounds_depth = key.bounds_depth
-        varyings = pipeline.descriptor.varyings
-        table["linear"] = any(varying.interpolation is Interpolation.NO_PERSPECTIVE for varying in varyings)
+        self._table = table.copy()
+        self._table["row_words"] = pipeline.starts[-1] + streams
 
     def flush(self) -> cl.Event | None:
         """Rasterise what was gathered. The event is that of the last kernel.
@@ -306,13 +292,15 @@ class Batch:
 
     def _bind_one(self, words: Iterable[int], streams: list[int]) -> bytes:
         """What a draw binds, as kernels see it."""
+        assert self.pipeline is not None
         bound = [*words, *streams]
-        for at, size in self._elements:
+        for at, size in self.pipeline.elements:
             bound[at] //= size
         return array("Q", bound).tobytes()
 
     def _tabulate(self, words: array[int]) -> Iterator[Piece]:
         """The pieces of many draws: NumPy, whole columns at a time."""
+        assert self.pipeline is not None
         rows = np.frombuffer(words.tobytes(), np.uint64).reshape(-1, self._width)
         places = rows[:, PREPARED].astype(np.int64)
         draws, streams = self.prepared.take(places), self.prepared.streams[places, : self._streams]
@@ -323,7 +311,7 @@ class Batch:
             own["condition"], own["inverted"] = mine[:, CONDITION], mine[:, INVERTED]
             own["row"], own["number"] = np.arange(len(mine)), numbered[part, 1]
             bound = np.concatenate([mine[:, FIXED_COLUMNS:], streams[part]], axis=1)
-            for at, size in self._elements:
+            for at, size in self.pipeline.elements:
                 bound[:, at] //= np.uint64(size)
             yield pack_table(table), bound.tobytes()
 
@@ -413,6 +401,24 @@ class Batch:
             for surface in self._surfaces:
                 surface.clear = None
         return event
+
+
+def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey) -> dict[str, float]:
+    """What batches of a pipeline have in common that draw into targets of this size."""
+    tiles_x, tiles_y = (-(-length // TILE) for length in size)
+    interpolations = {varying.interpolation for varying in pipeline.descriptor.varyings}
+    return EMPTY_BATCH | {
+        "vertex_chunk": _VERTEX_CHUNK,
+        "width": size[0],
+        "height": size[1],
+        "tiles_x": tiles_x,
+        "tiles": tiles_x * tiles_y,
+        "samples": key.samples,
+        "shades": key.shades,
+        "linear": Interpolation.NO_PERSPECTIVE in interpolations,
+        "near_is_less": key.depth_passes < _FIRST_GREATER,
+        "depth_step": key.depth_step,
+    }
 
 
 def number_groups(

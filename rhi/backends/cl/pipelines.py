@@ -20,7 +20,7 @@ from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses
 from rhi.backends.cl.programs import Faults, make_shader_error
-from rhi.descriptors import ProgramDescriptor, Stage, VertexStream
+from rhi.descriptors import BindingKind, ProgramDescriptor, Stage, VertexStream
 
 __rhi_internal__ = True
 
@@ -42,6 +42,7 @@ class Pipeline:
 
     Attributes:
         starts: where each binding's words begin in a draw's row, and where they end.
+        elements: of what is bound by size, where in the row its bytes stand, and those of an element.
         faults: of a checked program, where each stage leaves what it finds. Their addresses stand in the kernels' text.
     """
 
@@ -51,6 +52,11 @@ class Pipeline:
         self._builds = builds
         self.descriptor = descriptor
         self.starts = tables.row_starts(descriptor.bindings)
+        self.elements = [
+            (at + 1, max(1, binding.size))
+            for binding, at in zip(descriptor.bindings, self.starts, strict=False)
+            if binding.kind is BindingKind.STORAGE
+        ]
         self._vertex_text = descriptor.emit(LANGUAGE, Stage.VERTEX)
         self._fragment_text = ""
         if Stage.FRAGMENT in descriptor.stages:

@@ -35,4 +35,4 @@ class QuerySet:
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         assert self._segment is not None
         counted = self._rasteriser.counters.read_set(self._segment)
-        return None if counted is None else counted[rows].astype(np.int64)
+        return None if counted is None else counted.view(np.int64).take(rows)

@@ -33,6 +33,7 @@ from rhi.backends.cl.draws import (
     SAMPLES,
     VIEW,
     Batch,
+    describe_batch,
 )
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.memory import Addresses, Retired
@@ -152,7 +153,7 @@ class Rasteriser:
         self._device_wrote: set[Id] = set()
         self._bound: list[int] = [0] * (FIXED_COLUMNS + 2 * sum(_SLOTS.values()))
         self._slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
-        self._memo: dict[object, tuple[MergerKey, Kernel, bytes]] = {}
+        self._memo: dict[object, tuple[MergerKey, Kernel, bytes, dict[str, float]]] = {}
         self._program: _Program | None = None
         self._target: Target | None = None
         self._clears = False  # whether some of the target may still have to be cleared
@@ -437,11 +438,13 @@ class Rasteriser:
                 self._memo.clear()
             merger = make_key(program.descriptor, self.values, colors, depth, target.samples)
             view = make_view(self.values, target.size, colors, depth).tobytes()
-            known = self._memo[key] = merger, program.pipeline.find_raster(merger), view
-        merger, raster, view = known
+            table = describe_batch(program.pipeline, target.size, merger)
+            known = self._memo[key] = merger, program.pipeline.find_raster(merger), view, table
+        merger, raster, view, table = known
         if batch.raster is not raster or batch.vertex is not array.kernel or batch.target is not target:
             self._flush_batch()
-            batch.begin(program.pipeline, target, array.kernel, len(array.descriptor.streams), raster, merger)
+            streams = len(array.descriptor.streams)
+            batch.begin(program.pipeline, target, array.kernel, streams, raster, merger, table)
         batch.mix()
         if not batch.views or batch.views[-1] is not view:
             batch.views.append(view)
