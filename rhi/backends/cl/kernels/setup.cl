@@ -30,6 +30,14 @@ INLINE global const uint *find_corners(global const Draw *draw, int first, int l
         }
         return scratch;
     }
+    if (corner_count == TRIANGLES && bytes == 4) {  // few triangles, as of a box: the last one again and again
+        global const uint *from = AT(const uint, draw->indices) + 3 * (long)first;
+        for (int i = 0; i < GROUP; ++i) {
+            int primitive = 3 * min(i, last);
+            UNROLL for (int k = 0; k < 3; ++k) scratch[3 * i + k] = from[primitive + k];
+        }
+        return scratch;
+    }
     for (int i = 0; i < 3 * GROUP; ++i) {
         int primitive = first + min(i / 3, last);
         long place = (long)primitive * corner_count + min(i % 3, corner_count - 1);
