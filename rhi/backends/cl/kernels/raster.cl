@@ -401,7 +401,7 @@ SINGLE raster(ulong address) {
                 if (todo & (todo - 1)) {
                     todo &= cross_squares(&edges, part_x, part_y, 2, starts);
                     const float16 first_depths = lane_depth * 4.0f + part_depth;
-#if BOUNDS_DEPTH
+#if BOUNDS_DEPTH && DEPTH_WRITES  // where none is written, blocks mostly have their part's bound, which was tested
                     todo &= ~bits_of(BEHIND(quantize_depth(first_depths + to_nearest), block_bounds[part]));
 #endif
                     if (!todo) continue;
