@@ -131,8 +131,8 @@ class PreparedQueries(Protocol):
         is at least one draw. A COUNTER counts these draws, too."""
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """The samples of those that the latest `draw` asked for, in its order, or None while they aren't all there;
-        never waits."""
+        """The samples of those that the latest `draw` asked for, in its order and in an array of the caller's own, or
+        None while they aren't all there; never waits."""
 
 
 class PreparesQueries(Protocol):
