@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 from cl_kit import FILL, ClKit, describe_program
 
+import rhi
+from rhi.backends.cl import programs
+from rhi.conformance.operation import test_compute
 from rhi.descriptors import Binding, BindingKind, BufferUsage, Stage
 from rhi.errors import CallSite, DeviceError, ShaderError
 
@@ -164,3 +170,26 @@ def test_a_dispatch_that_fails_names_the_labels_it_lies_in(cl_kit: ClKit) -> Non
     cl_kit.backend.pop_label()
     cl_kit.dispatch(cl_kit.program(describe_program(FILL)))
     assert cl_kit.words(words, 1) == [1]
+
+
+@pytest.mark.parametrize(("floats", "lanes"), [(32, 16), (16, 16), (8, 8), (4, 4), (2, 1), (1, 1), (0, 1)])
+def test_a_work_item_does_as_many_invocations_as_a_register_has_floats(floats: int, lanes: int) -> None:
+    device: Any = SimpleNamespace(native_vector_width_float=floats)
+    assert programs.count_lanes(device) == lanes
+
+
+@pytest.mark.parametrize("lanes", [1, 4, 8, 16])
+def test_shared_memory_barriers_and_atomics_work_with_any_number_of_lanes(
+    monkeypatch: pytest.MonkeyPatch, lanes: int
+) -> None:
+    asked: list[int] = []
+
+    def count_lanes(_: object) -> int:
+        asked.append(lanes)
+        return lanes
+
+    monkeypatch.setattr(programs, "count_lanes", count_lanes)
+    with rhi.create_device("cl") as device:
+        test_compute.test_a_work_group_sees_its_shared_memory_after_a_barrier(device)
+        test_compute.test_atomics_work_in_shared_memory(device)
+    assert asked == [lanes, lanes]
