@@ -23,7 +23,7 @@ from rhi.timeline import FOREVER
 
 __rhi_internal__ = True
 
-_POLLS: Final = 12  # of 0.5 us: to fall asleep and to be woken takes 10 to 20
+_POLLS: Final = 20  # of 0.5 us: to fall asleep and to be woken takes 10 to 20
 _FIRST_NAP: Final = 20e-6
 _LONGEST_NAP: Final = 1e-3
 
