@@ -1,6 +1,8 @@
 """Vertex and fragment stages as OpenCL C functions for 16 lanes, which a rasteriser's kernels call.
 
     void rhi_vertex(BINDINGS, const uint16 *inputs, int16 vertex, int instance, int draw, int16 mask, uint16 *outputs);
+    void rhi_bounds(BINDINGS, const uint16 *inputs, const uint *reaches, int16 vertex, int instance, int draw,
+                    int16 mask, uint16 *outputs);
     int16 rhi_fragment(BINDINGS, const uint16 *inputs, const uint *flat, float16 x, float16 y, float16 z, float16 w,
                        int front, int primitive, int16 mask, uint16 *outputs, float16 *depth);
 
@@ -10,6 +12,9 @@
 - A vertex stage takes its attributes' components as words, one attribute after the other, and gives the clip position
   in words 0 to 3 and the fragment stage's varyings from word 4 on. Its vertices may be any; it reads buffers by their
   index with vector loads if they are consecutive.
+- Where the clip position is an affine function of attributes, `RHI_BOXED(WORD)` is WORD(i) for each word of `inputs`
+  that it depends on, and `rhi_bounds` a vertex stage that gives the position alone, and in words 4 to 7 its slacks
+  (`rhi.shading.bounds`). `reaches`: floats, how large inputs get.
 - The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It takes smooth and linear varyings for all lanes,
   also for those outside the mask, as they are compared with; flat varyings as the first vertex has them; the pixels'
   centres, window depth and 1 / clip w. `front` is 1 or 0. It gives component c of location l in word 4 l + c, the
@@ -24,6 +29,7 @@ from typing import Final
 
 from rhi.descriptors import Binding, Stage
 from rhi.shading import tree
+from rhi.shading.bounds import bound_positions
 from rhi.shading.builtins import Precision
 from rhi.shading.lanes import Argument, Level
 from rhi.shading.lowering_stages import FIRST_VERTEX, WIDTH, StageCode
@@ -34,9 +40,9 @@ __rhi_internal__ = True
 
 LANGUAGE: Final = f"opencl{WIDTH}"
 _INLINE: Final = "inline __attribute__((always_inline))"
-_VERTEX: Final = (
-    "private const uint16 *inputs, int16 vertex, int instance, int draw, int16 mask, private uint16 *outputs"
-)
+_VERTEX: Final = "int16 vertex, int instance, int draw, int16 mask, private uint16 *outputs"
+_INPUTS: Final = "private const uint16 *inputs"
+_REACHES: Final = "private const uint *reaches"
 _FRAGMENT: Final = (
     "private const uint16 *inputs, private const uint *flat, float16 x, float16 y, float16 z, float16 w, int front, "
     "int primitive, int16 mask, private uint16 *outputs, private float16 *depth"
@@ -62,13 +68,24 @@ class _StageWriter(Writer):
         assert self.width == WIDTH
         given = [text for binding in bindings for text in self.parameters(binding)]
         given += ["global int *rhi_faults"] if self.code.checked else []
-        is_vertex = stage is Stage.VERTEX
-        parameters = ", ".join([*given, _VERTEX if is_vertex else _FRAGMENT])
-        if is_vertex:
-            self.lines.add("#pragma OPENCL FP_CONTRACT OFF")
-            self.steps = "rhi_steps"
-        head = "void rhi_vertex" if is_vertex else "int16 rhi_fragment"
-        with self.lines.braces(f"{_INLINE} {head}({parameters})"):
+        if stage is Stage.FRAGMENT:
+            self.function("int16 rhi_fragment", [*given, _FRAGMENT])
+            return self.finish()
+        self.lines.add("#pragma OPENCL FP_CONTRACT OFF")
+        self.steps = "rhi_steps"
+        self.function("void rhi_vertex", [*given, _INPUTS, _VERTEX])
+        bounds = bound_positions(self.outputs)
+        if bounds is not None:
+            self.code, self.outputs = bounds.stage.code, bounds.stage
+            words = " ".join(f"WORD({word})" for word in bounds.inputs)
+            self.lines.add(f"#define RHI_BOXED(WORD) {words}")
+            self.function("void rhi_bounds", [*given, _INPUTS, _REACHES, _VERTEX])
+        return self.finish()
+
+    def function(self, head: str, parameters: list[str]) -> None:
+        """One function, of what `code` says."""
+        is_vertex = bool(self.steps)
+        with self.lines.braces(f"{_INLINE} {head}({', '.join(parameters)})"):
             if is_vertex:
                 self.lines.add("const int16 rhi_steps = vertex - vertex.s0;")
             self.body()
@@ -79,7 +96,6 @@ class _StageWriter(Writer):
                 self.lines.add(f"*depth = {self.wide(results[len(self.outputs.words)])};")
             if results and not is_vertex:
                 self.lines.add(f"return {self.wide(results[-1])};")
-        return self.finish()
 
     def argument(self, node: Argument) -> str:
         array, _, word = node.name.partition("_")

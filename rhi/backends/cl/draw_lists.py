@@ -13,7 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.draws import DrawList, PreparedDraws
+from rhi.backends.cl.draws import DrawList
+from rhi.backends.cl.prepared import PreparedDraws
 
 __rhi_internal__ = True
 

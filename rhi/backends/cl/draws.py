@@ -24,10 +24,12 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from rhi.backends.cl.boxes import Boxes
 from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.memory import Addresses, Pool, Retired, Uploads
-from rhi.backends.cl.pipelines import Geometry, Pipeline
+from rhi.backends.cl.pipelines import Geometry, Pipeline, VertexKernels
+from rhi.backends.cl.prepared import PreparedDraws
 from rhi.backends.cl.surfaces import Surface, Target
 from rhi.backends.cl.tables import (
     DRAW,
@@ -35,7 +37,6 @@ from rhi.backends.cl.tables import (
     EXTENT_BYTES,
     GROUP,
     MAX_PLANES,
-    MAX_STREAMS,
     PART,
     RECORD_BYTES,
     TILE,
@@ -83,54 +84,18 @@ POOLS: Final = (
 """The addresses in a batch that are those of scratch memory."""
 
 
-class PreparedDraws:
-    """What of a draw stays the same from frame to frame: growing tables.
-
-    Attributes:
-        draws: of `DRAW`, without what is numbered batch by batch.
-        streams: the addresses of each one's vertex streams, (n, MAX_STREAMS).
-    """
-
-    def __init__(self) -> None:
-        size = 256
-        self.draws = np.zeros(size, DRAW)
-        self.streams = np.zeros((size, MAX_STREAMS), np.uint64)
-        self._free: list[int] = list(range(size))
-        self._left: list[int] = []
-
-    def add(self) -> int:
-        """A place that nobody uses."""
-        if not self._free:
-            size = len(self.draws)
-            self.draws = np.concatenate([self.draws, np.zeros_like(self.draws)])
-            self.streams = np.concatenate([self.streams, np.zeros_like(self.streams)])
-            self._free = list(range(size, 2 * size))
-        return self._free.pop()
-
-    def leave(self, place: int) -> None:
-        """It may be used again once the draws gathered now are flushed."""
-        self._left.append(place)
-
-    def take(self, places: NDArray[np.int64]) -> NDArray[Any]:
-        """A copy of these rows of `draws`. They are moved as plain words: NumPy moves structs field by field."""
-        words = self.draws.view(np.uint64).reshape(len(self.draws), -1)
-        return words.take(places, axis=0).view(DRAW).reshape(-1)
-
-    def recycle(self) -> None:
-        """No draw that was gathered needs what was left."""
-        self._free += self._left
-        self._left.clear()
-
-
 class DrawList:
     """Draws of an array, which bind the same.
 
     Attributes:
         numbers: (n,) of each among the draws of its array.
         samples: (n,) of each one's counter, in bytes from the batch's `counters` on; None: they aren't told apart.
+        boxed: the version of the prepared draws in which all have boxes that are to have one.
     """
 
-    __slots__ = ("_holders", "_prepared", "_tables", "instances", "numbers", "places", "samples")
+    __slots__ = (
+        "_holders", "_prepared", "_tables", "_version", "boxed", "instances", "numbers", "places", "samples",
+    )  # fmt: skip
 
     def __init__(
         self, prepared: PreparedDraws, places: NDArray[np.int64], holders: object, instances: NDArray[np.int64],
@@ -141,6 +106,7 @@ class DrawList:
         self._prepared = prepared
         self._holders = holders
         self._tables: list[Table] = []
+        self._version = self.boxed = -1
         self.places = places
         self.instances = instances
         self.numbers = np.arange(len(places)) if counters is None else np.zeros(len(places), np.int64)
@@ -149,7 +115,9 @@ class DrawList:
     @property
     def tables(self) -> list[Table]:
         """Those of draws that have the first view and row, and no condition."""
-        if not self._tables:
+        if self._version != self._prepared.version:
+            self._tables.clear()
+            self._version = self._prepared.version
             for part, table in number_groups(self._prepared.take(self.places), self.instances):
                 table["number"][:-1] = self.numbers[part]
                 if self.samples is not None:
@@ -191,7 +159,7 @@ class Batch:
         self.views: list[bytes] = []
         self.pipeline: Pipeline | None = None
         self.target: Target | None = None
-        self.vertex: Kernel | None = None
+        self.vertex: VertexKernels | None = None
         self.raster: Kernel | None = None
         self._table = EMPTY_BATCH.copy()
         self._surfaces: list[Surface] = []  # that its raster kernel draws into
@@ -205,6 +173,7 @@ class Batch:
         self._width = FIXED_COLUMNS
         self._uploads = Uploads(context, addresses)
         self._pools = {name: Pool(context, addresses, retired) for name in POOLS}
+        self.boxes = Boxes(self.prepared, Pool(context, addresses, retired))
 
     @cached_property
     def geometry(self) -> Geometry:
@@ -231,8 +200,8 @@ class Batch:
             self.rows.frombytes(draws.spread(row, counters).tobytes())
 
     def begin(
-        self, pipeline: Pipeline, target: Target, vertex: Kernel, streams: int, raster: Kernel, key: MergerKey,
-        table: dict[str, float],
+        self, pipeline: Pipeline, target: Target, vertex: VertexKernels, streams: int, raster: Kernel,
+        key: MergerKey, table: dict[str, float],
     ) -> None:  # fmt: skip
         """What the next draws have in common; `table`: of `describe_batch`. The batch is empty."""
         self.pipeline, self.target, self.vertex, self._streams = pipeline, target, vertex, streams
@@ -268,8 +237,12 @@ class Batch:
         )
         self._bounds = None
         event = None
-        for piece in pieces:
-            event = self._draw(piece, views) or event
+        try:
+            for piece in pieces:
+                event = self._draw(piece, views) or event
+            self.boxes.keep()
+        finally:
+            self.boxes.drop()
         self.prepared.recycle()
         if event is not None:
             self._uploads.release(event)
@@ -286,9 +259,16 @@ class Batch:
         self._table["counters"] = 0 if alone is None else alone[2]
         if alone is not None:
             draws, row, _ = alone
+            if draws.boxed != self.prepared.version and not self._find_boxes(draws.places, draws.instances):
+                draws.boxed = self.prepared.version
             bound = self._bind_one(row[FIXED_COLUMNS:], draws.list_streams(self._streams))
             return [(table, bound) for table in draws.tables]
         return self._tabulate_one(words) if len(words) == self._width else self._tabulate(words)
+
+    def _find_boxes(self, places: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
+        """Have boxes measured of draws that come again; gives whether some of the draws are still to have one."""
+        assert self.vertex is not None
+        return self.vertex.measure is not None and self.boxes.choose(places, instances)
 
     def _bind_one(self, words: Iterable[int], streams: list[int]) -> bytes:
         """What a draw binds, as kernels see it."""
@@ -303,8 +283,9 @@ class Batch:
         assert self.pipeline is not None
         rows = np.frombuffer(words.tobytes(), np.uint64).reshape(-1, self._width)
         places = rows[:, PREPARED].astype(np.int64)
-        draws, streams = self.prepared.take(places), self.prepared.streams[places, : self._streams]
         numbered = rows.view(np.uint32)[:, 2 * INSTANCES : 2 * INSTANCES + 2].astype(np.int64)
+        self._find_boxes(places, numbered[:, 0])
+        draws, streams = self.prepared.take(places), self.prepared.streams[places, : self._streams]
         for part, table in number_groups(draws, numbered[:, 0]):
             mine, own = rows[part], table[:-1]
             own["view"], own["samples"] = mine[:, VIEW], mine[:, SAMPLES]
@@ -391,7 +372,9 @@ class Batch:
             batch["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
             place = self._uploads.write(pack_batch(self._addresses, batch))
             if first == 0:
-                self.vertex.launch(queue, place, -(-vertex_groups // _VERTEX_CHUNK))
+                if self.boxes.chosen and self.vertex.measure is not None:
+                    self.vertex.measure.launch(queue, place, int(batch["draw_count"]))
+                self.vertex.transform.launch(queue, place, -(-vertex_groups // _VERTEX_CHUNK))
             geometry.set_up.launch(queue, place, chunks)
             if listed:
                 geometry.prefix.launch(queue, place, 1)

@@ -119,6 +119,20 @@ class Pool:
         return self._address
 
 
+class IndexList:
+    """Indices made on the host; their memory outlives the batch that reads them."""
+
+    __slots__ = ("_memory", "_retired", "address")
+
+    def __init__(self, memory: cl.Buffer, address: int, retired: Retired) -> None:
+        self._memory = memory
+        self._retired = retired
+        self.address = address
+
+    def __del__(self) -> None:
+        self._retired.add(self._memory)
+
+
 class _Page:
     __slots__ = ("address", "bytes", "event", "host", "memory", "used")
 

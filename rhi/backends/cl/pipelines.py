@@ -2,6 +2,7 @@
 
 - `set_up`, `prefix` and `scatter` know nothing of programs: one build per device. A program has a vertex kernel for
   each layout of its vertices, and a raster kernel for each `MergerKey`. All else is data, so few are built.
+- Beside a vertex kernel lies `measure`, where positions can be bounded before they are computed (kernels/vertex.cl).
 - Each takes one argument, the address of a batch, and is launched by `launch`.
 - PoCL keeps what it compiled on disk, elsewhere pyopencl does, under a key of source, options, device and driver.
 """
@@ -9,6 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
 from typing import Final
@@ -25,6 +27,7 @@ from rhi.descriptors import BindingKind, ProgramDescriptor, Stage, VertexStream
 __rhi_internal__ = True
 
 LANGUAGE: Final = "opencl16"
+_BOXED: Final = "#define RHI_BOXED"
 
 Layout = tuple[tuple[int, bool, tuple[object, ...]], ...]
 
@@ -35,6 +38,14 @@ class Geometry:
     def __init__(self, builds: Builds) -> None:
         source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
         self.set_up, self.prefix, self.scatter = builds.build(source, ("set_up", "prefix", "scatter"))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class VertexKernels:
+    """What is done with vertices of one layout; `measure` where instances can be dropped by boxes."""
+
+    transform: Kernel
+    measure: Kernel | None = None
 
 
 class Pipeline:
@@ -66,17 +77,19 @@ class Pipeline:
         for stage in descriptor.stages if descriptor.checked else ():
             self.faults[stage] = Faults(context.context, descriptor.lines.get(stage, ()))
             self._fault_places[stage] = addresses.find(self.faults[stage].memory)
-        self._vertex: dict[Layout, Kernel] = {}
+        self._vertex: dict[Layout, VertexKernels] = {}
         self._raster: dict[targets.MergerKey, Kernel] = {}
 
-    def find_vertex(self, streams: Sequence[VertexStream]) -> Kernel:
-        """The kernel for vertices of this layout."""
+    def find_vertex(self, streams: Sequence[VertexStream]) -> VertexKernels:
+        """The kernels for vertices of this layout."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
             before = [tables.common_macros(), read_kernels("common")]
             macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
             behind = [macros, read_kernels("vertex")]
-            self._vertex[layout] = self._build(Stage.VERTEX, "transform", before, self._vertex_text, behind)
+            names = "transform", *(["measure"] if _BOXED in self._vertex_text else [])
+            kernels = self._build(Stage.VERTEX, names, before, self._vertex_text, behind)
+            self._vertex[layout] = VertexKernels(*kernels)
         return self._vertex[layout]
 
     def find_raster(self, key: targets.MergerKey) -> Kernel:
@@ -89,18 +102,19 @@ class Pipeline:
             macros = tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT])
             behind = [macros, read_kernels("raster")]
             text = self._fragment_text if key.shades else ""
-            self._raster[key] = self._build(Stage.FRAGMENT, "raster", before, text, behind)
+            (self._raster[key],) = self._build(Stage.FRAGMENT, ("raster",), before, text, behind)
         return self._raster[key]
 
-    def _build(self, stage: Stage, name: str, before: list[str], text: str, behind: list[str]) -> Kernel:
-        """A kernel of the stage's text and what stands before and behind it."""
+    def _build(
+        self, stage: Stage, names: Sequence[str], before: list[str], text: str, behind: list[str]
+    ) -> list[Kernel]:
+        """Kernels of the stage's text and what stands before and behind it."""
         source = "\n".join([*before, text, *behind])
         try:
-            (kernel,) = self._builds.build(source, (name,), self.descriptor.flushes_denormals)
+            return self._builds.build(source, names, self.descriptor.flushes_denormals)
         except cl.Error as error:
             lines = "\n".join([*before, ""]).count("\n")
             raise make_shader_error(self.descriptor, stage, source, str(error), lines) from error
-        return kernel
 
 
 @cache

@@ -36,8 +36,8 @@ from rhi.backends.cl.draws import (
     describe_batch,
 )
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.memory import Addresses, Retired
-from rhi.backends.cl.pipelines import Pipeline
+from rhi.backends.cl.memory import Addresses, IndexList, Retired
+from rhi.backends.cl.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.resources import Buffers, Plane, Textures
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.surfaces import Surface, Target, color_clear, depth_clear, stencil_clear
@@ -80,28 +80,15 @@ def _columns() -> dict[tuple[BindingKind, int], int]:
 COLUMNS: Final = _columns()
 
 
-class IndexList:
-    """Indices made on the host; their memory outlives the batch that reads them."""
-
-    __slots__ = ("_memory", "_retired", "address")
-
-    def __init__(self, memory: cl.Buffer, address: int, retired: Retired) -> None:
-        self._memory = memory
-        self._retired = retired
-        self.address = address
-
-    def __del__(self) -> None:
-        self._retired.add(self._memory)
-
-
 class _Array:
     """A vertex array: its kernel, and whether its indices are what they were."""
 
-    __slots__ = ("descriptor", "kernel", "pipeline", "version")
+    __slots__ = ("descriptor", "id", "kernel", "pipeline", "version")
 
     def __init__(
-        self, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: Kernel, version: list[int]
-    ) -> None:
+        self, id: Id, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: VertexKernels, version: list[int]
+    ) -> None:  # fmt: skip
+        self.id = id
         self.descriptor = descriptor
         self.pipeline = pipeline
         self.kernel = kernel
@@ -189,10 +176,12 @@ class Rasteriser:
         if descriptor.index_buffer:
             self._assembler.watch(descriptor.index_buffer, self._buffers[descriptor.index_buffer].size)
         kernel = pipeline.find_vertex(descriptor.streams)
-        self._arrays[vertex_array] = _Array(descriptor, pipeline, kernel, version)
+        self._arrays[vertex_array] = _Array(vertex_array, descriptor, pipeline, kernel, version)
+        self._batch.boxes.watch(vertex_array, {stream.buffer for stream in descriptor.streams})
 
     def destroy_vertex_array(self, vertex_array: Id) -> None:
         del self._arrays[vertex_array]
+        self._batch.boxes.unwatch(vertex_array)
 
     # -- what happens to buffers -----------------------------------------------------------------------------
 
@@ -213,6 +202,7 @@ class Rasteriser:
         self._assembler.forget(resource)
         self._change_version(resource)
         self._versions.pop(resource, None)
+        self._batch.boxes.forget(resource)
         self._device_wrote.discard(resource)
 
     def change_stored(self, bindings: Sequence[Binding]) -> None:
@@ -225,6 +215,7 @@ class Rasteriser:
         version = self._versions.get(buffer)
         if version is not None:
             version[0] += 1
+        self._batch.boxes.change(buffer)
 
     def _read(self, buffer: Id, offset: int, size: int) -> bytes:
         self.flush()
@@ -458,7 +449,8 @@ class Rasteriser:
         """Fill in a prepared draw."""
         made = array.descriptor
         assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, made.index_format)
-        row = self._batch.prepared.draws[place.number]
+        prepared = self._batch.prepared
+        row = prepared.draws[place.number]
         place.memory = assembly.memory
         primitives = assembly.count // assembly.corners
         row["primitives"], row["primitive"] = primitives, assembly.corners
@@ -480,8 +472,9 @@ class Rasteriser:
             row["lowest"], row["vertices"] = assembly.lowest, assembly.highest - assembly.lowest + 1
             row["first_vertex"] = assembly.lowest + base
         row["vertex_groups"] = -(-int(row["vertices"]) // GROUP)
-        row["base_instance"] = base_instance
-        self._batch.prepared.streams[place.number, : len(made.streams)] = [
+        row["base_instance"], row["box"] = base_instance, 0
+        prepared.arrays[place.number], prepared.seen[place.number] = array.id, False
+        prepared.streams[place.number, : len(made.streams)] = [
             self.find_buffer(stream.buffer) + stream.offset for stream in made.streams
         ]
 

@@ -68,7 +68,7 @@ _BATCH_WORDS: Final = Struct(
 )
 DRAW: Final = np.dtype(
     [
-        *_fields("indices vertex_indices samples condition", "u8"),
+        *_fields("indices vertex_indices samples condition box", "u8"),
         *_fields(
             "vertex_group primitive_group vertex_groups primitive_groups first_vertex vertices lowest primitives "
             "primitive index_bytes vertex_index_bytes base_instance number row view inverted",
@@ -142,8 +142,15 @@ def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream]
             stream, attribute, first + place, starts[attribute.location], sizes[attribute.location]
         )
     ]
+    vertex_words = sum(
+        ((1 << sizes[attribute.location]) - 1) << starts[attribute.location]
+        for stream in streams
+        for attribute in stream.attributes
+        if not stream.per_instance
+    )
     return (
         f"#define INPUT_WORDS {words}\n#define VARYING_WORDS {varying_words(descriptor)}\n"
+        f"#define VERTEX_WORDS 0x{vertex_words:x}ul\n"
         f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n#define FETCH {' '.join(fetches)}\n"
     )
 

@@ -77,6 +77,7 @@ typedef struct {
     ulong vertex_indices;                   // of its first vertex; 0: those from first_vertex on
     ulong samples;                          // its counter, from the batch's `counters` on; 0: none
     ulong condition;                        // the address of a counter; 0: none
+    ulong box;                              // what its vertices' attributes lie between; 0: unknown, odd: to be measured
     int vertex_group, primitive_group;      // numbers of its first groups in the batch
     int vertex_groups, primitive_groups;    // for one instance
     int first_vertex, vertices;             // what is added to a vertex's number; how many are transformed
@@ -189,6 +190,22 @@ INLINE bool is_hidden(
             if (!(near_is_less ? nearest > bound : nearest < bound)) return false;
         }
     return true;
+}
+
+// Whether nothing of an instance can be seen whose vertices reach so far: they lie outside the view, or behind all that is
+// stored.
+INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, Extent whole) {
+    if (whole.behind) return true;
+    if (!whole.fit || draw->primitive != TRIANGLES) return false;
+    int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
+    int left = max((whole.low_x - reach + 255) >> 8, view->box[0]), right = min((whole.high_x + reach) >> 8, view->box[2]);
+    int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);
+    if (left > right || top > bottom) return true;
+    if (!batch->bounded || view->bias_units != 0.0f || view->bias_slope != 0.0f) return false;
+    // Depth is rounded, and so are corners, by which slopes change: a sliver's depth may lie a little beyond its corners'.
+    float slack = 1e-6f + batch->depth_step + (whole.high - whole.low) * (1.0f / 64.0f);
+    return is_hidden(AT(const float, batch->bounds), batch->tiles_x, batch->near_is_less, left, top, right, bottom,
+                     batch->near_is_less ? whole.low - slack : whole.high + slack);
 }
 
 // Whether a draw is dropped by its condition: the counter of a query, which is two words.

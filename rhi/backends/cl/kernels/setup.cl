@@ -202,9 +202,8 @@ bool set_up_polygon(
     return true;
 }
 
-// Whether nothing of an instance can be seen: the vertices that begin at `group` lie outside the view, or behind all that
-// is stored.
-bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, int group) {
+// How far an instance's vertices reach, which begin at `group`.
+INLINE Extent find_extent(global const Batch *batch, global const Draw *draw, int group) {
     global const Extent *extents = AT(const Extent, batch->extents);
     int end = group + draw->vertex_groups;
     Extent whole = extents[group];
@@ -218,17 +217,7 @@ bool is_unseen(global const Batch *batch, global const Draw *draw, global const 
         whole.fit &= extents[group].fit;
         whole.behind &= extents[group].behind;
     }
-    if (whole.behind) return true;
-    if (!whole.fit || draw->primitive != TRIANGLES) return false;
-    int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
-    int left = max((whole.low_x - reach + 255) >> 8, view->box[0]), right = min((whole.high_x + reach) >> 8, view->box[2]);
-    int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);
-    if (left > right || top > bottom) return true;
-    if (!batch->bounded || view->bias_units != 0.0f || view->bias_slope != 0.0f) return false;
-    // Depth is rounded, and so are corners, by which slopes change: a sliver's depth may lie a little beyond its corners'.
-    float slack = 1e-6f + batch->depth_step + (whole.high - whole.low) * (1.0f / 64.0f);
-    return is_hidden(AT(const float, batch->bounds), batch->tiles_x, batch->near_is_less, left, top, right, bottom,
-                     batch->near_is_less ? whole.low - slack : whole.high + slack);
+    return whole;
 }
 
 SINGLE set_up(ulong address) {
@@ -265,7 +254,7 @@ SINGLE set_up(ulong address) {
         int part = (group - draw->primitive_group) - instance * draw->primitive_groups;
         int parts = min(draw->primitive_groups, part + end - group);
         const int vertex_group = draw->vertex_group + instance * draw->vertex_groups;
-        if (is_unseen(batch, draw, view, vertex_group)) {
+        if (is_unseen(batch, draw, view, find_extent(batch, draw, vertex_group))) {
             group += parts - part;
             continue;
         }
