@@ -84,12 +84,15 @@ class ClBackend:
         self._samplers = Samplers(context.context)
         self._programs = Programs(context, self._buffers, self._textures, self._samplers)
         self._timestamps = Timestamps(context.queue)
-        self._rasteriser = Rasteriser(context, self._buffers, self._textures, self._samplers)
+        self._states = States()
+        self._rasteriser = Rasteriser(
+            context, self._states.slots, self._buffers, self._textures, self._samplers
+        )
+        self._bind = self._rasteriser.bindings.bind
         self._capabilities = query_capabilities(context, self._rasteriser.works)
         self._counters = self._rasteriser.counters
         self._flush = self._rasteriser.flush
         self._fence = Fence(context.queue, staging, self._rasteriser.retired)
-        self._states = States()
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
         self._kinds: dict[Id, QueryKind] = {}
 
@@ -242,13 +245,9 @@ class ClBackend:
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
         self._bind(BindingKind.IMAGE, slot, (texture, level, layer))
 
-    def _bind(self, kind: BindingKind, slot: int, what: tuple[int, ...]) -> None:
-        self._states.slots[kind, slot] = what
-        self._rasteriser.bind(kind, slot, what)
-
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         """See `rhi.backend.PreparesDraws`."""
-        return self._rasteriser.prepare_uniform(buffer, self._states.slots)
+        return self._rasteriser.bindings.prepare_uniform(buffer)
 
     # -- work --------------------------------------------------------------------------------------------
 

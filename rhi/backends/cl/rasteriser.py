@@ -1,7 +1,7 @@
 """The rasteriser: takes draws as the contract has them and makes batches of them.
 
-- Draws gather while pass, pipeline and vertex layout stay (`rhi.backends.cl.draws`). What is bound, and states that are
-  data for kernels, are columns of a draw's row; a flat list holds the columns as they are now (`_bound`).
+- Draws gather while pass, pipeline and vertex layout stay (`rhi.backends.cl.draws`). What is bound (`.bindings`), and
+  states that are data for kernels, are columns of a draw's row.
 - `stale` says that pass, program or states changed: the next draw looks up its pipeline and view, in a memo.
 - A draw's prepared part is kept with its caller (`prepare_draw`) until the indices that it names change.
 - Indirect draws are read back and become plain draws; so are counts.
@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.cl.assembly import Assembler
+from rhi.backends.cl.bindings import COLUMNS, Bindings
 from rhi.backends.cl.builds import Builds, Kernel
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.counters import Counters
@@ -40,6 +41,7 @@ from rhi.backends.cl.memory import Addresses, IndexList, Retired
 from rhi.backends.cl.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.resources import Buffers, Plane, Textures
 from rhi.backends.cl.samplers import Samplers
+from rhi.backends.cl.states import Slots
 from rhi.backends.cl.surfaces import Surface, Target, color_clear, depth_clear, stencil_clear
 from rhi.backends.cl.tables import GROUP, MAX_STREAMS
 from rhi.backends.cl.targets import MergerKey, make_key
@@ -61,23 +63,8 @@ from rhi.states import DEFAULTS, MAX_TARGETS, PER_TARGET
 
 __rhi_internal__ = True
 
-_SLOTS: Final = {
-    BindingKind.UNIFORM: 12,
-    BindingKind.STORAGE: 8,
-    BindingKind.TEXTURE: 16,
-    BindingKind.IMAGE: 8,
-}
 _MAX_MEMO: Final = 4096
 _COMMAND: Final = np.dtype([(name, "u4") for name in ("count", "instances", "first", "third", "fourth")])
-
-
-def _columns() -> dict[tuple[BindingKind, int], int]:
-    """Where each slot's two words lie in the list of what is bound."""
-    slots = [(kind, slot) for kind, count in _SLOTS.items() for slot in range(count)]
-    return {slot: FIXED_COLUMNS + 2 * place for place, slot in enumerate(slots)}
-
-
-COLUMNS: Final = _columns()
 
 
 class _Array:
@@ -115,17 +102,19 @@ class Rasteriser:
     """All that draws on one device.
 
     Attributes:
+        bindings: what is bound.
         works: whether the device can do it, see `rhi.backends.cl.memory`.
         values: the state of each type that holds now.
         stale: whether the next draw has to look up what it is drawn with.
         retired: memory to be kept until the next fence value has passed.
     """
 
-    def __init__(self, context: Context, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
+    def __init__(
+        self, context: Context, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers
+    ) -> None:
         self._context = context
         self._buffers = buffers
         self._textures = textures
-        self._samplers = samplers
         self._addresses = Addresses(context)
         self.works = self._addresses.work
         self.retired = Retired()
@@ -135,11 +124,11 @@ class Rasteriser:
         self._programs: dict[Id, _Program] = {}
         self._arrays: dict[Id, _Array] = {}
         self._versions: dict[Id, list[int]] = {}
-        self._found: dict[Id, dict[object, int]] = {}  # addresses, by resource and part
         self._lists = DrawLists(self._batch.prepared)
         self._device_wrote: set[Id] = set()
-        self._bound: list[int] = [0] * (FIXED_COLUMNS + 2 * sum(_SLOTS.values()))
-        self._slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
+        self.bindings = Bindings(slots, self._addresses, buffers, textures, samplers)
+        self._bound = self.bindings.columns
+        self._slots = slots
         self._memo: dict[object, tuple[MergerKey, Kernel, bytes, dict[str, float]]] = {}
         self._program: _Program | None = None
         self._target: Target | None = None
@@ -198,7 +187,7 @@ class Rasteriser:
 
     def forget(self, resource: Id) -> None:
         """A buffer or texture is destroyed."""
-        self._found.pop(resource, None)
+        self.bindings.forget(resource)
         self._assembler.forget(resource)
         self._change_version(resource)
         self._versions.pop(resource, None)
@@ -260,46 +249,6 @@ class Rasteriser:
         self._program = self._programs.get(program)
         self.stale = True
 
-    def bind(self, kind: BindingKind, slot: int, what: tuple[int, ...]) -> None:
-        """What the binding commands are given, behind the slot."""
-        self._slots[kind, slot] = what
-        column = COLUMNS[kind, slot]
-        if kind in (BindingKind.UNIFORM, BindingKind.STORAGE):
-            buffer, offset, size = what
-            self._bound[column : column + 2] = self.find_buffer(buffer) + offset, size
-        else:
-            self._bound[column : column + 2] = self._find_texture(kind, what)
-
-    def prepare_uniform(self, buffer: Id, tell: dict[Any, Any]) -> Callable[[int, int, int], object]:
-        """A faster `bind` of a buffer's parts; `tell` is where they are noted, too."""
-        bound, start, mine = self._bound, self.find_buffer(buffer), self._slots
-        keys = [(BindingKind.UNIFORM, slot) for slot in range(_SLOTS[BindingKind.UNIFORM])]
-        columns = [COLUMNS[key] for key in keys]
-
-        def bind(slot: int, offset: int, size: int) -> None:
-            bound[columns[slot]] = start + offset
-            tell[keys[slot]] = mine[keys[slot]] = buffer, offset, size
-
-        return bind
-
-    def find_buffer(self, buffer: Id) -> int:
-        """A buffer's address."""
-        return self._find(buffer, None, lambda: self._buffers[buffer].cl)
-
-    def _find_texture(self, kind: BindingKind, what: tuple[int, ...]) -> tuple[int, int]:
-        """The addresses of a texture's memory, and of the words about how it is bound."""
-        texture = self._textures[what[0]]
-        describe = self._samplers.describe if kind is BindingKind.TEXTURE else self._samplers.describe_image
-        words = self._find(what[0], (kind, *what[1:]), lambda: describe(texture, *what[1:]))
-        return self._find(what[0], False, lambda: texture.levels[0].memory), words
-
-    def _find(self, resource: Id, part: object, get: Callable[[], cl.Buffer]) -> int:
-        found = self._found.setdefault(resource, {})
-        address = found.get(part)
-        if address is None:
-            address = found[part] = self._addresses.find(get())
-        return address
-
     def _make_surface(
         self, attachment: Attachment | DepthAttachment, planes: Sequence[Plane], clear: bytes | None,
         stencil: bool = False,
@@ -309,7 +258,7 @@ class Rasteriser:
         if clear is not None:
             self._textures[attachment.texture].changes += 1
             self._clears = True
-        address = self._find(attachment.texture, stencil, lambda: plane.memory)
+        address = self.bindings.find_plane(attachment.texture, plane, stencil)
         samples = self._textures[attachment.texture].descriptor.samples
         return Surface(plane, attachment.layer, samples, address, clear)
 
@@ -459,7 +408,7 @@ class Rasteriser:
         if assembly.memory is not None:
             indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
         elif assembly.indexed:
-            indices = self.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
+            indices = self.bindings.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
             index_bytes = made.index_format.size
         base = assembly.base + (base_vertex if made.index_buffer else 0)
         row["indices"], row["index_bytes"] = indices, index_bytes
@@ -475,7 +424,7 @@ class Rasteriser:
         row["base_instance"], row["box"] = base_instance, 0
         prepared.arrays[place.number], prepared.seen[place.number] = array.id, False
         prepared.streams[place.number, : len(made.streams)] = [
-            self.find_buffer(stream.buffer) + stream.offset for stream in made.streams
+            self.bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
         ]
 
     def flush(self) -> None:

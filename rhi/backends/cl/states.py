@@ -5,16 +5,22 @@ OpenCL knows none of these: a kernel has arguments, and labels only serve to say
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 from rhi.descriptors import BindingKind, Id, PassDescriptor
 
 __rhi_internal__ = True
+
+
+Slots: TypeAlias = dict[tuple[BindingKind, int], tuple[int, ...]]
+"""What is bound, by kind and slot: the arguments of the binding command behind the slot."""
 
 
 class States:
     """Of one device.
 
     Attributes:
-        slots: what is bound, by kind and slot: the arguments of the binding command behind the slot.
+        slots: what is bound.
         labels: the open ones, outermost first.
     """
 
@@ -22,7 +28,7 @@ class States:
 
     def __init__(self) -> None:
         self.program: Id = 0
-        self.slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
+        self.slots: Slots = {}
         self.render_pass = PassDescriptor((0, 0))
         self.labels: list[str] = []
 
