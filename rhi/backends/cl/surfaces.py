@@ -105,7 +105,7 @@ class Target:
 
 def color_clear(attachment: Attachment, format: Format) -> bytes | None:
     """The texel that a color target begins with, if it is cleared."""
-    return None if attachment.clear is None else _encode(format, tuple(attachment.clear)[: format.channels])
+    return None if attachment.clear is None else _encode(format, attachment.clear[: format.channels])
 
 
 def depth_clear(attachment: DepthAttachment, format: Format) -> bytes | None:
@@ -118,6 +118,11 @@ def stencil_clear(attachment: DepthAttachment) -> bytes | None:
     return None if attachment.clear_stencil is None else bytes([attachment.clear_stencil & 0xFF])
 
 
+def _encode(format: Format, values: Sequence[float]) -> bytes:
+    return _encode_bits(format, np.array(values, np.float64).tobytes())
+
+
 @lru_cache(256)
-def _encode(format: Format, values: tuple[float, ...]) -> bytes:
-    return encode(format, np.array(values, np.float64)).tobytes()
+def _encode_bits(format: Format, values: bytes) -> bytes:
+    """By bits, since -0.0 equals 0.0."""
+    return encode(format, np.frombuffer(values, np.float64)).tobytes()

@@ -3,12 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 
 import rhi
-from rhi import BlendFunction, ColorWrite, DepthTest, DepthWrite, Device, Format
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    Mesh,
+    Program,
+    State,
+    Texture,
+)
 from rhi.backends.cl import memory, resources
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
@@ -39,36 +52,55 @@ def fills(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     return filled
 
 
-def test_draws_clear_what_they_draw_into(device: Device, fills: list[bytes]) -> None:
+@dataclass
+class Scene:
+    """Two targets, and what covers them."""
+
+    image: Texture
+    depth: Texture
+    mesh: Mesh
+    program: Program[Any]
+
+
+@pytest.fixture
+def scene(device: Device) -> Iterator[Scene]:
+    program = device.program(Colored)
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.D32F) as depth,
         device.mesh(rectangle()) as mesh,
     ):
-        program = device.program(Colored)
-        fills.clear()
-        with device.render_pass(image, depth, clear=RED, clear_depth=0.25):
-            device.draw(program, mesh)
-        assert fills == []
+        yield Scene(image, depth, mesh, program)
 
 
-def test_what_no_draw_of_the_pass_draws_into_is_filled(device: Device, fills: list[bytes]) -> None:
+def test_draws_clear_what_they_draw_into(device: Device, scene: Scene, fills: list[bytes]) -> None:
+    with device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25):
+        device.draw(scene.program, scene.mesh)
+    assert fills == []
+
+
+@pytest.mark.parametrize(
+    ("states", "filled"),
+    [((DepthTest.OFF, DepthWrite.OFF), np.float32(0.25).tobytes()), ((ColorWrite.OFF,), b"\xff\0\0\xff")],
+    ids=["depth", "color"],
+)
+def test_what_no_draw_of_the_pass_draws_into_is_filled(
+    device: Device, scene: Scene, fills: list[bytes], states: tuple[State, ...], filled: bytes
+) -> None:
     with (
-        device.texture(SIZE, Format.RGBA8) as image,
-        device.texture(SIZE, Format.D32F) as depth,
-        device.mesh(rectangle()) as mesh,
+        device.render_pass(scene.image, scene.depth, clear=RED, clear_depth=0.25),
+        device.states(*states),
     ):
-        program = device.program(Colored)
-        fills.clear()
-        with (
-            device.render_pass(image, depth, clear=RED, clear_depth=0.25),
-            device.states(DepthTest.OFF, DepthWrite.OFF),
-        ):
-            device.draw(program, mesh)
-        assert fills == [np.float32(0.25).tobytes()]
-        with device.render_pass(image, depth, clear=RED, clear_depth=0.25), device.states(ColorWrite.OFF):
-            device.draw(program, mesh)
-        assert fills[1:] == [b"\xff\0\0\xff"]
+        device.draw(scene.program, scene.mesh)
+    assert fills == [filled]
+
+
+def test_a_clear_to_minus_zero_is_none_to_zero(device: Device) -> None:
+    with device.texture(SIZE, Format.R32F) as image:
+        for zero in (0.0, -0.0):
+            with device.render_pass(image, clear=(zero, 0, 0, 0)):
+                pass
+            assert (np.signbit(image.read()) == np.signbit(zero)).all()
 
 
 def test_a_clear_is_done_although_its_draws_fail(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
