@@ -249,8 +249,10 @@ SINGLE raster(ulong address) {
     const Targets targets = open_targets(TARGET_ARGUMENTS);
     const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of what lies in the target, whole blocks
     const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
-    const uint staged = STAGES_DEPTH && DEPTH_WRITES && place >= 0 ? 1u << COLOR_COUNT : 0u;
-    if (cleared & ~staged) clear_targets(&targets, target_places, cleared & ~staged, tile_x, tile_y, width, height);
+    // Depth that is staged and stored is cleared where it is staged.
+    const bool fills = STAGES_DEPTH && DEPTH_WRITES && place >= 0 && cleared >> COLOR_COUNT & 1;
+    const uint in_memory = cleared ^ (uint)fills << COLOR_COUNT;
+    if (in_memory) clear_targets(&targets, target_places, in_memory, tile_x, tile_y, width, height);
     if (place < 0) return;
 #if STAGES_DEPTH
     float16 blocks[PARTS * PARTS * PART_BLOCKS];
@@ -260,7 +262,7 @@ SINGLE raster(ulong address) {
         for (int i = 0; i < PARTS * PARTS * PART_BLOCKS; ++i) blocks[i] = (float16)(NEARER);
 #endif
     const float fresh_depth = as_float(*CLEAR_TEXEL(target_places, COLOR_COUNT));
-    if (cleared & staged) fill_blocks(blocks, width, height, fresh_depth);
+    if (fills) fill_blocks(blocks, width, height, fresh_depth);
     else stage_depth(&targets, tile_x, tile_y, width, height, blocks, false);
 #if BOUNDS_DEPTH
     float16 block_bounds[PARTS * PARTS];
@@ -271,11 +273,11 @@ SINGLE raster(ulong address) {
         bounds[part] = find_farthest(block_bounds[part]); \
         writes[part] = 0; }
     for (int part = 0; part < PARTS * PARTS; ++part) {
-        if (!(cleared & staged) && !batch->bounded) {
+        if (!fills && !batch->bounded) {
             FIND_BOUNDS(part)
             continue;
         }
-        bounds[part] = cleared & staged ? fresh_depth : left_bounds[part / PARTS * bounds_pitch + part % PARTS];
+        bounds[part] = fills ? fresh_depth : left_bounds[part / PARTS * bounds_pitch + part % PARTS];
         block_bounds[part] = bounds[part];
         writes[part] = 0;
     }

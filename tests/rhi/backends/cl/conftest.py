@@ -1,13 +1,15 @@
-"""An OpenCL backend per test; one costs 2 ms when PoCL has the probe kernel on disk."""
+"""What tests of the OpenCL backend share. A backend costs 2 ms when PoCL has the probe kernel on disk."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from cl_kit import ClKit
 
 from rhi.backends.cl import create_backend
+from rhi.backends.cl.builds import Kernel
 
 
 @pytest.fixture
@@ -15,3 +17,17 @@ def cl_kit() -> Iterator[ClKit]:
     kit = ClKit(create_backend())
     yield kit
     kit.close()
+
+
+@pytest.fixture
+def launches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """The names of the kernels that draws launch."""
+    names: list[str] = []
+    launch = Kernel.launch
+
+    def note(kernel: Any, queue: Any, batch: int, items: int) -> Any:
+        names.append(kernel._kernel.function_name)
+        return launch(kernel, queue, batch, items)
+
+    monkeypatch.setattr(Kernel, "launch", note)
+    return names

@@ -27,7 +27,7 @@ from rhi import (
     Primitive,
     Viewport,
 )
-from rhi.backends.cl import boxes, draws, pipelines
+from rhi.backends.cl import boxes, draws
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.cl.tables import GROUP
 from rhi.shading import (
@@ -104,20 +104,6 @@ class Shifted(Shader):
 def device() -> Iterator[Device]:
     with rhi.create_device("cl") as made:
         yield made
-
-
-@pytest.fixture
-def launches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of the kernels that draws launch."""
-    names: list[str] = []
-    launch = pipelines.Kernel.launch
-
-    def note(kernel: Any, queue: Any, batch: int, items: int) -> Any:
-        names.append(kernel._kernel.function_name)
-        return launch(kernel, queue, batch, items)
-
-    monkeypatch.setattr(pipelines.Kernel, "launch", note)
-    return names
 
 
 def triangles(seed: int = 0, count: int = VERTICES) -> NDArray[Any]:

@@ -24,7 +24,7 @@ from rhi import (
     StencilTest,
     Viewport,
 )
-from rhi.backends.cl import context, draws, memory, pipelines
+from rhi.backends.cl import context, draws, memory
 from rhi.backends.cl.backend import ClBackend
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
@@ -83,20 +83,6 @@ def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
     monkeypatch.setattr(context, "probe", lambda made, queue: (probe(made, queue)[0], False))
     with rhi.create_device("cl") as made:
         yield made
-
-
-@pytest.fixture
-def launches(monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The names of the kernels that draws launch."""
-    names: list[str] = []
-    launch = pipelines.Kernel.launch
-
-    def note(kernel: Any, queue: Any, batch: int, items: int) -> Any:
-        names.append(kernel._kernel.function_name)
-        return launch(kernel, queue, batch, items)
-
-    monkeypatch.setattr(pipelines.Kernel, "launch", note)
-    return names
 
 
 def random_corners(count: int, seed: int = 0) -> NDArray[Any]:

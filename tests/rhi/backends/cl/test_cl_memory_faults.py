@@ -6,7 +6,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pyopencl as cl
@@ -60,47 +60,61 @@ class Ramp(Shader):
             self.values[i] = float(i)
 
 
-def work(device: Device) -> list[NDArray[Any]]:
+Results: TypeAlias = list[NDArray[Any]]
+Keep: TypeAlias = Callable[[Any], Any]
+
+
+def gives_back(do: Callable[[Device, Keep], Results]) -> Callable[[Device], Results]:
+    """`do`; what it tells to keep is destroyed in the end. Not by contextlib, whose frames would stand on the stack."""
+
+    def run(device: Device) -> Results:
+        made: list[Any] = []
+
+        def keep(thing: Any) -> Any:
+            made.append(thing)
+            return thing
+
+        try:
+            return do(device, keep)
+        finally:
+            for thing in reversed(made):
+                thing.destroy()
+
+    return run
+
+
+@gives_back
+def work(device: Device, keep: Keep) -> Results:
     """A bit of all that takes memory; gives back what it made."""
-    made: list[Any] = []
-
-    def keep(thing: Any) -> Any:
-        made.append(thing)
-        return thing
-
-    try:
-        image = keep(device.texture((64, 64), Format.RGBA8, levels=None))
-        depth = keep(device.texture((64, 64), Format.D24S8))
-        several = keep(device.texture((64, 64), Format.RGBA8, samples=4))
-        target = keep(device.texture((64, 64), Format.RGBA8))
-        strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.TRIANGLE_STRIP))
-        rng = np.random.default_rng(0)
-        places = np.zeros((3000, 4))
-        places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(
-            -0.1, 0.1, (3000, 2)
-        )
-        places[:, 2:] = 0.75, 1.0
-        many = keep(device.mesh(corners(places, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
-        values = keep(device.storage(float, 1000))
-        query = keep(device.occlusion_query())
-        colored, painted = keep(device.program(Colored)), keep(device.program(Painted))
-        ramp = keep(device.program(Ramp))
-        with (
-            device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
-            device.states(CullMode.NONE, BlendFunction.ADDITIVE),
-            query,
-        ):
-            device.draw(colored, strip)
-            device.draw(colored, many)
-        image.generate_mipmaps()
-        image.copy_to(image, region=Region(0, 0, 8, 8), target_level=1)
-        with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(CullMode.NONE):
-            device.draw(painted, strip, image=image)
-        device.dispatch(ramp, 63, values=values)
-        return [image.read(), image.read(1), target.read(), values.read(), np.array([query.wait()])]
-    finally:
-        for thing in reversed(made):
-            thing.destroy()
+    image = keep(device.texture((64, 64), Format.RGBA8, levels=None))
+    depth = keep(device.texture((64, 64), Format.D24S8))
+    several = keep(device.texture((64, 64), Format.RGBA8, samples=4))
+    target = keep(device.texture((64, 64), Format.RGBA8))
+    strip = keep(device.mesh(rectangle()[[0, 1, 2, 5]], primitive=Primitive.TRIANGLE_STRIP))
+    rng = np.random.default_rng(0)
+    places = np.zeros((3000, 4))
+    places[:, :2] = np.repeat(rng.uniform(-1, 1, (1000, 2)), 3, axis=0) + rng.uniform(
+        -0.1, 0.1, (3000, 2)
+    )
+    places[:, 2:] = 0.75, 1.0
+    many = keep(device.mesh(corners(places, (1, 0.5, 0, 1)), np.arange(3000, dtype=np.uint16)))
+    values = keep(device.storage(float, 1000))
+    query = keep(device.occlusion_query())
+    colored, painted = keep(device.program(Colored)), keep(device.program(Painted))
+    ramp = keep(device.program(Ramp))
+    with (
+        device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.5),
+        device.states(CullMode.NONE, BlendFunction.ADDITIVE),
+        query,
+    ):
+        device.draw(colored, strip)
+        device.draw(colored, many)
+    image.generate_mipmaps()
+    image.copy_to(image, region=Region(0, 0, 8, 8), target_level=1)
+    with device.render_pass(several, clear=(0, 0, 0, 1), resolve=target), device.states(CullMode.NONE):
+        device.draw(painted, strip, image=image)
+    device.dispatch(ramp, 63, values=values)
+    return [image.read(), image.read(1), target.read(), values.read(), np.array([query.wait()])]
 
 
 class Allocations:
@@ -166,42 +180,33 @@ def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> No
     assert all(error.tip for error in errors)
 
 
-def move(device: Device) -> list[NDArray[Any]]:
+@gives_back
+def move(device: Device, keep: Keep) -> Results:
     """A bit of all that moves memory about, and of what waits for it; gives back what it made."""
-    made: list[Any] = []
-
-    def keep(thing: Any) -> Any:
-        made.append(thing)
-        return thing
-
-    try:
-        size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
-        image, copy = keep(device.texture(size, Format.RGBA8)), keep(device.texture(size, Format.RGBA8))
-        several, target = (keep(device.texture(size, Format.RGBA8, samples=n)) for n in (4, 1))
-        mesh = keep(device.mesh(rectangle(), np.arange(6, dtype=np.uint32)))
-        numbers, others = keep(device.buffer(np.arange(64, dtype=np.uint32))), keep(device.buffer(64, "u4"))
-        arguments, groups = keep(device.buffer(mesh.draws())), keep(device.buffer(np.array([4, 1, 1], "u4")))
-        values, query = keep(device.storage(float, 64)), keep(device.occlusion_query())
-        colored, ramp = keep(device.program(Colored)), keep(device.program(Ramp))
-        image.write(texels)
-        image.copy_to(copy, region=Region(0, 0, 8, 16))
-        others.clear(7)
-        numbers.copy_to(others, size=128)
-        device.dispatch_indirect(ramp, groups, values=values)
-        with device.event("frame"):
-            with device.render_pass(several, clear=(0, 0, 0, 1)), query:
-                device.draw_indirect(colored, mesh, IndirectDraws(arguments, 1))
-            with device.render_pass(several), device.conditional(query):
-                device.draw(colored, mesh)
-            with device.render_pass(target, clear=(0, 1, 0, 1)):
-                pass
-        several.resolve_to(target)
-        device.present(target)
-        device.finish()
-        return [copy.read(), others.read(), values.read(), target.read(), np.array([query.wait()])]
-    finally:
-        for thing in reversed(made):
-            thing.destroy()
+    size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
+    image, copy = keep(device.texture(size, Format.RGBA8)), keep(device.texture(size, Format.RGBA8))
+    several, target = (keep(device.texture(size, Format.RGBA8, samples=n)) for n in (4, 1))
+    mesh = keep(device.mesh(rectangle(), np.arange(6, dtype=np.uint32)))
+    numbers, others = keep(device.buffer(np.arange(64, dtype=np.uint32))), keep(device.buffer(64, "u4"))
+    arguments, groups = keep(device.buffer(mesh.draws())), keep(device.buffer(np.array([4, 1, 1], "u4")))
+    values, query = keep(device.storage(float, 64)), keep(device.occlusion_query())
+    colored, ramp = keep(device.program(Colored)), keep(device.program(Ramp))
+    image.write(texels)
+    image.copy_to(copy, region=Region(0, 0, 8, 16))
+    others.clear(7)
+    numbers.copy_to(others, size=128)
+    device.dispatch_indirect(ramp, groups, values=values)
+    with device.event("frame"):
+        with device.render_pass(several, clear=(0, 0, 0, 1)), query:
+            device.draw_indirect(colored, mesh, IndirectDraws(arguments, 1))
+        with device.render_pass(several), device.conditional(query):
+            device.draw(colored, mesh)
+        with device.render_pass(target, clear=(0, 1, 0, 1)):
+            pass
+    several.resolve_to(target)
+    device.present(target)
+    device.finish()
+    return [copy.read(), others.read(), values.read(), target.read(), np.array([query.wait()])]
 
 
 class Commands:
