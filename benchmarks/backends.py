@@ -28,12 +28,12 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
+from renderer.content import find_path, load_scene
 from renderer.measure import alternate
 from renderer.measure.backends import BackendPasses, DepthShader
-from renderer.scene import find_path, load_scene
 from rhi import CullMode, Device, Format, Mesh
+from rhi.contract.texels import encode
 from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, dot, max, vec2, vec3, vec4
-from rhi.texels import encode
 
 BACKENDS = ("gl", "cl")
 SIZE = (1280, 720)

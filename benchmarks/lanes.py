@@ -31,9 +31,9 @@ import pyopencl as cl
 from opencl_runner import Kernel, queue
 
 import renderer
-from rhi.descriptors import BindingKind, SamplerDescriptor, Stage
-from rhi.formats import Format
-from rhi.layout import Layout, element_dtype
+from rhi.contract.descriptors import BindingKind, SamplerDescriptor, Stage
+from rhi.contract.formats import Format
+from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import (
     HostTexture,
     Precision,

@@ -25,9 +25,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
+from renderer.content import BUILT_IN, load_scene
 from renderer.measure import alternate
 from renderer.renderer import Renderer
-from renderer.scene import BUILT_IN, Camera, Scene, SceneBuilder, load_scene, scaling, translation
+from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply
 from renderer.visibility import ChcPlusPlus
 

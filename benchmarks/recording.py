@@ -20,8 +20,8 @@ from scenes import Scene
 import rhi
 from renderer.measure import alternate
 from rhi.backends.null import create_backend
-from rhi.descriptors import Primitive
-from rhi.recorder import Recorder
+from rhi.commands.recorder import Recorder
+from rhi.contract.descriptors import Primitive
 
 
 def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:

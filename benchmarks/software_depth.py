@@ -22,10 +22,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
 from renderer.cli.arguments import parse_size
-from renderer.scene import Scene, load_scene
+from renderer.content import load_scene
+from renderer.scene import Scene
 from renderer.visibility import FrustumCulling, SoftwareDepth, find_visible_objects
-from renderer.visibility.bounds import find_near, pad_boxes
-from renderer.visibility.occluder_depth import OccluderDepth
+from renderer.visibility.boxes.bounds import find_near, pad_boxes
+from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import BACKEND, OCCLUDERS
 
 TARGET = 2.0

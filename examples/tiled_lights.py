@@ -50,6 +50,7 @@ from rhi.shading import (
     clamp,
     distance,
     dot,
+    evaluate,
     exp,
     float_bits_to_int,
     fragment_coordinate,
@@ -254,7 +255,7 @@ class Renderer:
         self.tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.depth_only, self.shadow_only = device.program(Depth), device.program(Shadow)
         self.find_lamps, self.lit = device.program(FindLamps), device.program(Lit)
-        self.sky = (*film_curve.evaluate(HAZE).tolist(), 1.0)  # the shader's function, run on NumPy
+        self.sky = (*evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, run on NumPy
         self.image = device.texture(size, Format.RGBA8_SRGB, label="image")
         self.colors = device.texture(size, Format.RGBA8_SRGB, samples=samples, label="samples of color")
         self.depths = device.texture(size, Format.D32F, samples=samples, label="samples of depth")

@@ -12,13 +12,12 @@ Write a renderer once against `Device`; run it on OpenGL, or on the null device 
 Drivers are loaded when a device is made, not when this package is imported.
 """
 
-from rhi.backend import Backend, Capabilities
-from rhi.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
-from rhi.command_buffer import CommandBuffer
-from rhi.commands import Command, CommandStream, Op, Refusal
-from rhi.containers import FixedQueue, FixedStack
-from rhi.core import Statistics
-from rhi.descriptors import (
+from rhi.commands.recorder import Recorder
+from rhi.commands.stream import Command, CommandStream, Op, Refusal
+from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.descriptors import (
+    DRAW,
+    DRAW_UNINDEXED,
     Access,
     BufferUsage,
     Filter,
@@ -31,20 +30,8 @@ from rhi.descriptors import (
     VertexFormat,
     Wrap,
 )
-from rhi.device import Device
-from rhi.encoder import Encoder, IndirectDraws
-from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
-from rhi.formats import Format, IndexFormat
-from rhi.immediate import Immediate, TransientMemory
-from rhi.mesh import DRAW, DRAW_UNINDEXED, Mesh
-from rhi.passes import RenderPass
-from rhi.program import Program
-from rhi.queries import OcclusionQuery, TimerNode
-from rhi.query_sets import QuerySet
-from rhi.recorder import Recorder
-from rhi.registry import backend_names, create_device, report
-from rhi.state_cache import StateChange, StateScope, StateVector
-from rhi.states import (
+from rhi.contract.formats import Format, IndexFormat
+from rhi.contract.states import (
     AlphaFunction,
     AlphaReference,
     AlphaTest,
@@ -64,6 +51,7 @@ from rhi.states import (
     PolygonOffset,
     Scissor,
     State,
+    StateChange,
     StencilBack,
     StencilFront,
     StencilOperation,
@@ -73,7 +61,24 @@ from rhi.states import (
     StencilWriteMask,
     Viewport,
 )
-from rhi.textures import Sampler, Texture, TextureTarget
+from rhi.device.command_buffer import CommandBuffer
+from rhi.device.core.containers import FixedQueue, FixedStack
+from rhi.device.core.core import Statistics
+from rhi.device.core.state_cache import StateScope, StateVector
+from rhi.device.device import Device
+from rhi.device.encoder import Encoder, IndirectDraws
+from rhi.device.immediate import Immediate
+from rhi.device.passes import RenderPass
+from rhi.device.queries.occlusion import OcclusionQuery
+from rhi.device.queries.sets import QuerySet
+from rhi.device.queries.timers import TimerNode
+from rhi.device.registry import backend_names, create_device, report
+from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
+from rhi.device.resources.meshes import Mesh
+from rhi.device.resources.programs import Program
+from rhi.device.resources.textures import Sampler, Texture, TextureTarget
+from rhi.device.transient import TransientMemory
+from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
 
 __version__ = "0.1.0"
 

@@ -17,10 +17,10 @@ from typing import Any, Final
 import numpy as np
 
 import rhi
-from rhi import accuracy
+from rhi.accuracy import report as accuracy
 from rhi.conformance.template import write_package
+from rhi.device.registry import BackendReport
 from rhi.errors import RhiError
-from rhi.registry import BackendReport
 from rhi.trace import cli as trace_cli
 
 __rhi_internal__ = True

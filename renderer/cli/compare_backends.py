@@ -12,9 +12,9 @@ import numpy as np
 
 from renderer.cli.arguments import add_command, add_scene, add_size, parse_count, parse_frame
 from renderer.cli.output import note, prepare_image, show_progress
+from renderer.content import find_path, load_scene
 from renderer.measure import format_table
 from renderer.measure.backends import PASSES, BackendRow, compare_backends
-from renderer.scene import find_path, load_scene
 
 _EXAMPLES = """\
   python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720

@@ -25,9 +25,10 @@ from renderer.cli.arguments import (
     parse_frame,
 )
 from renderer.cli.output import note, prepare_image, show_progress
+from renderer.content import find_path, load_scene
 from renderer.measure import format_table, measure_frame
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Simulator, find_path, load_scene
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Simulator
 from renderer.visibility import (
     ALGORITHMS,
     NoCulling,
@@ -35,7 +36,7 @@ from renderer.visibility import (
     list_algorithms,
     make_visibility,
 )
-from renderer.visibility.box_queries import TRIANGLES
+from renderer.visibility.boxes.cubes import TRIANGLES
 
 _EXAMPLES = """\
   python -m renderer compare visibility city --camera-path ground --frames 60

@@ -22,9 +22,17 @@ from renderer.cli.arguments import (
     parse_frame,
 )
 from renderer.cli.output import OutputError, note, prepare_image
-from renderer.debug import COLORS, MEANINGS, Fate, find_fates, picture_from_above, picture_from_camera
+from renderer.content import load_scene, parse_camera
+from renderer.measure.pictures import (
+    COLORS,
+    MEANINGS,
+    Fate,
+    find_fates,
+    picture_from_above,
+    picture_from_camera,
+)
 from renderer.renderer import Renderer
-from renderer.scene import FRAMES_PER_SECOND, load_scene, parse_camera
+from renderer.scene import FRAMES_PER_SECOND
 from renderer.visibility import ALGORITHMS, make_visibility
 
 _EXAMPLES = """\

@@ -12,9 +12,10 @@ from typing import Any
 import rhi
 from renderer.cli.arguments import add_command, add_size, parse_count
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.content import load_scene
 from renderer.measure import Measurement, alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
-from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND, load_scene
+from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
 from renderer.visibility import make_visibility
 
 _EXAMPLES = """\

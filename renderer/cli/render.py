@@ -21,18 +21,10 @@ from renderer.cli.arguments import (
     parse_frame,
 )
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.content import load_scene, parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.renderer import Renderer
-from renderer.scene import (
-    FRAMES_PER_SECOND,
-    Camera,
-    CameraPath,
-    Depth,
-    Orthographic,
-    Perspective,
-    load_scene,
-    parse_camera,
-)
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective
 from renderer.techniques import TECHNIQUES
 from renderer.visibility import ALGORITHMS, AutoCulling, make_visibility
 from rhi.trace import save

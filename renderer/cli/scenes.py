@@ -6,7 +6,7 @@ import argparse
 from typing import Any
 
 from renderer.cli.arguments import add_command
-from renderer.scene import GENERATORS
+from renderer.content import GENERATORS
 
 _EXAMPLES = """\
   python -m renderer scenes

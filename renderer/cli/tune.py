@@ -17,9 +17,10 @@ from typing import Any, ParamSpec, TypeVar
 import rhi
 from renderer.cli.arguments import add_backend, add_command, add_scene, add_size, add_walk, parse_count
 from renderer.cli.output import OutputError, note, show_progress
+from renderer.content import find_path, load_scene
 from renderer.measure import format_table
 from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
-from renderer.scene import CameraPath, find_path, load_scene
+from renderer.scene import CameraPath
 from renderer.visibility import Settings, list_algorithms
 
 P = ParamSpec("P")

@@ -14,7 +14,7 @@ from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
-from renderer.visibility.volumes import Side, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Side, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
 
 _DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from renderer import shaders
-from renderer.frame.lists import list_lights
+from renderer.lights.lists import list_lights
 from renderer.scene import Camera, Scene, Simulator, normal_matrices
 from renderer.visibility import SceneArrays
 from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, UniformBuffer

@@ -19,9 +19,10 @@ from renderer.frame import SceneResources, Targets
 from renderer.frame.passes import ScenePass
 from renderer.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import PARTS, Object, Place, Vertex, View, forward_variant, relative_position
+from renderer.shaders import Object, Place, Vertex, View, relative_position
 from renderer.techniques.forward import bind_forward
-from renderer.visibility.bounds import pad_boxes
+from renderer.techniques.forward_shader import PARTS, forward_variant
+from renderer.visibility.boxes.bounds import pad_boxes
 from rhi import (
     ColorWrite,
     DepthFunction,

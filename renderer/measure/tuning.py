@@ -20,10 +20,11 @@ from typing import Final
 import numpy as np
 
 import rhi
+from renderer.content import load_scene
 from renderer.measure.alternate import alternate
 from renderer.measure.frames import measure_frame
 from renderer.renderer import FrameStatistics, Renderer
-from renderer.scene import FRAMES_PER_SECOND, CameraPath, load_scene
+from renderer.scene import FRAMES_PER_SECOND, CameraPath
 from renderer.visibility import Settings, make_visibility
 
 Pair = tuple[int, int]

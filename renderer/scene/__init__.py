@@ -6,7 +6,6 @@ moved = scene.update(seconds=10.0)
 """
 
 from renderer.scene.camera import Camera, Depth, Frustum, Orthographic, Perspective, Plane, Projection
-from renderer.scene.library import GENERATORS, find_path, load_scene, parse_camera
 from renderer.scene.lights import (
     DIRECTIONAL,
     POINT,
@@ -18,25 +17,18 @@ from renderer.scene.lights import (
 )
 from renderer.scene.materials import MATERIAL, Image, make_material
 from renderer.scene.meshes import RANGE, VERTEX, Geometry, Meshes, make_geometry
-from renderer.scene.models import load_model
 from renderer.scene.nodes import Nodes
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
 from renderer.scene.scene import Objects, Scene, SceneBuilder
-from renderer.scene.shapes import BUILT_IN
 from renderer.scene.simulation import Simulated, Simulation, Simulator
-from renderer.scene.specs import Generator, Option
-from renderer.scene.textures import IMAGE_SIZE
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
 
 __rhi_internal__ = True
 
 __all__ = [
-    "BUILT_IN",
     "DIRECTIONAL",
     "FRAMES_PER_SECOND",
     "FRAME_COUNT",
-    "GENERATORS",
-    "IMAGE_SIZE",
     "MATERIAL",
     "POINT",
     "RANGE",
@@ -48,14 +40,12 @@ __all__ = [
     "CameraPath",
     "Depth",
     "Frustum",
-    "Generator",
     "Geometry",
     "Image",
     "Lights",
     "Meshes",
     "Nodes",
     "Objects",
-    "Option",
     "Orthographic",
     "Perspective",
     "Plane",
@@ -66,14 +56,10 @@ __all__ = [
     "Simulated",
     "Simulation",
     "Simulator",
-    "find_path",
-    "load_model",
-    "load_scene",
     "make_geometry",
     "make_material",
     "make_path",
     "normal_matrices",
-    "parse_camera",
     "relative_to",
     "rotation",
     "scaling",

@@ -1,6 +1,5 @@
 """Shaders of the renderer, in the shading language: shared structs, the lighting model, one class a technique."""
 
-from renderer.shaders.forward import PARTS, ForwardShader, forward_variant
 from renderer.shaders.lighting import (
     ambient_light,
     attenuation,
@@ -30,10 +29,8 @@ from renderer.shaders.structs import (
 )
 
 __all__ = [
-    "PARTS",
     "Ambient",
     "DirectionalLight",
-    "ForwardShader",
     "Haze",
     "Material",
     "MeshPart",
@@ -48,7 +45,6 @@ __all__ = [
     "ambient_light",
     "attenuation",
     "directional_light",
-    "forward_variant",
     "hemisphere",
     "point_light",
     "reflected_light",

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from renderer.frame import Frame, ScenePass, SceneResources
-from renderer.shaders import forward_variant
+from renderer.techniques.forward_shader import forward_variant
 from rhi import Device, Program
 
 

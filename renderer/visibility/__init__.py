@@ -13,19 +13,19 @@ from renderer import rules
 from renderer.scene import Scene
 from renderer.visibility.algorithm import DrawObjects, Statistics, VisibilityAlgorithm, find_visible_objects
 from renderer.visibility.auto import AutoCulling
-from renderer.visibility.chc import Chc
-from renderer.visibility.chc_plus_plus import ChcPlusPlus
-from renderer.visibility.conditional import ConditionalCulling
-from renderer.visibility.culling import Counts, Culler, find_visible
-from renderer.visibility.depth_pyramid import DepthPyramidCulling
-from renderer.visibility.device_culling import DeviceCulling
+from renderer.visibility.boxes.culling import Counts, Culler, find_visible
+from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
 from renderer.visibility.frustum import FrustumCulling, NoCulling, VolumeCulling
-from renderer.visibility.hierarchy import Hierarchy, build_by_area, build_by_median
+from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling
+from renderer.visibility.gpu.device_culling import DeviceCulling
+from renderer.visibility.gpu.two_pass import TwoPassCulling
+from renderer.visibility.queries.chc import Chc
+from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
+from renderer.visibility.queries.conditional import ConditionalCulling
+from renderer.visibility.queries.stop_and_wait import StopAndWait
 from renderer.visibility.scene_pass import DeviceList, SceneArrays
 from renderer.visibility.settings import Settings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
-from renderer.visibility.stop_and_wait import StopAndWait
-from renderer.visibility.two_pass import TwoPassCulling
 from rhi import Device
 
 __rhi_internal__ = True

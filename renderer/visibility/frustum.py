@@ -8,9 +8,9 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import DrawObjects, Statistics
-from renderer.visibility.culling import Counts, Culler
-from renderer.visibility.hierarchy import Floats, Rows, build_by_area, build_by_median
-from renderer.visibility.volumes import Fit, Side, classify, fit_aligned, fit_oriented, fit_spheres
+from renderer.visibility.boxes.culling import Counts, Culler
+from renderer.visibility.boxes.hierarchy import Floats, Rows, build_by_area, build_by_median
+from renderer.visibility.boxes.volumes import Fit, Side, classify, fit_aligned, fit_oriented, fit_spheres
 
 __rhi_internal__ = True
 

@@ -18,10 +18,10 @@ import numpy as np
 import rhi
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import DrawObjects, Statistics, find_visible_objects
-from renderer.visibility.bounds import find_near, pad_boxes, squared_distances
+from renderer.visibility.boxes.bounds import find_near, pad_boxes, squared_distances
+from renderer.visibility.boxes.hierarchy import Rows
 from renderer.visibility.frustum import FrustumCulling
-from renderer.visibility.hierarchy import Rows
-from renderer.visibility.occluder_depth import OccluderDepth
+from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.scene_pass import as_scene_pass
 
 __rhi_internal__ = True

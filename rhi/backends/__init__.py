@@ -1,1 +1,1 @@
-"""Implementations of `rhi.backend.Backend`: one package per platform, none importing another, no policy inside."""
+"""Implementations of `rhi.contract.Backend`: one package per platform. None imports another or holds any policy."""

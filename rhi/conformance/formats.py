@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhi import Device, Format
 from rhi.conformance.reference import largest, smallest
-from rhi.formats import Kind
+from rhi.contract.formats import Kind
 
 
 def require_format(device: Device, format: Format) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rhi import BlendFactor, BlendFunction, BlendOperation, Format, StencilOperation
-from rhi.formats import Kind
+from rhi.contract.formats import Kind
 
 Array = NDArray[Any]
 Float = NDArray[np.float64]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from rhi.backend import Backend
+from rhi.contract.backend import Backend
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,11 +15,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rhi.backend import Backend
 from rhi.conformance.steps import STEPS
+from rhi.contract.backend import Backend
+from rhi.device.registry import backend_names
 from rhi.errors import refuse
-from rhi.registry import backend_names
-from rhi.rules import DEVICE_ARGUMENT
+from rhi.errors.rules import DEVICE_ARGUMENT
 
 LINE: Final = 110
 
@@ -58,7 +58,7 @@ pytest --pyargs rhi.conformance --rhi-backend {name} --tb=line -q
 _INIT: Final = '''\
 """The {name} backend of rhi: `rhi.create_device("{name}")`."""
 
-from rhi import Backend
+from rhi.contract import Backend
 
 from rhi_{name}.backend import {type}
 
@@ -85,12 +85,17 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from rhi import Capabilities, Primitive, ProgramDescriptor, Region, SamplerDescriptor, StateChange
-from rhi.descriptors import (
+from rhi.contract import (
     BufferDescriptor,
+    Capabilities,
     Id,
     PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
     QueryKind,
+    Region,
+    SamplerDescriptor,
+    StateChange,
     TextureDescriptor,
     VertexArrayDescriptor,
 )
@@ -100,7 +105,7 @@ __rhi_internal__ = True  # call sites name the line that called rhi, not ours
 
 
 class {type}:
-    """One device; see `rhi.Backend`."""
+    """One device; see `rhi.contract.Backend`."""
 
     def __init__(self) -> None:
         self._capabilities = Capabilities(backend="{name}", device="unknown", driver="0.1.0")

@@ -2,15 +2,16 @@
 
 A shader is a class (`Shader`): its fields are its bindings, its methods its stages; structs are classes
 (`Struct`); helpers are methods or `@function`s. They are ordinary Python to editors and type checkers, and are
-parsed, not run: `compile_shader` makes a typed tree (`rhi.shading.tree`) and from it a program's descriptor.
+parsed, not run: `compile_shader` makes a typed tree (`rhi.shading.ir.tree`) and from it a program's descriptor.
 See docs/shading.md.
 """
 
 from typing import TYPE_CHECKING, Any
 
-from rhi.shading import functions, textures, vectors
-from rhi.shading.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
-from rhi.shading.bindings import (
+from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
+from rhi.shading.language import functions, textures, vectors
+from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
+from rhi.shading.language.bindings import (
     ImageBinding,
     Storage,
     StorageRange,
@@ -19,34 +20,38 @@ from rhi.shading.bindings import (
     Uniform,
     UniformRange,
 )
-from rhi.shading.builtins import Precision
-from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
-from rhi.shading.function import function, native
-from rhi.shading.functions import *  # noqa: F403
-from rhi.shading.shader import Shader, shared
-from rhi.shading.structs import Struct
-from rhi.shading.textures import *  # noqa: F403
-from rhi.shading.vectors import *  # noqa: F403
+from rhi.shading.language.builtins import Precision
+from rhi.shading.language.function import function, native
+from rhi.shading.language.functions import *  # noqa: F403
+from rhi.shading.language.shader import Shader, shared
+from rhi.shading.language.structs import Struct
+from rhi.shading.language.textures import *  # noqa: F403
+from rhi.shading.language.vectors import *  # noqa: F403
 
 if TYPE_CHECKING:
-    from rhi.shading.evaluate import run_compute
-    from rhi.shading.evaluate_stages import run_fragment, run_vertex
-    from rhi.shading.numpy_textures import HostTexture
+    from rhi.shading.evaluation.compute import evaluate, run_compute
+    from rhi.shading.evaluation.stages import run_fragment, run_vertex
+    from rhi.shading.numpy.kernel import NumpyKernel
+    from rhi.shading.numpy.textures import HostTexture
 
 __rhi_internal__ = True
 
 
 def __getattr__(name: str) -> Any:
-    if name == "run_compute":  # which few programs need, and which takes as long to import as all the rest
-        from rhi.shading.evaluate import run_compute
+    if name in ("evaluate", "run_compute"):  # few programs need it, and it takes as long to import as all the rest
+        from rhi.shading.evaluation import compute
 
-        return run_compute
+        return getattr(compute, name)
     if name in ("run_fragment", "run_vertex"):
-        from rhi.shading import evaluate_stages
+        from rhi.shading.evaluation import stages
 
-        return getattr(evaluate_stages, name)
+        return getattr(stages, name)
+    if name == "NumpyKernel":
+        from rhi.shading.numpy.kernel import NumpyKernel
+
+        return NumpyKernel
     if name == "HostTexture":
-        from rhi.shading.numpy_textures import HostTexture
+        from rhi.shading.numpy.textures import HostTexture
 
         return HostTexture
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
@@ -58,6 +63,7 @@ __all__ = [
     "HostTexture",
     "ImageBinding",
     "NoPerspective",
+    "NumpyKernel",
     "Precision",
     "Shader",
     "Storage",
@@ -68,6 +74,7 @@ __all__ = [
     "Uniform",
     "UniformRange",
     "compile_shader",
+    "evaluate",
     "function",
     "native",
     "opencl_kernel",

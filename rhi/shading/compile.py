@@ -6,31 +6,32 @@ import weakref
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Final
 
-from rhi.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageVarying
+from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageVarying
+from rhi.contract.layout import Layout, place, stride_of
 from rhi.errors import ShaderError, find_call_site
-from rhi.layout import Layout, place, stride_of
-from rhi.shading import rules, tree
-from rhi.shading.builtins import Precision
-from rhi.shading.expressions import Callee
-from rhi.shading.glsl_stage import StageOptions, write_stage
-from rhi.shading.interface import (
-    Interface,
+from rhi.shading.glsl.stages import StageOptions, write_stage
+from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Interface
+from rhi.shading.ir.text import StageText
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import Precision
+from rhi.shading.language.shader import Declaration, Memory, Shader
+from rhi.shading.language.types import VOID, ImageType, StorageType
+from rhi.shading.parser.interface import (
     check_fragment_input,
     fragment_outputs,
     varyings_of,
     varyings_read,
     vertex_inputs,
 )
-from rhi.shading.program import StageParser, find_method, signature
-from rhi.shading.shader import Declaration, Memory, Shader
-from rhi.shading.text import StageText
-from rhi.shading.types import VOID, ImageType, StorageType
-from rhi.shading.unused import check_bindings_are_used
+from rhi.shading.parser.signatures import Callee, find_method
+from rhi.shading.parser.stage import StageParser
+from rhi.shading.parser.unused import check_bindings_are_used
 
 __rhi_internal__ = True
 
 if TYPE_CHECKING:
-    from rhi.shading.lanes import Code
+    from rhi.shading.ir.lanes import Code
 
 # Lane code and OpenCL C are imported when a compute shader first needs them: they would be a tenth of the time
 # that `import rhi` takes.
@@ -44,7 +45,7 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
     """Parse and type-check a shader's stages; memoised for each class. Text is written when asked for.
 
     Raises:
-        ShaderError: the shader breaks a rule of `rhi.shading.rules`; the error shows the line.
+        ShaderError: the shader breaks a rule of `rhi.shading.language.rules`; the error shows the line.
     """
     known = _compiled.get(shader)
     if known is None:
@@ -88,7 +89,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
     )
     compute, checked, code = stages.get(Stage.COMPUTE), False, None
     if compute is not None:
-        from rhi.shading.lowering import has_lane_code, lower_compute
+        from rhi.shading.lowering.functions import has_lane_code, lower_compute
 
         # Barriers and races are judged by what differs within a work-group, which lane code knows.
         if has_lane_code(compute):
@@ -123,7 +124,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
 
 
 def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
-    """A compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl`).
+    """A compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl.writer`).
 
     Raises:
         ShaderError: the shader has no compute stage, uses what lanes haven't got, or breaks a rule.
@@ -156,7 +157,7 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
 
     def emit(self, language: str, stage: Stage) -> str:
         """The stage's text: "glsl"; of a compute stage "opencl1", "opencl4", "opencl8" or "opencl16", a kernel for so
-        many lanes, or "numpy" (`rhi.shading.numpy_kernel`); of others "opencl16" (`rhi.shading.opencl_stages`)."""
+        many lanes, or "numpy" (`rhi.shading.numpy.kernel`); of others "opencl16" (`rhi.shading.opencl.stages`)."""
         text = self._texts.get((language, stage))
         if text is None:
             text = self._texts[language, stage] = self._write(language, stage)
@@ -169,7 +170,7 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
         if stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
             return self._write_kernel(_KERNEL_WIDTHS[language])
         if stage is Stage.COMPUTE and language == "numpy":
-            from rhi.shading.numpy_kernel import write_kernel
+            from rhi.shading.numpy.kernel import write_kernel
 
             return StageText(write_kernel(self._lower(0)), ())
         if stage is not Stage.COMPUTE and language == "opencl16":
@@ -180,7 +181,7 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
 
     def _lower(self, width: int) -> Code:
         """The compute stage in lane code for so many lanes; 0: for whole arrays."""
-        from rhi.shading.lowering import lower_compute
+        from rhi.shading.lowering.functions import lower_compute
 
         if width == max(WIDTHS) and self._code is not None:
             code, self._code = self._code, None
@@ -191,8 +192,8 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
 
     def _write_kernel(self, width: int) -> StageText:
         """The compute stage for `width` lanes."""
-        from rhi.shading.lanes import Code
-        from rhi.shading.opencl import write_kernel
+        from rhi.shading.ir.lanes import Code
+        from rhi.shading.opencl.writer import write_kernel
 
         entry, options = self._stages[Stage.COMPUTE].entry, self._options
         if f"opencl{width}" in entry.native:
@@ -202,14 +203,16 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
 
     def _write_function(self, stage: Stage) -> StageText:
         """A vertex or fragment stage for 16 lanes."""
-        from rhi.shading.lowering_stages import lower_stage
-        from rhi.shading.opencl_stages import write_stage
+        from rhi.shading.lowering.bounds import bound_positions
+        from rhi.shading.lowering.stages import lower_stage
+        from rhi.shading.opencl.stages import write_stage
 
         options = self._options
         code = lower_stage(
             self._stages[stage], options.name, options.interface, self._varyings, checked=self._checked
         )
-        return write_stage(self._stages[stage], code, self._bindings, self._precision)
+        bounds = bound_positions(code) if stage is Stage.VERTEX else None
+        return write_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
 
     def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
         if stage not in self._origins:
@@ -236,7 +239,7 @@ def _entries(shader: type[Shader]) -> dict[Stage, Callee]:
 def _interface(entries: dict[Stage, Callee]) -> Interface:
     compute = entries.get(Stage.COMPUTE)
     if compute is not None:
-        described = signature(compute)
+        described = compute.signature
         if described.parameters or described.result != VOID:
             compute.source.refuse(
                 rules.INTERFACE,

@@ -11,11 +11,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from rhi.command_text import describe
-from rhi.commands import Command
-from rhi.descriptors import Binding, Id, ProgramDescriptor
-from rhi.ops import DRAWS, Op
-from rhi.states import MAX_TARGETS, PER_TARGET
+from rhi.commands.ops import DRAWS, Op
+from rhi.commands.stream import Command
+from rhi.commands.text import describe
+from rhi.contract.descriptors import Binding, Id, ProgramDescriptor
+from rhi.contract.states import MAX_TARGETS, PER_TARGET
 from rhi.testing.contents import Follower, UnknownContentsError, compare
 
 

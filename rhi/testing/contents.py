@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands import Command, CommandStream
-from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor
-from rhi.layout import Layout, element_dtype
-from rhi.ops import DRAWS, Context, Op
+from rhi.commands.context import Context
+from rhi.commands.ops import DRAWS, Op
+from rhi.commands.stream import Command, CommandStream
+from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
+from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Struct, value_type_of
 
 _EXECUTE = DRAWS | {Op.DISPATCH, Op.DISPATCH_INDIRECT}

@@ -13,11 +13,11 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import Final, NoReturn
 
-from rhi.commands import Command, Commands
-from rhi.device import Device
-from rhi.ops import DRAWS, Op
+from rhi.commands.ops import DRAWS, Op
+from rhi.commands.stream import Command, Commands
+from rhi.contract.states import State
+from rhi.device.device import Device
 from rhi.shading import Struct
-from rhi.states import State
 from rhi.testing.conditions import (
     Arguments,
     Condition,

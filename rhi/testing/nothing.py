@@ -11,10 +11,17 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rhi.commands import Command, CommandStream
-from rhi.descriptors import BindingKind, BufferDescriptor, PassDescriptor, Primitive, ProgramDescriptor, Stage
-from rhi.ops import DRAWS, Op
-from rhi.states import (
+from rhi.commands.ops import DRAWS, Op
+from rhi.commands.stream import Command, CommandStream
+from rhi.contract.descriptors import (
+    BindingKind,
+    BufferDescriptor,
+    PassDescriptor,
+    Primitive,
+    ProgramDescriptor,
+    Stage,
+)
+from rhi.contract.states import (
     AlphaFunction,
     AlphaTest,
     BlendFactor,

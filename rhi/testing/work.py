@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field
 from typing import Final
 
-from rhi.commands import Command, Commands
-from rhi.device import Device
-from rhi.ops import DRAWS, Op
+from rhi.commands.ops import DRAWS, Op
+from rhi.commands.stream import Command, Commands
+from rhi.device.device import Device
 from rhi.testing.conditions import bindings_of
 
 DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})

@@ -12,7 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, TypeVar
 
-from rhi.descriptors import (
+from rhi.commands.context import Context
+from rhi.commands.ops import Op
+from rhi.contract.descriptors import (
     BufferDescriptor,
     Id,
     PassDescriptor,
@@ -25,7 +27,6 @@ from rhi.descriptors import (
     TextureKind,
     VertexArrayDescriptor,
 )
-from rhi.ops import Context, Op
 from rhi.trace.archive import Reader
 from rhi.trace.rules import TRACE_REFERENCE, TRACE_SIZE
 

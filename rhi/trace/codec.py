@@ -15,17 +15,11 @@ from collections.abc import Sequence
 from functools import cache
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
-from rhi.backend import Backend
-from rhi.descriptors import (
-    Attribute,
-    Binding,
-    ProgramDescriptor,
-    Stage,
-)
+from rhi.commands.ops import Op
+from rhi.contract.backend import Backend
+from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage
+from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, StateChange
 from rhi.errors import RhiError, ShaderError
-from rhi.ops import Op
-from rhi.state_cache import StateChange
-from rhi.states import MAX_TARGETS, PER_TARGET, STATE_TYPES
 from rhi.trace.rules import TRACE_SOURCE
 
 __rhi_internal__ = True

@@ -18,11 +18,11 @@ from typing import Any, Final, overload
 
 import numpy as np
 
-from rhi.command_text import describe
-from rhi.commands import Command, CommandStream, Refusal
-from rhi.descriptors import Id, ProgramDescriptor
-from rhi.device import Device
-from rhi.ops import Op
+from rhi.commands.ops import Op
+from rhi.commands.stream import Command, CommandStream, Refusal
+from rhi.commands.text import describe
+from rhi.contract.descriptors import Id, ProgramDescriptor
+from rhi.device.device import Device
 from rhi.trace.align import align
 from rhi.trace.codec import encode, sources_of
 from rhi.trace.file import Trace
@@ -105,7 +105,6 @@ class _Node:
     index: int
     keys: list[Hashable] = field(default_factory=list)
     items: list[int | Refusal | _Node] = field(default_factory=list)
-
 
     def add_refusal(self, refusal: Refusal) -> None:
         self.keys.append((REFUSED, refusal.error, refusal.call, refusal.given, refusal.allowed))

@@ -22,11 +22,11 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.commands import Command, CommandStream, Failure, Refusal, find_site
-from rhi.descriptors import ProgramDescriptor, Region, TextureDescriptor
-from rhi.device import Device
+from rhi.commands.ops import Op
+from rhi.commands.stream import Command, CommandStream, Failure, Refusal, find_site
+from rhi.contract.descriptors import ProgramDescriptor, Region, TextureDescriptor
+from rhi.device.device import Device
 from rhi.errors import CallSite, refuse
-from rhi.ops import Op
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, Reader, Writer, source_name
 from rhi.trace.check import Checker
 from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from typing import Any, Final
 
-from rhi.backend import Capabilities
-from rhi.commands import CommandStream
-from rhi.descriptors import QueryKind, Stage
+from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.stream import CommandStream
+from rhi.contract.backend import Capabilities
+from rhi.contract.descriptors import QueryKind, Stage
+from rhi.contract.states import AlphaTest, AlphaToCoverage, StencilTest
 from rhi.errors import refuse
-from rhi.ops import WIDTHS, Op
-from rhi.states import AlphaTest, AlphaToCoverage, StencilTest
 from rhi.trace.rules import TRACE_CAPABILITY
 
 __rhi_internal__ = True

@@ -6,8 +6,8 @@ import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
-from rhi.descriptors import Id
-from rhi.ops import Op
+from rhi.commands.ops import Op
+from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True
 

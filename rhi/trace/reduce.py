@@ -20,10 +20,10 @@ from tempfile import TemporaryDirectory
 from types import FunctionType
 from typing import Final
 
-from rhi.commands import CommandStream
-from rhi.descriptors import Stage
+from rhi.commands.ops import DRAWS, Op
+from rhi.commands.stream import CommandStream
+from rhi.contract.descriptors import Stage
 from rhi.errors import RhiError, refuse
-from rhi.ops import DRAWS, Op
 from rhi.trace.file import Trace, save
 from rhi.trace.ids import ids_of
 from rhi.trace.rules import TRACE_PREDICATE

@@ -18,14 +18,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands import CommandStream, Failure, Refusal
-from rhi.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
-from rhi.device import Device
+from rhi.commands.context import Context
+from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.stream import CommandStream, Failure, Refusal
+from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
+from rhi.contract.states import STATE_TYPES, StateChange, default_values
+from rhi.device.device import Device
 from rhi.errors import RhiError, refuse
-from rhi.ops import WIDTHS, Context, Op
-from rhi.rules import PASS_OPEN
-from rhi.state_cache import StateChange, default_values
-from rhi.states import STATE_TYPES
+from rhi.errors.rules import PASS_OPEN
 from rhi.trace.file import Trace, as_trace
 from rhi.trace.fit import check_fit
 from rhi.trace.ids import ID_ARGUMENTS, map_ids

@@ -12,8 +12,8 @@ import pytest
 
 import rhi
 from renderer.cli import main
+from renderer.content import find_path, load_scene
 from renderer.measure.backends import PASSES, BackendPasses, compare_backends
-from renderer.scene import find_path, load_scene
 
 SCENE = "city:blocks=6"
 

@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renderer.scene import Camera, Depth, Orthographic, Perspective
-from renderer.visibility import Culler, build_by_area, build_by_median, culling, find_visible
+from renderer.visibility import Culler, build_by_area, build_by_median, find_visible
+from renderer.visibility.boxes import culling
 
 
 def make_boxes(count, seed=0, spread=100.0, extent=5.0):

@@ -11,7 +11,8 @@ from PIL import Image
 
 import rhi
 from renderer.cli import main
-from renderer.debug import (
+from renderer.content import BUILT_IN
+from renderer.measure.pictures import (
     COLORS,
     Fate,
     find_edges,
@@ -21,7 +22,7 @@ from renderer.debug import (
     picture_from_camera,
 )
 from renderer.renderer import Renderer
-from renderer.scene import BUILT_IN, Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
+from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply
 from renderer.visibility import FrustumCulling, StopAndWait
 

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from renderer.scene import Camera, load_scene
+from renderer.content import load_scene
+from renderer.scene import Camera
 from renderer.visibility import (
     FrustumCulling,
     NoCulling,

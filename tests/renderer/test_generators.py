@@ -4,9 +4,9 @@
 import numpy as np
 import pytest
 
-from renderer.scene import IMAGE_SIZE, load_scene
-from renderer.scene.buildings import KINDS, make_building
-from renderer.scene.city import PITCH, STREET
+from renderer.content import IMAGE_SIZE, load_scene
+from renderer.content.buildings import KINDS, make_building
+from renderer.content.city import PITCH, STREET
 
 SCENES = ["city:blocks=12,detail=3", "hall", "grid:mesh=cone,count=50"]
 

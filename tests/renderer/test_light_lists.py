@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from renderer.frame import lists
-from renderer.frame.lists import list_lights
+from renderer.lights import lists
+from renderer.lights.lists import list_lights
 
 coordinates = st.integers(-6, 6).map(float)
 

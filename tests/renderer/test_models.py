@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 
-from renderer.scene import load_model, load_scene
+from renderer.content import load_model, load_scene
 from rhi.errors import ValidationError
 
 OBJ = """mtllib two.mtl

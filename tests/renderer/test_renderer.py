@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import rhi
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Perspective, Scene, load_scene
+from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.shaders import View
 from renderer.visibility import FrustumCulling, NoCulling, make_visibility
 from rhi import Op

@@ -11,8 +11,9 @@ from PIL import Image
 
 import rhi
 from renderer import cli
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import FRAMES_PER_SECOND, load_scene
+from renderer.scene import FRAMES_PER_SECOND
 from renderer.visibility import FrustumCulling
 from rhi.__main__ import main as rhi_main
 from rhi.trace import load, replay, save

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from renderer.content import BUILT_IN
 from renderer.scene import (
-    BUILT_IN,
     MATERIAL,
     RELATIVE_POINT,
     RELATIVE_SPOT,

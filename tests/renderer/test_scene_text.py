@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from renderer.scene import GENERATORS, load_scene, parse_camera
+from renderer.content import GENERATORS, load_scene, parse_camera
 from rhi.errors import ValidationError
 
 

@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renderer.scene import BUILT_IN, VERTEX, Scene, SceneBuilder, Simulator, load_scene
-from renderer.scene.fountains import BOUNDS, DROPS, Fountains, make_drops
+from renderer.content import BUILT_IN, load_scene
+from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
+from renderer.scene import VERTEX, Scene, SceneBuilder, Simulator
 from rhi.errors import ValidationError
 
 

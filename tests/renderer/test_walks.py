@@ -8,16 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from renderer.scene import (
-    Camera,
-    CameraPath,
-    Depth,
-    Orthographic,
-    Perspective,
-    find_path,
-    load_scene,
-    parse_camera,
-)
+from renderer.content import find_path, load_scene, parse_camera
+from renderer.scene import Camera, CameraPath, Depth, Orthographic, Perspective
 from rhi.errors import ValidationError
 
 LENSES = [

@@ -6,17 +6,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import rhi
-from rhi.descriptors import (
-    Attribute,
-    Binding,
-    BindingKind,
-    FragmentOutput,
-    ProgramDescriptor,
-    Stage,
-)
-from rhi.layout import FLOAT, VectorType
+from rhi.contract.descriptors import Attribute, Binding, BindingKind, FragmentOutput, ProgramDescriptor, Stage
+from rhi.contract.layout import FLOAT, VectorType
 from rhi.shading import Struct
-from rhi.shading.vectors import vec4
+from rhi.shading.language.vectors import vec4
 
 
 class Camera(Struct):

@@ -31,7 +31,7 @@ import rhi
 from rhi.errors import RULES, Rule
 
 PACKAGE = Path(rhi.__file__).parent
-RULE_MODULES = ("rhi.rules", "rhi.shading.rules", "rhi.trace.rules")
+RULE_MODULES = ("rhi.errors.rules", "rhi.shading.language.rules", "rhi.trace.rules")
 LEFT_OUT = ("conformance", "testing")
 
 

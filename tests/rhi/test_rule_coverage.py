@@ -12,8 +12,8 @@ import pytest
 import rule_coverage
 from rule_coverage import Check, find_checks
 
-from rhi.rules import DEVICE_LOST, PASS_NESTED, PASS_OPEN, SHADER_DRIVER
-from rhi.shading.rules import DEVICE_ONLY
+from rhi.errors.rules import DEVICE_LOST, PASS_NESTED, PASS_OPEN, SHADER_DRIVER
+from rhi.shading.language.rules import DEVICE_ONLY
 
 HERE = Path(__file__).parent
 ALWAYS_BROKEN = {

@@ -3,7 +3,7 @@
 import re
 from pathlib import Path
 
-from rhi.shading.stubs import stub_texts
+from rhi.shading.tools.stubs import stub_texts
 
 RIGHT = Path(__file__).with_name("shading_right.py")
 DRAW = "device.draw(lit, None, light=light, lights=lights, counts=counts, albedo=texture, target=target)"
@@ -65,4 +65,4 @@ def test_every_mistake_is_refused_on_its_line(mypy_strict, tmp_path):
 
 def test_the_stubs_are_what_the_tables_say():
     for path, text in stub_texts().items():
-        assert path.read_text() == text, f"run python -m rhi.shading.stubs ({path.name})"
+        assert path.read_text() == text, f"run python -m rhi.shading.tools.stubs ({path.name})"

@@ -1,6 +1,6 @@
 """The numpy backend of rhi: `rhi.create_device("numpy")`."""
 
-from rhi import Backend
+from rhi.contract import Backend
 from rhi_numpy.backend import NumpyBackend
 
 __rhi_internal__ = True  # call sites name the line that called rhi, not ours

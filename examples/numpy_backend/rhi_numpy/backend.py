@@ -13,16 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi import Capabilities, ProgramDescriptor, Region, SamplerDescriptor, refuse
-from rhi.descriptors import (
+from rhi.contract import (
     BindingKind,
     BufferDescriptor,
+    Capabilities,
     Id,
     PassDescriptor,
+    ProgramDescriptor,
     QueryKind,
+    Region,
+    SamplerDescriptor,
     TextureDescriptor,
+    refuse,
+    rules,
 )
-from rhi.rules import DEVICE_CAPABILITY
 from rhi_numpy.memory import Memory
 from rhi_numpy.programs import Program
 
@@ -178,7 +182,9 @@ class NumpyBackend:
     # -- 5 to 8: what needs capabilities that are declared missing ---------------------------------------
 
     def _refuse(self, *arguments: object) -> NoReturn:
-        refuse(DEVICE_CAPABILITY, "the numpy backend", "a draw, or what serves draws", "memory and compute")
+        refuse(
+            rules.DEVICE_CAPABILITY, "the numpy backend", "a draw, or what serves draws", "memory and compute"
+        )
 
     create_vertex_array = set_states = draw = draw_indirect = resolve_texture = _refuse
     bind_texture = bind_image = begin_query = end_query = begin_conditional = end_conditional = _refuse

@@ -13,10 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi import DeviceError, Region
-from rhi.descriptors import BufferDescriptor, Id, PassDescriptor, TextureDescriptor
-from rhi.rules import DEVICE_MEMORY
-from rhi.texels import encode, halve
+from rhi.contract import (
+    BufferDescriptor,
+    DeviceError,
+    Id,
+    PassDescriptor,
+    Region,
+    TextureDescriptor,
+    encode,
+    halve,
+    rules,
+)
 
 __rhi_internal__ = True
 
@@ -97,4 +104,4 @@ def _zeros(shape: tuple[int, ...], dtype: np.dtype[Any], call: str) -> NDArray[A
     try:
         return np.zeros(shape, dtype)
     except (MemoryError, ValueError) as error:
-        raise DeviceError(DEVICE_MEMORY, call, f"{shape} of {dtype}") from error
+        raise DeviceError(rules.DEVICE_MEMORY, call, f"{shape} of {dtype}") from error

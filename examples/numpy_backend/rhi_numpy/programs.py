@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi import ProgramDescriptor, Stage
-from rhi.descriptors import BindingKind, Id
-from rhi.shading.numpy_kernel import NumpyKernel
+from rhi.contract import BindingKind, Id, ProgramDescriptor, Stage
+from rhi.shading import NumpyKernel
 
 __rhi_internal__ = True
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_DRIVER
+from rhi.errors.rules import DEVICE_DRIVER
 
 if TYPE_CHECKING:
     from rhi.backends.cl.backend import ClBackend

@@ -1,7 +1,7 @@
 """The OpenCL backend: rhi's contract on one queue that executes in order.
 
-- Draws gather (`rhi.backends.cl.rasteriser`); all else goes to the queue as it comes, after the draws before it were
-  handed over (`_flush`). So the contract's order is the queue's.
+- Draws gather (`rhi.backends.cl.raster.rasteriser`); all else goes to the queue as it comes, after the draws before
+  it were handed over (`_flush`). So the contract's order is the queue's.
 - Only reads wait, and indirect draws and dispatches, whose sizes OpenCL can't take from memory.
 """
 
@@ -15,17 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backend import Capabilities, PreparedQueries
 from rhi.backends.cl.context import Context
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
+from rhi.backends.cl.fence import Fence, Timestamps
+from rhi.backends.cl.planes import alignment
 from rhi.backends.cl.programs import Programs
-from rhi.backends.cl.queries import Fence, Timestamps
-from rhi.backends.cl.query_sets import QuerySet
-from rhi.backends.cl.rasteriser import Rasteriser
-from rhi.backends.cl.resources import Buffers, Staging, Textures, alignment
+from rhi.backends.cl.raster.query_sets import QuerySet
+from rhi.backends.cl.raster.rasteriser import Rasteriser
+from rhi.backends.cl.resources import Buffers, Staging, Textures
 from rhi.backends.cl.samplers import Samplers
-from rhi.backends.cl.states import States
-from rhi.descriptors import (
+from rhi.backends.cl.slots import States
+from rhi.contract.backend import Capabilities, PreparedQueries
+from rhi.contract.descriptors import (
     BindingKind,
     BufferDescriptor,
     Id,
@@ -39,7 +40,7 @@ from rhi.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
-from rhi.state_cache import StateChange
+from rhi.contract.states import StateChange
 
 __rhi_internal__ = True
 
@@ -69,7 +70,7 @@ def _told_as(
 
 
 class ClBackend:
-    """One device and queue; see `rhi.backend.Backend` for what the methods do.
+    """One device and queue; see `rhi.contract.backend.Backend` for what the methods do.
 
     Attributes:
         context: OpenCL's device, context and queue, for what only OpenCL has.
@@ -246,7 +247,7 @@ class ClBackend:
         self._bind(BindingKind.IMAGE, slot, (texture, level, layer))
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
-        """See `rhi.backend.PreparesDraws`."""
+        """See `rhi.contract.backend.PreparesDraws`."""
         return self._rasteriser.bindings.prepare_uniform(buffer)
 
     # -- work --------------------------------------------------------------------------------------------
@@ -261,13 +262,13 @@ class ClBackend:
         self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
-        """See `rhi.backend.PreparesDraws`."""
+        """See `rhi.contract.backend.PreparesDraws`."""
         return self._rasteriser.prepare_draw(
             vertex_array, primitive, first, count, base_vertex, base_instance
         )
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
-        """See `rhi.backend.PreparesQueries`."""
+        """See `rhi.contract.backend.PreparesQueries`."""
         return QuerySet(self._rasteriser, len(queries))
 
     def on_interruption(self, call: Callable[[], None]) -> None:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from rhi.backends.cl.errors import shorten
 from rhi.backends.cl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_DRIVER
+from rhi.errors.rules import DEVICE_DRIVER
 
 __rhi_internal__ = True
 
@@ -42,7 +42,7 @@ __kernel void probe(__global uint *words) {
     words[i] = words[i] * 3u + i;
     atomic_add(&words[get_global_size(0)], i);
 }
-// Where memory lies, and what is read there by a kernel that is given nothing else (rhi.backends.cl.memory).
+// Where memory lies, and what is read there by a kernel that is given nothing else (rhi.backends.cl.pools).
 __kernel void find(__global uchar *memory, __global ulong *answer) { *answer = (ulong)memory; }
 __kernel void read(ulong address, __global ulong *answer) { *answer = *(__global ulong *)address; }
 """

@@ -9,7 +9,7 @@ from typing import Final
 import pyopencl as cl
 
 from rhi.errors import DeviceError, Rule
-from rhi.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_MEMORY
+from rhi.errors.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_MEMORY
 
 __rhi_internal__ = True
 

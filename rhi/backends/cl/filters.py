@@ -13,11 +13,11 @@ import pyopencl as cl
 
 from rhi.backends.cl.context import Context, build
 from rhi.backends.cl.errors import translate_errors
-from rhi.formats import Format, Kind
-from rhi.texels import from_srgb
+from rhi.contract.formats import Format, Kind
+from rhi.contract.texels import from_srgb
 
 if TYPE_CHECKING:
-    from rhi.backends.cl.resources import Plane
+    from rhi.backends.cl.planes import Plane
 
 __rhi_internal__ = True
 

@@ -4,9 +4,9 @@ What a program's OpenCL C must look like, be it written by the shading language 
 
 - One kernel. Its arguments are the program's bindings in their order: for a uniform `constant T *`; for storage
   `global T *` and, right behind it, an `int`: how many elements are bound; for a texture `global const uchar *`, for
-  an image `global uchar *`, and right behind it `global const int *`: the words of `rhi.shading.texture_words`.
+  an image `global uchar *`, and right behind it `global const int *`: the words of `rhi.shading.ir.texture_words`.
 - Bound ranges begin at multiples of the capabilities' alignments, and vector loads may run past their end by
-  `rhi.backends.cl.resources.GRAIN` bytes.
+  `rhi.backends.cl.planes.GRAIN` bytes.
 - Its `reqd_work_group_size` is the work-group in work-items. It divides the descriptor's work-group, which counts
   invocations: a work-item may do several as lanes of a vector. Without the attribute, each does one.
 """
@@ -24,12 +24,12 @@ from rhi.backends.cl.context import Context, build
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
-from rhi.backends.cl.states import States
-from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
-from rhi.driver_log import make_driver_error
+from rhi.backends.cl.slots import States
+from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
+from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
-from rhi.rules import SHADER_DRIVER
-from rhi.shading.faults import FAULT_WORDS, find_fault
+from rhi.errors.rules import SHADER_DRIVER
+from rhi.shading.ir.faults import FAULT_WORDS, find_fault
 
 __rhi_internal__ = True
 
@@ -69,7 +69,7 @@ class Arguments:
 
 
 class Faults:
-    """Where a stage of a checked shader leaves what it finds (`rhi.shading.faults`)."""
+    """Where a stage of a checked shader leaves what it finds (`rhi.shading.ir.faults`)."""
 
     def __init__(self, context: cl.Context, lines: Sequence[tuple[str, int]]) -> None:
         self._lines = lines

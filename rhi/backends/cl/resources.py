@@ -13,7 +13,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import pyopencl as cl
@@ -23,22 +23,11 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.cl.context import Context, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.filters import Filters
-from rhi.descriptors import (
-    BufferDescriptor,
-    BufferUsage,
-    Id,
-    Region,
-    TextureDescriptor,
-)
+from rhi.backends.cl.planes import GRAIN, Plane, allocate, fill, pitches_of, round_up
+from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
 
 __rhi_internal__ = True
 
-GRAIN: Final = 128
-"""Memory comes in multiples of this many bytes, and at least as many are behind what was asked for."""
-BLOCK: Final = 4
-"""Texels along the edge of a block: rows are as long, and as many, as whole blocks need."""
-_copy_box: Final[Any] = cl.enqueue_copy  # whose stubs name a box's arguments otherwise than it does
-_MAX_PATTERN: Final = 128
 _MAX_STAGED: Final = 1 << 24
 _MAX_RANGES: Final = 4096
 
@@ -93,7 +82,7 @@ class Buffers:
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         with translate_errors("device.buffer", f"{descriptor.size} bytes"):
             if descriptor.usage is BufferUsage.STREAM and self._context.shares_memory:
-                host = allocate_pages(_round_up(descriptor.size) + GRAIN)
+                host = allocate_pages(round_up(descriptor.size) + GRAIN)
                 flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
                 made = Memory(cl.Buffer(self._context.context, flags, hostbuf=host), descriptor.size, host)
             else:
@@ -149,81 +138,6 @@ class Buffers:
         fill(self._queue, self._buffers[buffer].cl, pattern, offset, size)
 
 
-class Plane:
-    """Layers of texels from byte `start` of a buffer on, top row first.
-
-    Attributes:
-        texel: bytes of a texel.
-        width, height, layers: in texels, without padding.
-        pitch: bytes from one row to the next.
-        layer_bytes: bytes from one layer to the next.
-    """
-
-    __slots__ = ("height", "layer_bytes", "layers", "memory", "pitch", "start", "texel", "width")
-
-    def __init__(
-        self, memory: cl.Buffer, start: int, texel: int, width: int, height: int, layers: int
-    ) -> None:
-        self.memory = memory
-        self.start = start
-        self.texel = texel
-        self.width = width
-        self.height = height
-        self.layers = layers
-        self.pitch, self.layer_bytes = pitches_of(texel, width, height)
-
-    @property
-    def _pitches(self) -> tuple[int, int]:
-        return self.pitch, self.layer_bytes
-
-    def write(
-        self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.uint8], block: bool
-    ) -> cl.Event:
-        event: cl.Event = _copy_box(queue, self.memory, texels, **self._host_box(region), is_blocking=block)
-        return event
-
-    def read(self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.generic]) -> None:
-        _copy_box(queue, texels, self.memory, **self._host_box(region))
-
-    def copy(self, queue: cl.CommandQueue, region: Region, target: Plane, x: int, y: int, layer: int) -> None:
-        if self.memory is target.memory and self._pitches != target._pitches:  # which OpenCL can't do at once
-            box = region.width, region.height, region.layers
-            size = pitches_of(self.texel, *box[:2])[1] * region.layers
-            with translate_errors("Texture.copy_to", f"{size} bytes between two levels"):
-                memory = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size)
-            between = Plane(memory, 0, self.texel, *box)
-            self.copy(queue, region, between, 0, 0, 0)
-            between.copy(queue, Region(0, 0, *box[:2], 0, box[2]), target, x, y, layer)
-            return
-        _copy_box(
-            queue, target.memory, self.memory, src_origin=self._origin(region.x, region.y, region.layer),
-            dst_origin=target._origin(x, y, layer),
-            region=(region.width * self.texel, region.height, region.layers),
-            src_pitches=self._pitches, dst_pitches=target._pitches,
-        )  # fmt: skip
-
-    def fill(self, queue: cl.CommandQueue, texel: bytes, layer: int, layers: int) -> None:
-        """Padding, too."""
-        start = self.start + layer * self.layer_bytes
-        fill(queue, self.memory, texel, start, layers * self.layer_bytes)
-
-    def _origin(self, x: int, y: int, layer: int) -> tuple[int, int, int]:
-        """A box's corner. The level's start is added to the first number, a distance in bytes like any other:
-        PoCL 3.1 crashes on boxes in sub-buffers."""
-        return self.start + x * self.texel, y, layer
-
-    def _host_box(self, region: Region) -> dict[str, tuple[int, ...]]:
-        """A region of this memory, and tightly packed host memory."""
-        row = region.width * self.texel
-        return {
-            "buffer_origin": self._origin(region.x, region.y, region.layer),
-            "host_origin": (0, 0, 0),
-            "region": (row, region.height, region.layers),
-            "buffer_pitches": self._pitches,
-            "host_pitches": (row, row * region.height),
-        }
-
-
 class Texture:
     """A texture's levels, and those of its stencil if it has one.
 
@@ -258,7 +172,7 @@ class Texture:
         ]
         starts = [0]
         for width, height, layers in boxes:
-            starts.append(_round_up(starts[-1] + pitches_of(texel, width, height)[1] * layers))
+            starts.append(round_up(starts[-1] + pitches_of(texel, width, height)[1] * layers))
         memory = allocate(context, starts[-1])
         self._memory.append(memory)
         return [Plane(memory, start, texel, *box) for start, box in zip(starts, boxes, strict=False)]
@@ -330,45 +244,3 @@ class Textures:
 
 
 
-def pitches_of(texel: int, width: int, height: int) -> tuple[int, int]:
-    """Bytes from row to row and from layer to layer."""
-    pitch = _whole_blocks(width) * texel
-    return pitch, _whole_blocks(height) * pitch
-
-
-def alignment(device: cl.Device) -> int:
-    """Bytes at whose multiples a part of a buffer may begin."""
-    return max(16, int(device.mem_base_addr_align) // 8)
-
-
-def allocate(context: Context, size: int) -> cl.Buffer:
-    """Zeroed memory of the device.
-
-    Raises:
-        pyopencl.Error: there isn't as much.
-    """
-    size = _round_up(size) + GRAIN
-    made = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, size)
-    try:
-        fill(context.queue, made, b"\0", 0, size)
-    except cl.Error:
-        made.release()
-        raise
-    return made
-
-
-def fill(queue: cl.CommandQueue, memory: cl.Buffer, pattern: bytes, offset: int, size: int) -> None:
-    """Repeat `pattern` (its length a power of two) over a range, a multiple of it at a multiple of it."""
-    if not size:
-        return
-    while len(pattern) < _MAX_PATTERN and (offset | size) % (2 * len(pattern)) == 0:
-        pattern += pattern
-    cl.enqueue_fill_buffer(queue, memory, np.frombuffer(pattern, np.uint8), offset, size)
-
-
-def _whole_blocks(size: int) -> int:
-    return -(-size // BLOCK) * BLOCK
-
-
-def _round_up(size: int) -> int:
-    return -(-size // GRAIN) * GRAIN

@@ -1,7 +1,7 @@
 """Samplers, and what kernels are told about a texture that is read through one: words in a small buffer of their own.
 
-`rhi.shading.texture_words` says what the words mean. They are made when a texture and a sampler first meet, or when a
-level is first an image, and kept with the texture.
+`rhi.shading.ir.texture_words` says what the words mean. They are made when a texture and a sampler first meet, or
+when a level is first an image, and kept with the texture.
 """
 
 from __future__ import annotations
@@ -11,9 +11,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.resources import Plane, Texture
-from rhi.descriptors import Id, SamplerDescriptor, TextureKind
-from rhi.shading.texture_words import LevelPlace, describe_texture
+from rhi.backends.cl.planes import Plane
+from rhi.backends.cl.resources import Texture
+from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
+from rhi.shading.ir.texture_words import LevelPlace, describe_texture
 
 __rhi_internal__ = True
 

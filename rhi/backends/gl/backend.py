@@ -25,7 +25,6 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backend import Capabilities, PreparedQueries
 from rhi.backends.gl import enums
 from rhi.backends.gl.capabilities import query_capabilities
 from rhi.backends.gl.draws import MODES, Calls, Draws
@@ -37,7 +36,8 @@ from rhi.backends.gl.queries import Fence, Queries
 from rhi.backends.gl.query_sets import QuerySet
 from rhi.backends.gl.resources import Buffers, Samplers, Textures
 from rhi.backends.gl.states import States
-from rhi.descriptors import (
+from rhi.contract.backend import Capabilities, PreparedQueries
+from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
     Id,
@@ -50,9 +50,8 @@ from rhi.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
-from rhi.formats import Kind
-from rhi.state_cache import StateChange
-from rhi.states import AlphaFunction, AlphaReference, AlphaTest
+from rhi.contract.formats import Kind
+from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateChange
 
 __rhi_internal__ = True
 
@@ -66,7 +65,7 @@ _current: GlBackend | None = None
 
 
 class GlBackend:
-    """One GL context; see `rhi.backend.Backend` for what the methods do.
+    """One GL context; see `rhi.contract.backend.Backend` for what the methods do.
 
     Attributes:
         context: moderngl's context, for what only GL has; state left behind is the caller's to restore.
@@ -393,7 +392,7 @@ class GlBackend:
         return partial(self._programs[program][vertex_array], MODES[primitive], count, first)
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
-        """See `rhi.backend.PreparesQueries`."""
+        """See `rhi.contract.backend.PreparesQueries`."""
         return QuerySet(self, self.gl, self._queries, queries)
 
     def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> Calls:

@@ -6,12 +6,12 @@ import ctypes
 from collections.abc import Container
 from typing import Final
 
-from rhi.backend import Capabilities
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import PIXEL_FORMATS
-from rhi.formats import COLOR_FORMATS, Format
-from rhi.states import MAX_TARGETS
+from rhi.contract.backend import Capabilities
+from rhi.contract.formats import COLOR_FORMATS, Format
+from rhi.contract.states import MAX_TARGETS
 
 __rhi_internal__ = True
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_DRIVER
+from rhi.errors.rules import DEVICE_DRIVER
 
 if TYPE_CHECKING:
     import moderngl

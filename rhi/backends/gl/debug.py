@@ -18,14 +18,14 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backend import Backend, PreparedQueries
 from rhi.backends.gl import enums
 from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.entry_points import DEBUG_CALLBACK, EntryPoints
 from rhi.backends.gl.errors import NAMES, drain_errors
-from rhi.descriptors import Id, Primitive
+from rhi.contract.backend import Backend, PreparedQueries
+from rhi.contract.descriptors import Id, Primitive
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_DEBUG
+from rhi.errors.rules import DEVICE_DEBUG
 
 __rhi_internal__ = True
 

@@ -17,8 +17,8 @@ from rhi.backends.gl.formats import INDEX_TYPES
 from rhi.backends.gl.programs import Pipeline, VertexArrays
 from rhi.backends.gl.quads import QuadIndices, expand_indices
 from rhi.backends.gl.resources import Buffers
-from rhi.descriptors import Id, Primitive, VertexArrayDescriptor
-from rhi.formats import IndexFormat
+from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+from rhi.contract.formats import IndexFormat
 
 __rhi_internal__ = True
 

@@ -10,8 +10,8 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from rhi.descriptors import ProgramDescriptor, Stage
-from rhi.driver_log import make_driver_error
+from rhi.contract.descriptors import ProgramDescriptor, Stage
+from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 
 __rhi_internal__ = True

@@ -7,7 +7,7 @@ from typing import Final
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_MEMORY
+from rhi.errors.rules import DEVICE_DRIVER, DEVICE_LOST, DEVICE_MEMORY
 
 __rhi_internal__ = True
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from rhi.backends.gl import enums
-from rhi.descriptors import VertexFormat
-from rhi.formats import Format, IndexFormat
+from rhi.contract.descriptors import VertexFormat
+from rhi.contract.formats import Format, IndexFormat
 
 __rhi_internal__ = True
 

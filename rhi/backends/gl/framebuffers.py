@@ -8,10 +8,10 @@ from typing import Final, TypeAlias
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.resources import Textures
-from rhi.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
+from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
+from rhi.contract.formats import Kind
 from rhi.errors import DeviceError
-from rhi.formats import Kind
-from rhi.rules import DEVICE_DRIVER
+from rhi.errors.rules import DEVICE_DRIVER
 
 __rhi_internal__ = True
 

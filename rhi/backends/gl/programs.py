@@ -25,8 +25,8 @@ from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import VERTEX_TYPES
 from rhi.backends.gl.resources import Buffers
-from rhi.descriptors import Id, ProgramDescriptor, Stage, VertexArrayDescriptor
-from rhi.states import AlphaFunction
+from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, VertexArrayDescriptor
+from rhi.contract.states import AlphaFunction
 
 __rhi_internal__ = True
 

@@ -8,7 +8,7 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.formats import IndexFormat
+from rhi.contract.formats import IndexFormat
 
 __rhi_internal__ = True
 

@@ -19,7 +19,7 @@ from typing import Final
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.descriptors import Id, QueryKind
+from rhi.contract.descriptors import Id, QueryKind
 
 __rhi_internal__ = True
 

@@ -16,13 +16,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backend import Backend
 from rhi.backends.gl import enums
 from rhi.backends.gl.draws import Calls
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.queries import Queries
-from rhi.descriptors import Id, Primitive
-from rhi.query_sets import PlainQueries
+from rhi.contract.backend import Backend
+from rhi.contract.descriptors import Id, Primitive
+from rhi.contract.queries import PlainQueries
 
 __rhi_internal__ = True
 
@@ -38,7 +38,7 @@ class Drawing(Backend, Protocol):
 
 
 class QuerySet:
-    """See `rhi.backend.PreparedQueries`."""
+    """See `rhi.contract.backend.PreparedQueries`."""
 
     def __init__(self, backend: Drawing, gl: EntryPoints, queries: Queries, ids: Sequence[Id]) -> None:
         self._backend = backend

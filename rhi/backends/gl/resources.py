@@ -25,7 +25,7 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors, find_error
 from rhi.backends.gl.formats import CLEAR_FORMATS, PIXEL_FORMATS, PixelFormat
 from rhi.backends.gl.states import COMPARISONS
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
     Filter,

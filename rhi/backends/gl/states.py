@@ -16,8 +16,7 @@ from typing import Any, Final
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.state_cache import StateChange
-from rhi.states import (
+from rhi.contract.states import (
     DEFAULTS,
     MAX_TARGETS,
     PER_TARGET,
@@ -39,6 +38,7 @@ from rhi.states import (
     FrontFace,
     PolygonOffset,
     Scissor,
+    StateChange,
     StencilBack,
     StencilFront,
     StencilOperation,

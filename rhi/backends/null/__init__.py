@@ -1,23 +1,23 @@
 """The null backend: real memory, real time order, no GPU; draws are counted, not rasterised.
 
 `create_backend()` gives the backend itself. A device made with `rhi.create_device("null")` always has a
-`rhi.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
+`rhi.commands.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
 """
 
-from rhi.backend import Backend, Capabilities
-from rhi.backends.null.activity import Activity, ActivityTimeline, Frame, Lane, Span
 from rhi.backends.null.backend import NullBackend, Statistics
-from rhi.backends.null.cost import CostModel, Work
 from rhi.backends.null.faults import FaultInjector, Faults
-from rhi.backends.null.hazards import Hazard, HazardKind
 from rhi.backends.null.profiles import PROFILES, find_profile
 from rhi.backends.null.queries import Draw
 from rhi.backends.null.resources import IndirectDraws
 from rhi.backends.null.shaders import StandIn
-from rhi.backends.null.simulated import SimulatedBackend, Simulation
+from rhi.backends.null.simulation.activity import Activity, ActivityTimeline, Frame, Lane, Span
+from rhi.backends.null.simulation.backend import SimulatedBackend, Simulation
+from rhi.backends.null.simulation.cost import CostModel, Work
+from rhi.backends.null.simulation.hazards import Hazard, HazardKind
 from rhi.backends.null.visibility import AnswerLog, RecordedAnswers
+from rhi.contract.backend import Backend, Capabilities
 from rhi.errors import refuse
-from rhi.rules import DEVICE_ARGUMENT
+from rhi.errors.rules import DEVICE_ARGUMENT
 
 __rhi_internal__ = True
 

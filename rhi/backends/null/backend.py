@@ -1,6 +1,6 @@
 """A queue of commands in front of memory that is real and a GPU that isn't.
 
-- Calls are put into a queue, flat (`op, arguments…`, as in `rhi.commands`); creation happens at once.
+- Calls are put into a queue, flat (`op, arguments…`, as in `rhi.commands.stream`); creation happens at once.
 - The queue is executed in order when something demands it: a signal, a wait, a read. Whatever is read when
   executed (indirect arguments, copies, counters) is so by construction. `simulated` executes the same queue
   on a clock of its own.
@@ -22,15 +22,17 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backend import Capabilities
+from rhi.backends.null.execution import ExecutionState, Fate
 from rhi.backends.null.profiles import PROFILES
 from rhi.backends.null.programs import Programs
 from rhi.backends.null.queries import Draw, Queries
 from rhi.backends.null.resources import IndirectDraws, Resources
 from rhi.backends.null.shaders import Shaders, StandIn
-from rhi.backends.null.states import ExecutionState, Fate
 from rhi.backends.null.visibility import Answers
-from rhi.descriptors import (
+from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.recorder import CommandMethods
+from rhi.contract.backend import Capabilities
+from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
     Id,
@@ -43,8 +45,6 @@ from rhi.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
-from rhi.ops import WIDTHS, Op
-from rhi.recorder import CommandMethods
 
 __rhi_internal__ = True
 

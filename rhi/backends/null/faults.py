@@ -14,13 +14,13 @@ from dataclasses import dataclass
 from types import CodeType
 from typing import Any
 
-from rhi.backend import Backend, Capabilities
-from rhi.commands import CommandStream
-from rhi.descriptors import Id, ProgramDescriptor, QueryKind
+from rhi.commands.ops import Op
+from rhi.commands.recorder import CommandMethods, pass_on
+from rhi.commands.stream import CommandStream
+from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.descriptors import Id, ProgramDescriptor, QueryKind
 from rhi.errors import DeviceError, ShaderError
-from rhi.ops import Op
-from rhi.recorder import CommandMethods, pass_on
-from rhi.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
+from rhi.errors.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
 
 __rhi_internal__ = True
 

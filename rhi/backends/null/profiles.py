@@ -15,10 +15,10 @@ from typing import Final
 
 import numpy as np
 
-from rhi.backend import Capabilities
+from rhi.contract.backend import Capabilities
+from rhi.contract.formats import Format, Kind
 from rhi.errors import refuse
-from rhi.formats import Format, Kind
-from rhi.rules import DEVICE_ARGUMENT
+from rhi.errors.rules import DEVICE_ARGUMENT
 
 __rhi_internal__ = True
 

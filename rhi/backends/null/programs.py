@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rhi.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
+from rhi.contract.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
 
 __rhi_internal__ = True
 

@@ -15,9 +15,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from rhi.backends.null.visibility import Answers, Oracle, RecordedAnswers, make_oracle
-from rhi.descriptors import Id, Primitive, QueryKind
+from rhi.contract.descriptors import Id, Primitive, QueryKind
 from rhi.errors import refuse
-from rhi.rules import NULL_ANSWER, NULL_SAMPLES
+from rhi.errors.rules import NULL_ANSWER, NULL_SAMPLES
 
 __rhi_internal__ = True
 

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
     DepthAttachment,
@@ -24,9 +24,9 @@ from rhi.descriptors import (
     Region,
     TextureDescriptor,
 )
+from rhi.contract.texels import encode, halve
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_MEMORY
-from rhi.texels import encode, halve
+from rhi.errors.rules import DEVICE_MEMORY
 
 __rhi_internal__ = True
 

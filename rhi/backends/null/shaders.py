@@ -13,12 +13,12 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.backends.null.execution import ExecutionState
 from rhi.backends.null.programs import Programs
 from rhi.backends.null.queries import Draw
 from rhi.backends.null.resources import Resources
-from rhi.backends.null.states import ExecutionState
-from rhi.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
-from rhi.layout import Layout, dtype_of, element_dtype
+from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
+from rhi.contract.layout import Layout, dtype_of, element_dtype
 
 __rhi_internal__ = True
 
@@ -65,7 +65,7 @@ class Shaders:
     def _kernel(self, descriptor: ProgramDescriptor) -> Any:
         kernel = self._kernels.get(descriptor)
         if kernel is None:
-            from rhi.shading.numpy_kernel import NumpyKernel  # which takes as long to import as all the rest
+            from rhi.shading.numpy.kernel import NumpyKernel
 
             text = descriptor.emit("numpy", Stage.COMPUTE)
             kernel = self._kernels[descriptor] = NumpyKernel(text, descriptor.name)
@@ -84,7 +84,7 @@ class Shaders:
         return _view(self._resources.buffers[name][offset : offset + size], binding)
 
     def _texture(self, binding: Binding, name: Id, sampler: Id) -> Any:
-        from rhi.shading.numpy_textures import HostTexture
+        from rhi.shading.numpy.textures import HostTexture
 
         texture = self._resources.textures[name]
         return HostTexture(
@@ -92,7 +92,7 @@ class Shaders:
         )
 
     def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:
-        from rhi.shading.numpy_textures import HostTexture
+        from rhi.shading.numpy.textures import HostTexture
 
         texture = self._resources.textures[name]
         texels = texture.levels[level]
@@ -103,7 +103,7 @@ class Shaders:
 
 def _view(memory: NDArray[np.uint8], binding: Binding) -> NDArray[Any]:
     """A buffer's part as elements of a binding."""
-    from rhi.shading.annotations import value_type_of
+    from rhi.shading.language.annotations import value_type_of
 
     type = value_type_of(binding.type)
     is_uniform = binding.kind is BindingKind.UNIFORM

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rhi.backend import Backend, Capabilities
-from rhi.descriptors import Id
-from rhi.recorder import CommandMethods
+from rhi.commands.recorder import CommandMethods
+from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True
 

@@ -29,7 +29,7 @@ from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.formats import require_format, require_renderable, require_samples
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import rectangle, texel_rectangle
-from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
 from rhi.shading import Shader
 
 pytestmark = pytest.mark.needs("draws", "shading")

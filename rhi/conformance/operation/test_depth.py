@@ -27,7 +27,7 @@ from rhi.conformance.formats import require_format
 from rhi.conformance.reference import compare
 from rhi.conformance.shaders import Bare, Colored, Corner
 from rhi.conformance.shapes import Rows, corners, rectangle
-from rhi.formats import DEPTH_FORMATS
+from rhi.contract.formats import DEPTH_FORMATS
 from rhi.shading import Shader, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")

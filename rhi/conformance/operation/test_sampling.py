@@ -14,7 +14,7 @@ from rhi.conformance.formats import random_texels, require_format, squeezed
 from rhi.conformance.reference import compare, decode
 from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import rectangle
-from rhi.formats import COLOR_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, Kind
 from rhi.shading import (
     DepthTexture2D,
     DepthTexture2DArray,

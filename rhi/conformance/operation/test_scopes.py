@@ -19,7 +19,7 @@ from rhi import (
 )
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
-from rhi.states import DEFAULTS, STATE_TYPES
+from rhi.contract.states import DEFAULTS, STATE_TYPES
 
 pytestmark = pytest.mark.needs("draws")
 

@@ -26,7 +26,7 @@ from rhi.conformance.formats import require_renderable, require_samples
 from rhi.conformance.reference import compare, encode, largest, rounding
 from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
-from rhi.formats import COLOR_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, Kind
 from rhi.shading import Shader, Struct, uvec4, vec2, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")

@@ -12,7 +12,7 @@ from rhi import Access, Device, Format, Region, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, require_renderable, squeezed
 from rhi.conformance.reference import decode, encode, halve, largest, rounding
-from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
 
 FILTERABLE = tuple(f for f in COLOR_FORMATS if not f.is_integer)
 

@@ -6,20 +6,12 @@ from typing import Any
 
 import pytest
 
-from rhi import (
-    Access,
-    Comparison,
-    Device,
-    Format,
-    Op,
-    SamplerDescriptor,
-    TextureKind,
-    rules,
-)
+from rhi import Access, Comparison, Device, Format, Op, SamplerDescriptor, TextureKind
 from rhi.conformance.shaders import Bare, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.conformance.validation.shaders import Everything, Shift
+from rhi.errors import rules
 from rhi.shading import (
     Shader,
     Storage,

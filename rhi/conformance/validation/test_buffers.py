@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, Device, rules
+from rhi import Access, Device
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Corner
 from rhi.conformance.validation.refusal import refuses
+from rhi.errors import rules
 from rhi.shading import Struct, uint, vec3, vec4
 
 U4 = np.dtype("u4")

@@ -9,11 +9,12 @@ from typing import Any
 import pytest
 
 import rhi
-from rhi import Access, CommandBuffer, CullMode, Device, Encoder, Format, Primitive, Texture, rules
+from rhi import Access, CommandBuffer, CullMode, Device, Encoder, Format, Primitive, Texture
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
+from rhi.errors import rules
 from rhi.shading import Shader, vec4
 
 SIZE = (4, 4)

@@ -8,19 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    Access,
-    Device,
-    Format,
-    ProgramDescriptor,
-    rules,
-)
+from rhi import Access, Device, Format, ProgramDescriptor
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.conformance.validation.shaders import Passing
-from rhi.descriptors import Binding, BindingKind
+from rhi.contract.descriptors import Binding, BindingKind
+from rhi.errors import rules
 from rhi.shading import Shader, StorageRW, atomic_add, compile_shader, shared, uint
 
 SIZE = (4, 4)

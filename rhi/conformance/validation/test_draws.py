@@ -8,20 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    DRAW,
-    Access,
-    CullMode,
-    Device,
-    Format,
-    IndirectDraws,
-    Primitive,
-    rules,
-)
+from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Primitive
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import Rows, corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.conformance.validation.shaders import Everything, Passing
+from rhi.errors import rules
 
 pytestmark = pytest.mark.needs("draws")
 

@@ -7,13 +7,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import (
-    Device,
-    rules,
-)
+from rhi import Device
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
+from rhi.errors import rules
 
 SIZE = (4, 4)
 

@@ -23,13 +23,13 @@ from rhi import (
     TextureKind,
     ValidationError,
     Viewport,
-    rules,
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_samples
 from rhi.conformance.shaders import Colored, Place, PlaceVarying
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
+from rhi.errors import rules
 from rhi.shading import Image2D, Shader, Texture2D, image, ivec2, vec4
 
 SIZE = (4, 4)

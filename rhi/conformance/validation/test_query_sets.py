@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Device, Format, Mesh, QuerySet, rules
+from rhi import Device, Format, Mesh, QuerySet
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
+from rhi.errors import rules
 
 pytestmark = [pytest.mark.needs("draws"), pytest.mark.needs("occlusion_queries")]
 

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from rhi import Rule, rules
+from rhi import Rule
+from rhi.errors import rules
 
 ELSEWHERE = {
     rules.CONTAINER_CAPACITY: "no device is needed",

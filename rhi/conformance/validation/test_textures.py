@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, Device, Format, Op, Region, SamplerDescriptor, TextureKind, rules
+from rhi import Access, Device, Format, Op, Region, SamplerDescriptor, TextureKind
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_samples
 from rhi.conformance.validation.refusal import refuses
-from rhi.formats import DEPTH_FORMATS
+from rhi.contract.formats import DEPTH_FORMATS
+from rhi.errors import rules
 
 
 @pytest.mark.parametrize("size", [(0, 4), (4, 0), (-1, 4), (0, 0)], ids=str)

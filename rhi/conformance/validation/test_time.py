@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import CullMode, Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError, rules
+from rhi import CullMode, Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError
 from rhi.conformance.shaders import Bare, Colored, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
+from rhi.errors import rules
 from rhi.shading import Shader, uint, vec4
 
 SIZE = (4, 4)

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 import rhi
+from renderer.content import BUILT_IN as MESHES
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import BUILT_IN as MESHES
-from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, load_scene, scaling, translation
+from renderer.scene import Camera, Depth, Perspective, Scene, SceneBuilder, scaling, translation
 from rhi import Op
 
 

@@ -10,6 +10,7 @@ from lighting_reference import shade_plane
 from numpy.typing import NDArray
 
 import rhi
+from renderer.content import load_scene
 from renderer.frame import resources
 from renderer.renderer import Renderer
 from renderer.scene import (
@@ -18,7 +19,6 @@ from renderer.scene import (
     Perspective,
     Scene,
     SceneBuilder,
-    load_scene,
     make_geometry,
     scaling,
     translation,

@@ -10,17 +10,17 @@ import pytest
 from hypothesis import strategies as st
 
 import rhi
+from renderer.content.shapes import box, sphere
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Orthographic, Perspective, Scene
 from renderer.scene.scene import SceneBuilder
-from renderer.scene.shapes import box, sphere
 from renderer.scene.transforms import multiply, rotation, scaling, translation
 from renderer.visibility import NoCulling, VisibilityAlgorithm
-from renderer.visibility.box_queries import BoxShader
-from renderer.visibility.depth_pyramid import CompareBoxes
-from renderer.visibility.forest import Forest
-from renderer.visibility.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
-from renderer.visibility.reprojection import WriteDepth
+from renderer.visibility.boxes.forest import Forest
+from renderer.visibility.gpu.depth_pyramid import CompareBoxes
+from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
+from renderer.visibility.gpu.reprojection import WriteDepth
+from renderer.visibility.queries.box_queries import BoxShader
 from rhi import OcclusionQuery
 from rhi.backends.null import NullBackend
 from rhi.backends.null.queries import Draw

@@ -7,8 +7,9 @@ from functools import partial
 import pytest
 
 import rhi
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, load_scene
+from renderer.scene import Camera, Scene
 from renderer.visibility import CANDIDATES, AutoCulling, NoCulling, Statistics, make_visibility
 
 COSTS = {"slow": 0.012, "fast": 0.008, "middling": 0.0105}

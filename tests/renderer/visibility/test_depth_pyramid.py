@@ -11,9 +11,9 @@ from renderer.renderer import Renderer
 from renderer.scene import Depth
 from renderer.shaders import View
 from renderer.visibility import DepthPyramidCulling
-from renderer.visibility.depth_pyramid import CompareBoxes, CompareBoxesStandard, make_levels
-from renderer.visibility.farthest_depth import FarthestDepth
-from renderer.visibility.occludees import Occludee
+from renderer.visibility.gpu.depth_pyramid import CompareBoxes, CompareBoxesStandard, make_levels
+from renderer.visibility.gpu.farthest_depth import FarthestDepth
+from renderer.visibility.gpu.occludees import Occludee
 from rhi import CullMode, DepthFunction, Format
 from rhi.shading import (
     FragmentDepth,

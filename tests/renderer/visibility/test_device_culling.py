@@ -27,10 +27,11 @@ from occlusion_scenes import (
 )
 
 import rhi
+from renderer.content import load_scene
+from renderer.content.shapes import box
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, load_scene
+from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
 from renderer.scene.scene import SceneBuilder
-from renderer.scene.shapes import box
 from renderer.visibility import (
     AutoCulling,
     DeviceCulling,

@@ -8,10 +8,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 import rhi
+from renderer.content import load_scene
 from renderer.frame import SceneResources
-from renderer.scene import Camera, load_scene
+from renderer.scene import Camera
 from renderer.shaders import MeshPart, Place
-from renderer.visibility.draw_lists import (
+from renderer.visibility.gpu.draw_lists import (
     AddCounts,
     CountKeys,
     DrawArguments,
@@ -19,7 +20,7 @@ from renderer.visibility.draw_lists import (
     ListCounts,
     WriteDraws,
 )
-from renderer.visibility.occludees import DRAWN, HIDDEN, OUTSIDE, VISIBLE, Occludee, Occludees
+from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, OUTSIDE, VISIBLE, Occludee, Occludees
 from rhi.shading import run_compute
 
 BUCKETS = 31

@@ -37,12 +37,13 @@ from occlusion_scenes import (
 )
 
 import rhi
+from renderer.content import load_scene
 from renderer.measure.exact import ExactVisibility
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Perspective, Scene, load_scene
+from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import ALGORITHMS, ChcPlusPlus, Settings, list_algorithms, make_visibility
-from renderer.visibility.bounds import near_radius
-from renderer.visibility.chc_plus_plus import KEEPS, choose_size
+from renderer.visibility.boxes.bounds import near_radius
+from renderer.visibility.queries.chc_plus_plus import KEEPS, choose_size
 from rhi import FixedQueue
 from rhi.backends.null import CostModel, Simulation
 from rhi.errors import ValidationError
@@ -294,7 +295,6 @@ def test_a_ring_of_n_takes_n() -> None:
 
 
 # On the null device: what shows is drawn, however late the answers
-
 
 
 def make_late(latency: int) -> rhi.Device:

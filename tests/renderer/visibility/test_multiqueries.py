@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renderer.visibility.chc_plus_plus import KEEPS, choose_size
+from renderer.visibility.queries.chc_plus_plus import KEEPS, choose_size
 
 
 @pytest.mark.parametrize(("frames", "size"), [(1, 3), (2, 4), (3, 5), (4, 7), (5, 9), (15, 11), (100, 11)])

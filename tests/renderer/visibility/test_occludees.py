@@ -11,8 +11,8 @@ from test_device_culling import mirrored_boxes
 import rhi
 from renderer.frame import SceneResources
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene
-from renderer.visibility.bounds import is_parallel, margin_terms, near_radius
-from renderer.visibility.occludees import HIDDEN, OUTSIDE, VISIBLE, Occludees
+from renderer.visibility.boxes.bounds import is_parallel, margin_terms, near_radius
+from renderer.visibility.gpu.occludees import HIDDEN, OUTSIDE, VISIBLE, Occludees
 
 CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 

@@ -10,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from occlusion_scenes import make_boxes
 
+from renderer.content.shapes import box
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, rotation
-from renderer.scene.shapes import box
-from renderer.visibility.bounds import Boxes, find_near, near_radius, pad_boxes, pad_turned, see_boxes
-from renderer.visibility.volumes import TightestBoxes, find_turned
+from renderer.visibility.boxes.bounds import Boxes, find_near, near_radius, pad_boxes, pad_turned, see_boxes
+from renderer.visibility.boxes.volumes import TightestBoxes, find_turned
 
 AHEAD = (0.0, 0.0, -1.0)
 

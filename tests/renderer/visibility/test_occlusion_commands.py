@@ -20,7 +20,7 @@ from renderer.visibility import (
     StopAndWait,
     make_visibility,
 )
-from renderer.visibility.forest import Forest
+from renderer.visibility.boxes.forest import Forest
 from rhi import Op
 from rhi.errors import ValidationError
 

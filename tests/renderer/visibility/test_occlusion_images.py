@@ -7,8 +7,9 @@ import pytest
 from occlusion_scenes import OCCLUSION, SIZE, WAITING, count_wrong_pixels, draw_with, look, make_boxes, walk
 
 import rhi
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Depth, Perspective, Scene, load_scene, rotation
+from renderer.scene import Depth, Perspective, Scene, rotation
 from renderer.visibility import ChcPlusPlus, NoCulling, make_visibility
 
 

@@ -8,7 +8,7 @@ from test_depth_pyramid import put, reduce_once
 
 import rhi
 from renderer.scene import Camera, Depth, Orthographic, Perspective
-from renderer.visibility.reprojection import ReprojectedDepth
+from renderer.visibility.gpu.reprojection import ReprojectedDepth
 
 SIZE = (41, 23)
 LENSES = {

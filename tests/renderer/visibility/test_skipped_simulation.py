@@ -9,8 +9,9 @@ from occlusion_scenes import WAITING, Oracle, draw_with
 
 import rhi
 from renderer.cli import main
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, load_scene
+from renderer.scene import Camera, Scene
 from renderer.visibility import ALGORITHMS, FrustumCulling, NoCulling, list_algorithms, make_visibility
 
 HALL = "hall:columns=18,rows=2,flags=0,fountains=12"

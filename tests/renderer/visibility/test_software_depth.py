@@ -24,8 +24,9 @@ from occlusion_scenes import (
 )
 
 import rhi
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Depth, Perspective, Scene, load_scene
+from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.visibility import (
     FrustumCulling,
     NoCulling,
@@ -34,7 +35,7 @@ from renderer.visibility import (
     list_algorithms,
     make_visibility,
 )
-from renderer.visibility.occluder_depth import OccluderDepth
+from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import can_rasterise
 from rhi import ValidationError
 

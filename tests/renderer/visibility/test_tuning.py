@@ -19,8 +19,8 @@ from PIL import Image
 from renderer.cli import main
 from renderer.cli.output import OutputError
 from renderer.cli.tune import make_executor
+from renderer.content import load_scene
 from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
-from renderer.scene import load_scene
 from renderer.visibility import Settings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]

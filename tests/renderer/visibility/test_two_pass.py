@@ -7,8 +7,9 @@ import pytest
 from occlusion_scenes import draw_with, look, make_boxes, visible
 
 import rhi
+from renderer.content import load_scene
 from renderer.renderer import Renderer
-from renderer.scene import Camera, Scene, load_scene
+from renderer.scene import Camera, Scene
 from renderer.visibility import FrustumCulling, NoCulling, TwoPassCulling, find_visible_objects
 from rhi import Op
 

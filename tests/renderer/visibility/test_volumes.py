@@ -11,22 +11,14 @@ from hypothesis import strategies as st
 from occlusion_scenes import cameras, draw_with, make_boxes
 
 import rhi
+from renderer.content import load_scene
+from renderer.content.shapes import box, sphere
 from renderer.renderer import Renderer
-from renderer.scene import (
-    Camera,
-    Perspective,
-    Scene,
-    SceneBuilder,
-    load_scene,
-    rotation,
-    scaling,
-    translation,
-)
-from renderer.scene.shapes import box, sphere
+from renderer.scene import Camera, Perspective, Scene, SceneBuilder, rotation, scaling, translation
 from renderer.scene.transforms import multiply
 from renderer.visibility import NoCulling, VolumeCulling, find_visible_objects
-from renderer.visibility.culling import find_visible
-from renderer.visibility.volumes import (
+from renderer.visibility.boxes.culling import find_visible
+from renderer.visibility.boxes.volumes import (
     AlignedBoxes,
     OrientedBoxes,
     Side,

@@ -50,8 +50,8 @@ from rhi import (
 )
 from rhi.conformance.shaders import Colored, FlatColored
 from rhi.conformance.shapes import corners, window_to_clip
+from rhi.contract.texels import decode
 from rhi.shading import Shader
-from rhi.texels import decode
 
 Devices = tuple[Device, Device]
 NUMBERS = itertools.count()

@@ -17,7 +17,7 @@ from rhi.backends.gl.backend import GlBackend
 from rhi.backends.gl.query_sets import QuerySet as GlQuerySet
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import texel_rectangle
-from rhi.descriptors import QueryKind
+from rhi.contract.descriptors import QueryKind
 
 SIZE = (16, 16)
 SAMPLES = np.arange(1, 17)

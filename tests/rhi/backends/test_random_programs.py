@@ -30,9 +30,9 @@ from rhi import (
     State,
     TextureKind,
 )
-from rhi.backends.cl import draws
-from rhi.backends.cl.rasteriser import Rasteriser
-from rhi.backends.cl.targets import MergerKey
+from rhi.backends.cl.raster import batches as draws
+from rhi.backends.cl.raster.merger import MergerKey
+from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.conformance.shaders import Corner, FlatColored, FlatShade
 from rhi.conformance.shapes import corners, window_to_clip
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4

@@ -19,7 +19,7 @@ import pytest
 
 import rhi
 import rhi.conformance
-from rhi import registry
+from rhi.device import registry
 
 KIT = Path(rhi.conformance.__file__).parent
 

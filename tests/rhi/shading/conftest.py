@@ -13,7 +13,7 @@ import pytest
 from glsl_runner import run_glsl
 from opencl_runner import run_opencl
 
-from rhi.descriptors import ProgramDescriptor
+from rhi.contract.descriptors import ProgramDescriptor
 from rhi.shading import Shader, compile_shader, run_compute
 
 

@@ -7,8 +7,8 @@ from typing import Any
 import moderngl
 import numpy as np
 
-from rhi.descriptors import BindingKind, Stage
-from rhi.layout import Layout, element_dtype
+from rhi.contract.descriptors import BindingKind, Stage
+from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Shader, Struct, compile_shader, value_type_of
 
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from rhi.descriptors import BindingKind
+from rhi.contract.descriptors import BindingKind
 from rhi.shading import Shader, compile_shader, opencl_kernel
-from rhi.shading.evaluate import storage_words, uniform_words
-from rhi.shading.faults import FAULT_WORDS, find_fault
-from rhi.shading.numpy_textures import HostTexture
-from rhi.shading.text import StageText
-from rhi.shading.texture_words import LevelPlace, describe_texture
+from rhi.shading.evaluation.compute import storage_words, uniform_words
+from rhi.shading.ir.faults import FAULT_WORDS, find_fault
+from rhi.shading.ir.text import StageText
+from rhi.shading.ir.texture_words import LevelPlace, describe_texture
+from rhi.shading.numpy.textures import HostTexture
 
 PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_global_id(0); }"
 

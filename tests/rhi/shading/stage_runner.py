@@ -14,10 +14,10 @@ import numpy as np
 import pyopencl as cl
 from opencl_runner import place_texture, queue
 
-from rhi.descriptors import BindingKind, Interpolation, ProgramDescriptor, Stage
+from rhi.contract.descriptors import BindingKind, Interpolation, ProgramDescriptor, Stage
 from rhi.shading import Shader, compile_shader, run_fragment, run_vertex
 from rhi.shading.compile import stage_interface
-from rhi.shading.evaluate import storage_words, uniform_words
+from rhi.shading.evaluation.compute import storage_words, uniform_words
 
 VERTEX = """
 kernel void run({parameters}global const uint *inputs, global const int *vertex, int instance, int draw,

@@ -115,7 +115,7 @@ def test_a_change_inside_a_label_is_told_under_its_path() -> None:
 def test_a_failure_is_a_difference() -> None:
     with streams(lambda house: None, lambda house: None) as (a, b):
         index = b.draws()[0].index
-        b.failures[index] = rhi.commands.Failure("device-lost", "gone")
+        b.failures[index] = rhi.commands.stream.Failure("device-lost", "gone")
         (difference,) = diff(a, b)
     assert difference.changes == ("failure: none → device-lost",)
 

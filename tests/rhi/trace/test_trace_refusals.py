@@ -18,7 +18,7 @@ from trace_kit import VERSION_1, VERSION_2, edit_line, rewrite
 import rhi
 from rhi import Access, CullMode, Device, Format, Op, Refusal, Scissor
 from rhi.conformance.validation.refusal import refuses
-from rhi.rules import DEVICE_DRIVER
+from rhi.errors.rules import DEVICE_DRIVER
 from rhi.shading import Shader, vec4
 from rhi.trace import Trace, diff, load, reduce, replay, save
 from rhi.trace.cli import main

@@ -13,9 +13,9 @@ from trace_kit import VERSION_1, Doubled, record, record_much
 import rhi
 from rhi import CullMode, Format, Op
 from rhi.conformance.validation.refusal import refuses
-from rhi.descriptors import BufferDescriptor
+from rhi.contract.descriptors import BufferDescriptor
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_MEMORY, PASS_OPEN
+from rhi.errors.rules import DEVICE_MEMORY, PASS_OPEN
 from rhi.testing import expect
 from rhi.trace import diff, load, replay, save
 from rhi.trace.fit import check_fit

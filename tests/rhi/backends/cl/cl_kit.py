@@ -11,7 +11,7 @@ import pyopencl as cl
 from numpy.typing import ArrayLike, NDArray
 
 from rhi.backends.cl.backend import ClBackend
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     Binding,
     BindingKind,
     BufferDescriptor,

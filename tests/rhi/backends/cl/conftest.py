@@ -9,7 +9,7 @@ import pytest
 from cl_kit import ClKit
 
 from rhi.backends.cl import create_backend
-from rhi.backends.cl.builds import Kernel
+from rhi.backends.cl.raster.builds import Kernel
 
 
 @pytest.fixture

@@ -21,8 +21,10 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
-from rhi.backends.cl import counters, memory, resources
+from rhi.backends.cl import pools as memory
+from rhi.backends.cl import resources
 from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.raster import counters
 
 GUARD: Final = 1 << 14
 PATTERN: Final = 0xB7

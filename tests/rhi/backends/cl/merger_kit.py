@@ -15,11 +15,11 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.context import build, open_context
-from rhi.backends.cl.targets import MergerKey, make_key, make_state, read_source
+from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state, read_source
 from rhi.conformance import reference
-from rhi.descriptors import FragmentOutput, ProgramDescriptor, Stage
-from rhi.formats import Format, Kind
-from rhi.states import (
+from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage
+from rhi.contract.formats import Format, Kind
+from rhi.contract.states import (
     DEFAULTS,
     MAX_TARGETS,
     PER_TARGET,
@@ -41,7 +41,7 @@ from rhi.states import (
     StencilTest,
     StencilWriteMask,
 )
-from rhi.texels import encode
+from rhi.contract.texels import encode
 
 _KERNEL = """
 kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns, TARGET_PARAMETERS) {

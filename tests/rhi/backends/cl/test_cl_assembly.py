@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from rhi.backends.cl import assembly
-from rhi.backends.cl.assembly import Assembler, Assembly, list_primitives
-from rhi.descriptors import Primitive
-from rhi.formats import IndexFormat
+from rhi.backends.cl.raster import assembly
+from rhi.backends.cl.raster.assembly import Assembler, Assembly, list_primitives
+from rhi.contract.descriptors import Primitive
+from rhi.contract.formats import IndexFormat
 
 Lists = NDArray[np.uint32]
 

@@ -27,9 +27,10 @@ from rhi import (
     Primitive,
     Viewport,
 )
-from rhi.backends.cl import boxes, draws
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.tables import GROUP
+from rhi.backends.cl.raster import batches as draws
+from rhi.backends.cl.raster import boxes
+from rhi.backends.cl.raster.tables import GROUP
 from rhi.shading import (
     Shader,
     Storage,

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 import rhi
 from rhi import BlendFunction, CullMode, Device, Format, Program
-from rhi.backends.cl import builds
+from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored, DepthFromColor
 from rhi.conformance.shapes import corners, rectangle
-from rhi.descriptors import ProgramDescriptor, Stage
+from rhi.contract.descriptors import ProgramDescriptor, Stage
 from rhi.errors import ShaderError
 
 SIZE = (130, 70)

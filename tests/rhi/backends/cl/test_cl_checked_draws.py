@@ -10,7 +10,8 @@ import pytest
 import rhi
 from rhi import CullMode, Device, DeviceError, Format
 from rhi.errors import ShaderError
-from rhi.shading import Flat, Shader, Storage, Struct, ddx, fragment_coordinate, rules, vec2, vec4
+from rhi.shading import Flat, Shader, Storage, Struct, ddx, fragment_coordinate, vec2, vec4
+from rhi.shading.language import rules
 
 SIZE = (32, 16)
 

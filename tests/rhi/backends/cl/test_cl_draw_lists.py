@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rhi.backends.cl import draw_lists
-from rhi.backends.cl.draw_lists import DrawLists, Place
-from rhi.backends.cl.prepared import PreparedDraws
+from rhi.backends.cl.raster import draw_lists
+from rhi.backends.cl.raster.draw_lists import DrawLists, Place
+from rhi.backends.cl.raster.prepared import PreparedDraws
 
 COMMAND = np.dtype([(name, "u4") for name in ("count", "instances", "first", "third", "fourth")])
 

@@ -24,8 +24,10 @@ from rhi import (
     StencilTest,
     Viewport,
 )
-from rhi.backends.cl import context, draws, memory
+from rhi.backends.cl import context
+from rhi.backends.cl import pools as memory
 from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.raster import batches as draws
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner

@@ -25,7 +25,8 @@ from rhi import (
     Region,
     TextureKind,
 )
-from rhi.backends.cl import builds, resources
+from rhi.backends.cl import resources
+from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
 from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4

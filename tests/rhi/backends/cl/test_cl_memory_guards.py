@@ -23,10 +23,11 @@ from rhi import (
     StencilOperation,
     StencilTest,
 )
-from rhi.backends.cl import create_backend, pipelines
+from rhi.backends.cl import create_backend
+from rhi.backends.cl.raster import pipelines
 from rhi.conformance.shaders import Colored, DepthFromColor
 from rhi.conformance.shapes import corners
-from rhi.descriptors import BufferUsage
+from rhi.contract.descriptors import BufferUsage
 
 
 @pytest.fixture(autouse=True)

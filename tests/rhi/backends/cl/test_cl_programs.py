@@ -12,7 +12,7 @@ from cl_kit import FILL, ClKit, describe_program
 import rhi
 from rhi.backends.cl import programs
 from rhi.conformance.operation import test_compute
-from rhi.descriptors import Binding, BindingKind, BufferUsage, Stage
+from rhi.contract.descriptors import Binding, BindingKind, BufferUsage, Stage
 from rhi.errors import CallSite, DeviceError, ShaderError
 
 SCALE = """

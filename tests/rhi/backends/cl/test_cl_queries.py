@@ -11,11 +11,11 @@ from cl_kit import FILL, ClKit, describe_program
 
 import rhi
 from rhi.backends.cl import create_backend
-from rhi.backends.cl.queries import is_done
+from rhi.backends.cl.fence import is_done
 from rhi.conformance.patience import PATIENCE, comes_true
+from rhi.contract.backend import FOREVER
 from rhi.errors import DeviceError
-from rhi.rules import DEVICE_LOST
-from rhi.timeline import FOREVER
+from rhi.errors.rules import DEVICE_LOST
 
 
 def test_a_fence_behind_running_work_is_neither_passed_nor_waited_for(cl_kit: ClKit) -> None:

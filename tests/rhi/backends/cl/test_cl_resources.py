@@ -12,7 +12,7 @@ from cl_kit import FILL, ClKit, describe_program
 
 from rhi.backends.cl import resources
 from rhi.backends.cl.backend import ClBackend
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
     BufferUsage,
@@ -21,9 +21,9 @@ from rhi.descriptors import (
     TextureDescriptor,
     TextureKind,
 )
+from rhi.contract.formats import Format
+from rhi.contract.texels import decode, encode
 from rhi.errors import DeviceError
-from rhi.formats import Format
-from rhi.texels import decode, encode
 
 VALUES = np.arange(8, dtype=np.float32)
 SOURCES = {
@@ -206,7 +206,7 @@ def test_levels_and_layers_of_odd_sizes_stay_apart(cl_kit: ClKit) -> None:
 
 
 def test_clearing_depth_and_stencil_of_a_layer_leaves_the_others(cl_kit: ClKit) -> None:
-    from rhi.descriptors import DepthAttachment
+    from rhi.contract.descriptors import DepthAttachment
 
     texture = cl_kit.texture(TextureDescriptor((3, 5), Format.D32FS8, TextureKind.D2_ARRAY, 3))
     attachment = DepthAttachment(texture, 0, 1, 0.25, 7)

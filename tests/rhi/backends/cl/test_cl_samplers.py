@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 from cl_kit import ClKit, describe_program
 
-from rhi.descriptors import Binding, BindingKind, Region, SamplerDescriptor, TextureDescriptor, TextureKind
-from rhi.formats import Format
-from rhi.shading.texture_words import LEVEL_WORDS, LevelWord, Stored, Word, describe_texture
+from rhi.contract.descriptors import (
+    Binding,
+    BindingKind,
+    Region,
+    SamplerDescriptor,
+    TextureDescriptor,
+    TextureKind,
+)
+from rhi.contract.formats import Format
+from rhi.shading.ir.texture_words import LEVEL_WORDS, LevelWord, Stored, Word, describe_texture
 
 SHOW = """
 kernel void show(global const uchar *texels, global const int *description, global int *words, int count) {

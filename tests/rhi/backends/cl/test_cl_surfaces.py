@@ -22,7 +22,8 @@ from rhi import (
     State,
     Texture,
 )
-from rhi.backends.cl import memory, resources
+from rhi.backends.cl import pools as memory
+from rhi.backends.cl import resources
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from merger_kit import Planes, describe, expected, run, state_values
 from numpy.typing import NDArray
 
-from rhi.backends.cl.targets import MergerKey, TestOrder, make_key
-from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, Kind
-from rhi.states import (
+from rhi.backends.cl.raster.merger import MergerKey, TestOrder, make_key
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, Kind
+from rhi.contract.states import (
     AlphaFunction,
     AlphaReference,
     AlphaTest,
@@ -36,7 +36,7 @@ from rhi.states import (
     StencilTest,
     StencilWriteMask,
 )
-from rhi.texels import encode
+from rhi.contract.texels import encode
 
 SIZE = (8, 12)  # height, width
 STENCILS = np.array([0, 1, 2, 77, 100, 128, 254, 255], np.uint8)

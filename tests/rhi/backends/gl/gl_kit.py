@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from rhi.backends.gl.backend import GlBackend
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
     BufferUsage,
@@ -26,9 +26,8 @@ from rhi.descriptors import (
     VertexFormat,
     VertexStream,
 )
-from rhi.formats import Format
-from rhi.state_cache import StateChange
-from rhi.states import PER_TARGET, State
+from rhi.contract.formats import Format
+from rhi.contract.states import PER_TARGET, State, StateChange
 
 VERTEX = """#version 430
 layout(location = 0) in vec2 position;

@@ -10,8 +10,8 @@ import pytest
 from gl_kit import FULL, GlKit, describe_program
 
 from rhi.backends.gl import create_backend, find_obstacle
+from rhi.contract.states import CullMode
 from rhi.errors import DeviceError
-from rhi.states import CullMode
 
 
 def test_the_package_imports_no_driver_before_a_backend_is_made() -> None:

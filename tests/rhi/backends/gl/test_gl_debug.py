@@ -6,7 +6,7 @@ import pytest
 from gl_kit import GlKit, describe_program
 
 from rhi.backends.gl.debug import DebugGlBackend
-from rhi.descriptors import BufferDescriptor
+from rhi.contract.descriptors import BufferDescriptor
 from rhi.errors import DeviceError, ShaderError
 
 NO_SLOT = 10_000

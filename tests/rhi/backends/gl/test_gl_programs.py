@@ -7,9 +7,9 @@ from gl_kit import FRAGMENT, FULL, VERTEX, GlKit, describe_program
 
 from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.programs import add_alpha_test
-from rhi.descriptors import Stage
+from rhi.contract.descriptors import Stage
+from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, CullMode
 from rhi.errors import ShaderError
-from rhi.states import AlphaFunction, AlphaReference, AlphaTest, CullMode
 
 SOURCE = "first\nsecond\nthird"
 LINES = {Stage.FRAGMENT: (("a.py", 10), ("b.py", 20), ("c.py", 30))}

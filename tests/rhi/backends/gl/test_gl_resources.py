@@ -9,7 +9,7 @@ import pytest
 from gl_kit import SIZE, GlKit
 
 from rhi.backends.gl.quads import expand_indices
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
     DepthAttachment,
@@ -17,8 +17,8 @@ from rhi.descriptors import (
     Region,
     TextureDescriptor,
 )
+from rhi.contract.formats import Format, IndexFormat
 from rhi.errors import DeviceError
-from rhi.formats import Format, IndexFormat
 
 VALUES = np.arange(8, dtype=np.float32)
 SOURCES = {

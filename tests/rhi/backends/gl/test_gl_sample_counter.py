@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from rhi.backends.gl import create_backend
 from rhi.backends.gl.queries import SampleCounter
-from rhi.descriptors import Id, QueryKind
-from rhi.states import CullMode
+from rhi.contract.descriptors import Id, QueryKind
+from rhi.contract.states import CullMode
 
 
 class FakeQueries:

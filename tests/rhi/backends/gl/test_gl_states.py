@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from gl_kit import FULL, SIZE, GlKit, describe_program
 
-from rhi.descriptors import Attachment, DepthAttachment, PassDescriptor, QueryKind
-from rhi.formats import Format
-from rhi.states import (
+from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, QueryKind
+from rhi.contract.formats import Format
+from rhi.contract.states import (
     AlphaReference,
     BlendColor,
     ColorWrite,

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from rhi.backends.null import CostModel, SimulatedBackend, Simulation
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
     PassDescriptor,

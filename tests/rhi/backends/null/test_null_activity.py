@@ -5,7 +5,7 @@ import json
 import pytest
 
 from rhi.backends.null import Activity, ActivityTimeline, Frame, Lane, Span
-from rhi.backends.null.activity import ActivityLog
+from rhi.backends.null.simulation.activity import ActivityLog
 
 
 @pytest.fixture

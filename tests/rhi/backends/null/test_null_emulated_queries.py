@@ -9,7 +9,7 @@ from simulated_kit import draw, make_backend
 
 import rhi
 from rhi.backends.null import Activity, Lane, SimulatedBackend, Simulation
-from rhi.descriptors import QueryKind
+from rhi.contract.descriptors import QueryKind
 
 BEFORE, AFTER = 1, 2
 

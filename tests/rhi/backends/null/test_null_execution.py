@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
-from rhi.backend import Backend
 from rhi.backends.null import Draw, NullBackend, Statistics, create_backend
 from rhi.backends.null.backend import COMMAND_NANOSECONDS, KEPT_INDIRECT
-from rhi.commands import Op
-from rhi.descriptors import (
+from rhi.commands.ops import Op as OpInOps
+from rhi.commands.recorder import Recorder
+from rhi.commands.stream import Op
+from rhi.contract.backend import Backend
+from rhi.contract.descriptors import (
     BufferDescriptor,
     BufferUsage,
     PassDescriptor,
@@ -17,8 +19,6 @@ from rhi.descriptors import (
     VertexStream,
 )
 from rhi.errors import ValidationError
-from rhi.ops import Op as OpInOps
-from rhi.recorder import Recorder
 
 PLAIN, INDEXED = 100, 101
 ARGUMENTS, COUNT, STAGING = 200, 201, 202

@@ -228,7 +228,7 @@ def test_what_waits_for_a_late_fence_is_kept_alive():
 
 @pytest.mark.parametrize("emulated", [False, True])
 def test_a_query_that_never_answers_is_never_finished_and_no_wait_is_forever(monkeypatch, emulated):
-    monkeypatch.setattr("rhi.queries.ANSWER_SECONDS", 0.02)
+    monkeypatch.setattr("rhi.device.queries.occlusion.ANSWER_SECONDS", 0.02)
     with rhi.create_device("null", faults=Faults(silent_query=0)) as device:
         device.backend_as(NullBackend).count_samples(lambda draw: 10)
         silent, other = (device.occlusion_query(emulated=emulated) for _ in range(2))

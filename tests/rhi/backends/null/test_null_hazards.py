@@ -15,7 +15,7 @@ from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 import rhi
 from rhi import Access, BufferUsage
 from rhi.backends.null import Faults, HazardKind, SimulatedBackend, Simulation
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     Attachment,
     Binding,
     BindingKind,
@@ -29,12 +29,11 @@ from rhi.descriptors import (
     VertexArrayDescriptor,
     VertexStream,
 )
+from rhi.contract.formats import Format, IndexFormat
+from rhi.contract.states import ColorWrite, DepthWrite, StateChange
+from rhi.device.core.ring import Ring
+from rhi.device.core.timeline import Timeline
 from rhi.errors import ValidationError
-from rhi.formats import Format, IndexFormat
-from rhi.ring import Ring
-from rhi.state_cache import StateChange
-from rhi.states import ColorWrite, DepthWrite
-from rhi.timeline import Timeline
 
 PROGRAM, TEXTURE, SAMPLER, VERTICES = 300, 301, 302, 303
 KINDS = HazardKind

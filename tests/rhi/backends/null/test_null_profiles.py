@@ -8,7 +8,7 @@ from null_kit import hand_made_program
 import rhi
 from rhi import BlendFunction, Format, PolygonOffset, Stage, ValidationError
 from rhi.backends.null import PROFILES, SimulatedBackend, Simulation, find_profile
-from rhi.descriptors import Binding, BindingKind
+from rhi.contract.descriptors import Binding, BindingKind
 
 
 def refused(profile, call):

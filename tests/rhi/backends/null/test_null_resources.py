@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from rhi.backends.null import create_backend
 from rhi.backends.null.backend import QUEUED_BYTES
-from rhi.descriptors import (
+from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
     BufferUsage,
@@ -17,8 +17,8 @@ from rhi.descriptors import (
     TextureDescriptor,
     TextureKind,
 )
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format
 from rhi.errors import DeviceError
-from rhi.formats import COLOR_FORMATS, DEPTH_FORMATS, Format
 
 BY_NAME = {"ids": lambda f: f.name}
 

@@ -17,8 +17,9 @@ from rhi.backends.null import (
     Work,
     create_backend,
 )
-from rhi.backends.null.cost import count_primitives
-from rhi.descriptors import (
+from rhi.backends.null.simulation.cost import count_primitives
+from rhi.commands.ops import Op
+from rhi.contract.descriptors import (
     Attachment,
     BufferDescriptor,
     PassDescriptor,
@@ -27,10 +28,8 @@ from rhi.descriptors import (
     Region,
     TextureDescriptor,
 )
-from rhi.formats import Format
-from rhi.ops import Op
-from rhi.state_cache import StateChange
-from rhi.states import CullMode, Scissor, Viewport
+from rhi.contract.formats import Format
+from rhi.contract.states import CullMode, Scissor, StateChange, Viewport
 
 CPU, GPU = Lane.CPU, Lane.GPU
 

@@ -7,7 +7,7 @@ from simulated_kit import make_backend
 
 import rhi
 from rhi.backends.null import AnswerLog, NullBackend, RecordedAnswers, create_backend
-from rhi.descriptors import Primitive, QueryKind
+from rhi.contract.descriptors import Primitive, QueryKind
 from rhi.errors import ValidationError
 
 

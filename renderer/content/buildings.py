@@ -1,0 +1,174 @@
+"""Building meshes: unit lots (x and z from -1/2 to 1/2, y from 0 to 1) that instances stretch.
+
+`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is
+in its outline: pilasters stand out from the wall, so that one loft gives walls, cornices and roof.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from renderer.content import shapes
+from renderer.content.textures import ROOF_UV, WINDOWS
+from renderer.scene.meshes import Geometry, join
+from renderer.scene.transforms import Floats, multiply, scaling, translation
+
+__rhi_internal__ = True
+
+Ring = tuple[float, float, float]
+
+KINDS: Final = ("tower", "setback", "corner", "round", "house", "slab")
+"""The shapes of buildings."""
+
+
+def make_building(kind: str, floors: int, detail: int) -> Geometry:
+    """A building of one of `KINDS` with windows for `floors` storeys."""
+    bays = max((detail + 1) // 2, 1)
+    walls = (8 * bays / WINDOWS, floors / WINDOWS)
+    cornice = 1.0 - 0.35 / floors
+    shop = 1.0 / floors
+    if kind == "tower":
+        outline = _pilasters(_SQUARE * 0.94, bays, 0.05)
+        rings = [_ring(0, 1), _ring(shop, 1), _ring(shop, 0.985), _ring(cornice, 0.985), _ring(cornice, 1.03)]
+        return _with_roof(outline, [*rings, _ring(1, 1.03)], walls, 0.94)
+    if kind == "setback":
+        outline = _divided(_CHAMFERED, bays)
+        steps = [(0.0, 1.0), (0.52, 1.0), (0.52, 0.8), (0.78, 0.8), (0.78, 0.6), (0.94, 0.6), (0.94, 0.4)]
+        return _with_roof(outline, [*(_ring(y, s) for y, s in steps), _ring(1, 0.4)], walls, 0.34)
+    if kind == "corner":
+        outline = _pilasters(_ANGLE, max(bays - 1, 1), 0.04)
+        rings = [_ring(0, 1), _ring(cornice, 1), _ring(cornice, 1.02), _ring(1, 1.02)]
+        moved = _with_roof(outline, rings, walls, 0.95)
+        return moved.transformed(translation((-0.2, 0.0, -0.2)))
+    if kind == "round":
+        angle = np.arange(8 * detail) * (2.0 * np.pi / (8 * detail))
+        outline = 0.46 * np.stack([np.cos(angle), -np.sin(angle)], axis=1)
+        rings = [
+            _ring(0, 1),
+            _ring(shop, 1),
+            _ring(shop, 0.97),
+            _ring(0.9, 0.97),
+            _ring(0.9, 0.85),
+            _ring(1, 0.85),
+        ]
+        return _with_roof(outline, rings, walls, 0.78, smooth=True)
+    if kind == "house":
+        outline = _pilasters(_SQUARE * 0.9, bays, 0.02)
+        eaves = 0.62
+        rings = [_ring(0, 1), _ring(eaves, 1), _ring(eaves, 1.1), (1.0, 0.62, 0.0)]
+        body = shapes.loft(outline, rings, (walls[0], walls[1] / eaves), ROOF_UV)
+        chimneys = [
+            _block((0.18, 0.9, 0.12), (0.09, 0.22, 0.09)),
+            _block((-0.2, 0.9, -0.1), (0.09, 0.2, 0.09)),
+        ]
+        dormers = [
+            _block((x, 0.74, side * 0.33), (0.11, 0.16, 0.16))
+            for x in (-0.3, -0.1, 0.1, 0.3)
+            for side in (-1.0, 1.0)
+        ]
+        return join([body, *chimneys, *dormers])
+    outline = _divided(_SQUARE * (0.92, 0.62), bays)
+    body = _with_roof(outline, [_ring(0, 1), _ring(1, 1)], walls, 0.93)
+    return join([body, *_balconies(bays), _block((0.15, 0.97, 0.0), (0.2, 0.1, 0.2))])
+
+
+def make_trees(count: int, detail: int, seed: int) -> Geometry:
+    """`count` trees on a unit lot: trunks and round or pointed crowns, in metres above a lot of 1 x 1."""
+    rng = np.random.default_rng([seed, 5])
+    crowns = (shapes.sphere(max(detail, 4)), shapes.cone(max(detail, 4)))
+    trunk = shapes.cylinder(max(detail - 2, 3))
+    side = int(np.ceil(np.sqrt(count)))
+    parts = []
+    for tree in range(count):
+        spot = (np.array(divmod(tree, side)) + rng.uniform(0.3, 0.7, 2)) / side - 0.5
+        height, crown = rng.uniform(5.0, 10.0), crowns[tree % 2]
+        middle = (spot[0], 0.62 * height, spot[1])
+        width = 0.16 * rng.uniform(0.8, 1.2)
+        parts.append(crown.transformed(_placed(middle, (width, 0.75 * height, width))))
+        parts.append(
+            trunk.transformed(_placed((spot[0], 0.15 * height, spot[1]), (0.02, 0.3 * height, 0.02)))
+        )
+    return join(parts)
+
+
+def make_lamp(detail: int) -> Geometry:
+    """A street lamp in metres: a post of 6 m with an arm along +x and a lamp at (1.6, 5.9, 0)."""
+    post = shapes.lathe([(0.14, 0.0), (0.1, 0.6), (0.06, 6.0), (0.0, 6.0)], max(detail, 4))
+    arm = shapes.box().transformed(_placed((0.8, 5.97, 0.0), (1.7, 0.07, 0.07)))
+    lamp = shapes.sphere(max(detail, 4)).transformed(_placed((1.6, 5.9, 0.0), (0.5, 0.22, 0.3)))
+    return join([post, arm, lamp])
+
+
+_SQUARE: Final = 0.5 * np.array([(1, 1), (1, -1), (-1, -1), (-1, 1)], np.float64)
+_CHAMFERED: Final = np.array(
+    [
+        (0.48, 0.36),
+        (0.48, -0.36),
+        (0.36, -0.48),
+        (-0.36, -0.48),
+        (-0.48, -0.36),
+        (-0.48, 0.36),
+        (-0.36, 0.48),
+        (0.36, 0.48),
+    ]
+)
+_ANGLE: Final = np.array(
+    [(0.66, 0.16), (0.66, -0.24), (-0.24, -0.24), (-0.24, 0.66), (0.16, 0.66), (0.16, 0.16)]
+)
+"""An L around the corner where its wings meet, from where both can be seen."""
+
+
+def _ring(y: float, scale: float) -> Ring:
+    return (y, scale, scale)
+
+
+def _divided(corners: Floats, parts: int) -> Floats:
+    """Each edge of a closed polygon in `parts`."""
+    after = np.roll(corners, -1, axis=0)
+    share = (np.arange(parts) / parts)[None, :, None]
+    return (corners[:, None] + share * (after - corners)[:, None]).reshape(-1, 2)
+
+
+def _pilasters(corners: Floats, bays: int, depth: float) -> Floats:
+    """Each edge with `bays` pilasters, 4 points each, that stand out from the centre by a share `depth`.
+
+    Their sides point at the centre, from where the whole outline can thus still be seen.
+    """
+    along = np.roll(corners, -1, axis=0) - corners
+    share = ((np.arange(bays)[:, None] + np.array([0.36, 0.36, 0.64, 0.64])) / bays).reshape(-1)
+    out = np.tile([1.0, 1.0 + depth, 1.0 + depth, 1.0], bays)
+    wall = (corners[:, None] + share[None, :, None] * along[:, None]) * out[None, :, None]
+    return np.concatenate([corners[:, None], wall], axis=1).reshape(-1, 2)
+
+
+def _with_roof(
+    outline: Floats, rings: list[Ring], walls: tuple[float, float], inner: float, smooth: bool = False
+) -> Geometry:
+    """A loft with a parapet around a flat roof; `inner` is the roof's scale."""
+    top = rings[-1][0]
+    low = top - 0.3 * (top - rings[-2][0]) if len(rings) > 2 else 0.97
+    return shapes.loft(outline, [*rings, _ring(top, inner), _ring(low, inner)], walls, ROOF_UV, smooth)
+
+
+def _balconies(bays: int) -> list[Geometry]:
+    """Slabs on the two long sides, four storeys of them."""
+    x = (np.arange(bays) + 0.5) / bays * 0.92 - 0.46
+    return [
+        _block((float(at), y, side * 0.335), (0.6 / bays, 0.02, 0.06))
+        for at in x
+        for y in (0.2, 0.4, 0.6, 0.8)
+        for side in (-1.0, 1.0)
+    ]
+
+
+def _block(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Geometry:
+    part = shapes.box().transformed(_placed(centre, size))
+    vertices = part.vertices.copy()
+    vertices["uv"] = ROOF_UV
+    return Geometry(vertices, part.indices)
+
+
+def _placed(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Floats:
+    return multiply(translation(centre), scaling(size))

@@ -1,0 +1,246 @@
+"""The city: blocks of buildings of several shapes between streets, taller downtown.
+
+One block holds one building on a pitch of `PITCH` metres, so streets are straight, views along them deep,
+and at eye level most of the city is hidden. Buildings share meshes by shape and height, and vary by
+transform and material. By default about 1,900 objects and 1.1 million triangles, as the thesis's model of
+New York (7.1). The same seed gives the same city.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.content.buildings import KINDS, make_building, make_lamp, make_trees
+from renderer.content.shapes import plane
+from renderer.content.specs import SEED, Generator, Option
+from renderer.content.textures import paint_facade, paint_street
+from renderer.scene.camera import Camera, Perspective
+from renderer.scene.paths import make_path
+from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.transforms import Floats, multiply, rotation, scaling, translation
+
+__rhi_internal__ = True
+
+PITCH: Final = 34.0
+"""Metres from one street's middle to the next."""
+
+STREET: Final = 11.0
+"""Metres from kerb to kerb."""
+
+EYE_HEIGHT: Final = 1.8
+
+_LOT: Final = PITCH - STREET - 3.0  # 1.5 m of pavement on each side
+_STOREY: Final = 3.4
+_FLOORS: Final = (4, 10, 26)  # storeys for which meshes are made; instances stretch them to theirs
+
+_WALLS: Final = np.array(
+    [
+        (0.62, 0.54, 0.44), (0.50, 0.30, 0.22), (0.70, 0.66, 0.58), (0.38, 0.24, 0.19),
+        (0.46, 0.48, 0.50), (0.66, 0.50, 0.33), (0.30, 0.33, 0.38), (0.72, 0.62, 0.48),
+    ]
+)  # fmt: skip
+_GLASS: Final = np.array([(0.42, 0.55, 0.62), (0.36, 0.46, 0.50), (0.52, 0.56, 0.60), (0.30, 0.40, 0.52)])
+
+
+def make_city(blocks: int, detail: int, seed: int) -> Scene:
+    """A city of `blocks` x `blocks`; `detail` divides facades, `seed` varies everything."""
+    rng = np.random.default_rng([seed, 44])
+    builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
+    builder.background = (0.42, 0.60, 0.82)
+    builder.haze = 1.0 / 3200.0
+    index = np.stack(np.meshgrid(np.arange(blocks), np.arange(blocks), indexing="ij"), -1).reshape(-1, 2)
+    centre = np.asarray((index - 0.5 * (blocks - 1)) * PITCH, np.float64)
+    half = 0.5 * blocks * PITCH
+
+    downtown = rng.uniform(-0.25, 0.25, 2) * half
+    near = np.exp(-(((centre - downtown) / (0.38 * half)) ** 2).sum(1))
+    height = 9.0 + 20.0 * rng.random(len(centre)) + near * (24.0 + 140.0 * rng.random(len(centre)) ** 1.7)
+    use = rng.random(len(centre))
+    built = use >= 0.10
+    built[0] = True  # the smallest city has a building too
+    park = ~built & (use < 0.04)
+
+    materials = _add_materials(builder, seed)
+    _add_ground(builder, blocks, seed)
+    _add_buildings(builder, rng, centre[built], height[built], near[built], detail, materials)
+    _add_parks(builder, rng, centre[park], detail, seed)
+    route = _street_route(blocks)
+    _add_lights(builder, route, detail)
+    _add_cameras(builder, route, half, float(height[built].max()))
+    return builder.build()
+
+
+CITY: Final = Generator(
+    "city",
+    "blocks of buildings between streets, taller downtown; ground and sky paths",
+    (
+        Option("blocks", 44, "blocks along each side", 1, 256),
+        Option("detail", 7, "how finely facades are divided", 2, 32),
+        SEED,
+    ),
+    make_city,
+)
+
+
+def _add_materials(builder: SceneBuilder, seed: int) -> dict[str, NDArray[np.int64]]:
+    """Material ids by facade style."""
+    images = {style: builder.add_image(paint_facade(style, seed)) for style in ("punched", "ribbon", "glass")}
+    stone: dict[str, Any] = {"specular_color": (0.03, 0.03, 0.03), "shininess": 16.0, "rim_strength": 0.05}
+    pane: dict[str, Any] = {"specular_color": (0.5, 0.5, 0.5), "shininess": 90.0, "rim_strength": 0.35}
+    styles = {"punched": (_WALLS, stone), "ribbon": (_WALLS, stone), "glass": (_GLASS, pane)}
+    return {
+        style: np.array(
+            [builder.add_material(base_color=tuple(c), texture=images[style], **look) for c in colors]
+        )
+        for style, (colors, look) in styles.items()
+    }
+
+
+def _add_ground(builder: SceneBuilder, blocks: int, seed: int) -> None:
+    """Square tiles of streets, so that ground can be culled too, on a plain that reaches further."""
+    image = builder.add_image(paint_street(STREET / PITCH, seed))
+    streets = builder.add_material(texture=image, base_color=(1, 1, 1), shininess=24.0)
+    plain = builder.add_material(base_color=(0.24, 0.27, 0.17), specular_color=(0, 0, 0))
+    tiles = min(blocks, 4)
+    edges = np.linspace(0, blocks, tiles + 1).astype(np.int64)
+    meshes = {
+        (w, d): builder.add_mesh(plane(1, (w, d)), f"ground {w}x{d}")
+        for w in _steps(edges)
+        for d in _steps(edges)
+    }
+    for x0, x1 in pairwise(edges.tolist()):
+        for z0, z1 in pairwise(edges.tolist()):
+            size = np.array([x1 - x0, 1.0, z1 - z0]) * (PITCH, 1.0, PITCH)
+            middle = (np.array([x0 + x1, 0.0, z0 + z1]) - (blocks, 0.0, blocks)) * 0.5 * PITCH
+            node = builder.add_node(multiply(translation(middle), scaling(size)), name="ground")
+            builder.add_objects(node, meshes[x1 - x0, z1 - z0], streets)
+    wide = builder.add_mesh(plane(), "plain")
+    extent = 6.0 * blocks * PITCH + 2000.0
+    node = builder.add_node(
+        multiply(translation((0.0, -0.5, 0.0)), scaling((extent, 1.0, extent))), name="plain"
+    )
+    builder.add_objects(node, wide, plain)
+
+
+def _steps(edges: NDArray[np.int64]) -> set[int]:
+    return {int(step) for step in np.diff(edges)}
+
+
+def _add_buildings(
+    builder: SceneBuilder,
+    rng: np.random.Generator,
+    centre: Floats,
+    height: Floats,
+    near: Floats,
+    detail: int,
+    materials: dict[str, NDArray[np.int64]],
+) -> None:
+    count = len(centre)
+    floors = height / _STOREY
+    storeys = np.abs(np.log(floors[:, None] / np.array(_FLOORS))).argmin(1)
+    # Shares of each kind by height: houses and slabs low, towers high.
+    shares = np.array([(0.04, 0.02, 0.22, 0.06, 0.44, 0.22), (0.28, 0.12, 0.24, 0.10, 0.0, 0.26),
+                       (0.40, 0.30, 0.0, 0.22, 0.0, 0.08)]).cumsum(1)  # fmt: skip
+    kind = (rng.random(count)[:, None] > shares[storeys]).sum(1).clip(0, len(KINDS) - 1)
+    used, mesh = np.unique(kind * len(_FLOORS) + storeys, return_inverse=True)
+    meshes = []
+    for pair in used.tolist():
+        name, storey_count = KINDS[pair // len(_FLOORS)], _FLOORS[pair % len(_FLOORS)]
+        building = make_building(name, storey_count, detail)
+        meshes.append(builder.add_mesh(building, f"{name} {storey_count}"))
+    size = np.stack([*(_LOT * rng.uniform(0.82, 1.0, (2, count))), height], axis=1)[:, [0, 2, 1]]
+    turn = rotation((0, 1, 0), 0.5 * np.pi * rng.integers(0, 4, count))
+    place = translation(np.stack([centre[:, 0], np.zeros(count), centre[:, 1]], axis=1))
+    nodes = builder.add_nodes(multiply(place, multiply(turn, scaling(size))))
+
+    glass = (np.isin(kind, [KINDS.index("setback"), KINDS.index("round")])) | (
+        near * rng.random(count) > 0.45
+    )
+    ribbon = ~glass & (rng.random(count) < 0.35)
+    color = rng.random(count)
+    material = np.empty(count, np.int64)
+    for style, chosen in (("glass", glass), ("ribbon", ribbon), ("punched", ~glass & ~ribbon)):
+        ids = materials[style]
+        material[chosen] = ids[(color[chosen] * len(ids)).astype(np.int64)]
+    builder.add_objects(nodes, np.array(meshes)[mesh], material)
+
+
+def _add_parks(
+    builder: SceneBuilder, rng: np.random.Generator, centre: Floats, detail: int, seed: int
+) -> None:
+    side = PITCH - STREET - 2.0
+    lawn = builder.add_mesh(plane(), "lawn")
+    trees = [builder.add_mesh(make_trees(9, detail, seed + i), f"trees {i}") for i in range(3)]
+    grass = builder.add_material(base_color=(0.16, 0.30, 0.08), specular_color=(0, 0, 0))
+    leaves = [
+        builder.add_material(base_color=c, specular_color=(0.02, 0.02, 0.02), rim_strength=0.2, rim_power=3.0)
+        for c in ((0.12, 0.27, 0.07), (0.20, 0.30, 0.06), (0.28, 0.24, 0.05))
+    ]
+    place = translation(np.stack([centre[:, 0], np.full(len(centre), 0.05), centre[:, 1]], axis=1))
+    nodes = builder.add_nodes(multiply(place, scaling((side, 1.0, side))))
+    pick = rng.integers(0, 3, (2, len(centre)))
+    builder.add_objects(nodes, lawn, grass)
+    builder.add_objects(nodes, np.array(trees)[pick[0]], np.array(leaves)[pick[1]])
+
+
+def _street_route(blocks: int) -> Floats:
+    """Corners of the way along streets from one end of the city to the other, (k, 3).
+
+    It goes along x and changes street three times, there and back around the middle street.
+    """
+    streets = np.round(np.array([-0.12, 0.08, -0.05, 0.10]) * blocks) + blocks // 2
+    turns = np.round(np.linspace(0, blocks, 5))
+    way = [(turns[0], streets[0])]
+    for turn, before, after in zip(turns[1:-1], streets[:-1], streets[1:], strict=True):
+        way += [(turn, before), (turn, after)]
+    way.append((turns[-1], streets[-1]))
+    xz = (np.array(way, np.float64) - 0.5 * blocks) * PITCH
+    moved = np.concatenate([[True], (np.diff(xz, axis=0) != 0).any(1)])
+    xz = xz[moved]
+    return np.stack([xz[:, 0], np.full(len(xz), EYE_HEIGHT), xz[:, 1]], axis=1)
+
+
+def _add_lights(builder: SceneBuilder, route: Floats, detail: int) -> None:
+    lights = builder.lights
+    lights.sky, lights.ground = (0.30, 0.38, 0.50), (0.16, 0.15, 0.13)
+    lights.add_directional((-0.55, -0.62, -0.50), (1.0, 0.90, 0.74), 2.3)
+    mesh = builder.add_mesh(make_lamp(detail), "lamp")
+    metal = builder.add_material(
+        base_color=(0.10, 0.11, 0.12), specular_color=(0.4, 0.4, 0.4), shininess=60.0
+    )
+    to_kerb = 0.5 * STREET + 0.8
+    lit = np.concatenate([route[1:-1], np.round(0.5 * (route[1:] + route[:-1]) / PITCH) * PITCH])
+    for number, crossing in enumerate(lit):
+        foot = crossing * (1.0, 0.0, 1.0) + (-to_kerb, 0.0, to_kerb)
+        turn = multiply(translation(foot), rotation((0, 1, 0), 0.25 * np.pi))
+        builder.add_objects(builder.add_node(turn, name=f"lamp {number}"), mesh, metal)
+        lamp = (turn @ (1.6, 5.7, 0.0, 1.0))[:3]
+        if number % 2:
+            lights.add_spot(lamp, (0.0, -1.0, 0.0), 22.0, 0.5, 1.0, (1.0, 0.80, 0.50), 60.0)
+        else:
+            lights.add_point(lamp, 18.0, (1.0, 0.72, 0.42), 20.0)
+
+
+def _add_cameras(builder: SceneBuilder, route: Floats, half: float, top: float) -> None:
+    lens = Perspective(fov=np.radians(60.0), near=0.2)
+    builder.paths["ground"] = make_path(route, lens, rounding=48.0, ahead=44.0)
+    roofs = top + 12.0
+    flight = [(-half, roofs, -0.7 * half), (-0.3 * half, roofs + 25.0, 0.2 * half),
+              (0.3 * half, roofs, -0.2 * half), (half, roofs + 10.0, 0.7 * half)]  # fmt: skip
+    builder.paths["sky"] = make_path(flight, lens, rounding=0.5 * half, ahead=160.0, sink=85.0)
+    builder.views["overview"] = Camera.look_at(
+        (0.62 * half, top * 0.80 + 20.0, 0.70 * half),
+        (0.0, -0.35 * top, 0.0),
+        projection=lens,
+    )
+    builder.views["street"] = Camera.look_at(
+        route[0] + (2.0, 0.6, 0.0), route[1] + (0.0, 9.0, 0.0), projection=lens
+    )
+    builder.views["roofs"] = Camera.look_at(
+        (-0.5 * half, 0.5 * top + 12.0, 0.5 * half), (0.2 * half, 0.25 * top, -0.1 * half), projection=lens
+    )
+    builder.views["above"] = Camera.look_at((0.0, 2.1 * half + top, 0.0), (0.0, 0.0, 0.0), (0, 0, -1), lens)

@@ -1,0 +1,249 @@
+"""The hall: rows of columns, flags that sway on poles, fountains, point and spot lights, deep views.
+
+Flags are chains of nodes (pole, then segment after segment of cloth, each turning about the end of the one
+before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the time
+alone. Cross walls with doorways divide the hall: what lies behind them is mostly hidden.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.content import shapes
+from renderer.content.fountains import BOUNDS, Fountains, make_drops
+from renderer.content.specs import SEED, Generator, Option
+from renderer.content.textures import paint_stripes
+from renderer.scene.camera import Camera, Perspective
+from renderer.scene.meshes import Geometry, make_geometry
+from renderer.scene.paths import make_path
+from renderer.scene.scene import Scene, SceneBuilder
+from renderer.scene.transforms import Floats, multiply, rotation, scaling, translation
+
+__rhi_internal__ = True
+
+BAY: Final = 6.0
+"""Metres from column to column."""
+
+SEGMENTS: Final = 6
+"""Pieces of cloth in a flag: the depth of its chain of nodes."""
+
+_HEIGHT: Final = 9.0
+_CLOTH: Final = (0.34, 1.3)  # width of a segment and height of a flag, metres
+
+
+def make_hall(columns: int, rows: int, flags: int, fountains: int, detail: int, seed: int) -> Scene:
+    """A hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle."""
+    rng = np.random.default_rng([seed, 8])
+    options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
+    builder = SceneBuilder(f"hall:{options}")
+    builder.background = (0.01, 0.012, 0.02)
+    length, width = columns * BAY, (rows + 1) * BAY
+    _add_shell(builder, length, width, columns)
+    _add_columns(builder, columns, rows, length, detail)
+    places = _flag_places(flags, length)
+    _add_flags(builder, rng, places, detail)
+    _add_fountains(builder, fountains, length, detail, seed)
+    _add_lights(builder, rng, columns, length, width)
+    _add_cameras(builder, length, width)
+    return builder.build()
+
+
+HALL: Final = Generator(
+    "hall",
+    "rows of columns, swaying flags, fountains, point and spot lights, deep views; ground and sky paths",
+    (
+        Option("columns", 24, "columns in each row", 2, 512),
+        Option("rows", 4, "rows of columns", 2, 64),
+        Option("flags", 32, "flags on poles", 0, 4096),
+        Option("fountains", 0, "fountains, simulated where they are seen", 0, 4096),
+        Option("detail", 8, "how finely columns are divided", 3, 64),
+        SEED,
+    ),
+    make_hall,
+)
+
+
+def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int) -> None:
+    """Floor and ceiling bay by bay, side walls, and cross walls with a doorway every sixth bay."""
+    stone = builder.add_material(base_color=(0.42, 0.39, 0.35), specular_color=(0.08, 0.08, 0.08))
+    floor = builder.add_material(
+        base_color=(0.30, 0.22, 0.17), specular_color=(0.35, 0.33, 0.3), shininess=120.0, rim_strength=0.25
+    )
+    ceiling = builder.add_material(base_color=(0.20, 0.24, 0.33), specular_color=(0.02, 0.02, 0.02))
+    tile = builder.add_mesh(shapes.plane(4), "floor")
+    cube = builder.add_mesh(shapes.box(2), "block")
+    bays = (np.arange(columns) + 0.5) * BAY - 0.5 * length
+    zero = np.zeros(columns)
+    tiles = multiply(translation(np.stack([bays, zero, zero], 1)), scaling((BAY, 1.0, width)))
+    builder.add_objects(builder.add_nodes(tiles), tile, floor)
+    lids = multiply(translation(np.stack([bays, zero + _HEIGHT + 0.2, zero], 1)), scaling((BAY, 0.4, width)))
+    builder.add_objects(builder.add_nodes(lids), cube, ceiling)
+    sides = [multiply(translation((0.0, 0.5 * _HEIGHT, z)), scaling((length, _HEIGHT, 0.4)))
+             for z in (-0.5 * width, 0.5 * width)]  # fmt: skip
+    ends = [multiply(translation((x, 0.5 * _HEIGHT, 0.0)), scaling((0.4, _HEIGHT, width)))
+            for x in (-0.5 * length, 0.5 * length)]  # fmt: skip
+    door, lintel = 3.2, 5.0
+    wing = 0.5 * (width - door)
+    crossed = []
+    for x in np.arange(6, columns, 6) * BAY - 0.5 * length:
+        for side in (-1.0, 1.0):
+            middle = (x, 0.5 * _HEIGHT, side * 0.5 * (door + wing))
+            crossed.append(multiply(translation(middle), scaling((0.5, _HEIGHT, wing))))
+        above = (x, 0.5 * (_HEIGHT + lintel), 0.0)
+        crossed.append(multiply(translation(above), scaling((0.5, _HEIGHT - lintel, door))))
+    builder.add_objects(builder.add_nodes(np.array([*sides, *ends, *crossed])), cube, stone)
+
+
+def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, detail: int) -> None:
+    marble = builder.add_material(
+        base_color=(0.74, 0.70, 0.62), specular_color=(0.3, 0.3, 0.3), shininess=64.0, rim_strength=0.3
+    )
+    profile = [(0.0, 0.0), (0.75, 0.0), (0.75, 0.25), (0.6, 0.4), (0.62, 0.55), (0.5, 0.7), (0.48, 3.0),
+               (0.42, 7.4), (0.5, 7.6), (0.48, 7.75), (0.8, 8.5), (0.8, _HEIGHT)]  # fmt: skip
+    mesh = builder.add_mesh(shapes.lathe(profile, 3 * detail), "column")
+    x, z = np.meshgrid(
+        (np.arange(columns) + 0.5) * BAY - 0.5 * length, (np.arange(rows) - 0.5 * (rows - 1)) * BAY
+    )
+    places = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], axis=1)
+    builder.add_objects(builder.add_nodes(translation(places)), mesh, marble)
+
+
+def _flag_places(flags: int, length: float) -> Floats:
+    """Feet of the poles (flags, 3): two lines along the middle aisle, and then further ones."""
+    number = np.arange(flags)
+    lines = max(2, 2 * int(np.ceil(flags / (2.0 * length))))  # one metre between poles at least
+    per_line = int(np.ceil(flags / lines)) or 1
+    line, place = number // per_line, number % per_line
+    side = np.where(line % 2, 1.0, -1.0) * (1.9 + 0.25 * (line // 2))
+    return np.stack([((place + 0.5) / per_line - 0.5) * (length - BAY), np.zeros(flags), side], axis=1)
+
+
+def _add_flags(builder: SceneBuilder, rng: np.random.Generator, places: Floats, detail: int) -> None:
+    count = len(places)
+    if not count:
+        return
+    width, height = _CLOTH
+    colors = [((0.72, 0.10, 0.12), (0.92, 0.86, 0.70)), ((0.10, 0.22, 0.55), (0.90, 0.90, 0.88)),
+              ((0.08, 0.42, 0.26), (0.95, 0.75, 0.20))]  # fmt: skip
+    cloths = np.array(
+        [
+            builder.add_material(
+                texture=builder.add_image(paint_stripes(first, second, 3)), specular_color=(0.05, 0.05, 0.05)
+            )
+            for first, second in colors
+        ]
+    )
+    iron = builder.add_material(base_color=(0.08, 0.08, 0.09), specular_color=(0.5, 0.5, 0.5), shininess=80.0)
+    pole = builder.add_mesh(shapes.lathe([(0.06, 0.0), (0.04, 4.6), (0.09, 4.7), (0.0, 4.8)], detail), "pole")
+    cloth = [builder.add_mesh(_cloth(part, detail), f"cloth {part}") for part in range(SEGMENTS)]
+
+    poles = builder.add_nodes(
+        multiply(translation(places), rotation((0, 1, 0), rng.uniform(-0.6, 0.6, count)))
+    )
+    builder.add_objects(poles, pole, iron)
+    material = cloths[np.arange(count) % len(cloths)]
+    phase = rng.uniform(0.0, 2.0 * np.pi, count)
+    offset = translation((0.0, 4.55 - height, 0.0))
+    above = poles
+    for part in range(SEGMENTS):
+        hinge = offset if part == 0 else translation((width, 0.0, 0.0))
+        above = builder.add_nodes(multiply(hinge, rotation((0, 1, 0), np.zeros(count))), above, dynamic=True)
+        builder.add_objects(above, cloth[part], material)
+        builder.animate(above, _Sway(hinge, phase, part))
+
+
+class _Sway:
+    """The motion of one segment of all flags: a wave that runs along the cloth and grows outwards."""
+
+    def __init__(self, hinge: Floats, phase: NDArray[np.float64], part: int) -> None:
+        self.hinge, self.phase, self.part = hinge, phase, part
+
+    def __call__(self, seconds: float) -> Floats:
+        angle = 0.11 * (1.0 + 0.35 * self.part) * np.sin(2.4 * seconds + self.phase - 0.9 * self.part)
+        return multiply(self.hinge, rotation((0, 1, 0), angle))
+
+
+def _cloth(part: int, detail: int) -> Geometry:
+    """One segment from its hinge at x = 0, both sides; the flag's stripes run through all of them."""
+    width, height = _CLOTH
+    x, y = np.meshgrid(np.linspace(0.0, width, detail + 1), np.linspace(0.0, height, detail + 1))
+    uv = np.stack([(part + x / width) / SEGMENTS, 1.0 - y / height], axis=-1).reshape(-1, 2)
+    front = shapes.sheet(np.stack([x, y, np.full_like(x, 0.01)], axis=-1), uv.reshape(*x.shape, 2))
+    vertices = np.concatenate([front.vertices, front.vertices])
+    back = vertices[len(front.vertices) :]
+    back["position"][:, 2] = -0.01
+    back["normal"] *= -1.0
+    turned = front.indices.reshape(-1, 3)[:, ::-1] + len(front.vertices)
+    return make_geometry(
+        vertices["position"],
+        np.concatenate([front.indices, turned.ravel()]),
+        vertices["normal"],
+        vertices["uv"],
+    )
+
+
+def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int, seed: int) -> None:
+    """Basins on alternate sides of the middle aisle, a spray in each."""
+    if not count:
+        return
+    stone = builder.add_material(
+        base_color=(0.46, 0.45, 0.43), specular_color=(0.2, 0.2, 0.2), shininess=48.0
+    )
+    water = builder.add_material(
+        base_color=(0.45, 0.62, 0.75), specular_color=(0.6, 0.6, 0.6), shininess=90.0, emission=0.25
+    )
+    profile = [
+        (0.0, 0.0),
+        (1.0, 0.0),
+        (1.05, 0.5),
+        (0.92, 0.5),
+        (0.88, 0.2),
+        (0.1, 0.2),
+        (0.06, 0.9),
+        (0.0, 0.9),
+    ]
+    basin = builder.add_mesh(shapes.lathe(profile, 2 * detail), "basin")
+    x = ((np.arange(count) + 0.5) / count - 0.5) * (length - BAY)
+    side = np.where(np.arange(count) % 2, 1.0, -1.0) * 0.5 * BAY
+    places = np.stack([x, np.zeros(count), side], axis=1)
+    builder.add_objects(builder.add_nodes(translation(places)), basin, stone)
+    sprays = [builder.add_mesh(make_drops(), f"spray {number}", BOUNDS) for number in range(count)]
+    nozzles = builder.add_nodes(translation(places + np.array([0.0, 0.9, 0.0])))
+    builder.simulate(builder.add_objects(nozzles, sprays, water), Fountains(count, seed))
+
+
+def _add_lights(
+    builder: SceneBuilder, rng: np.random.Generator, columns: int, length: float, width: float
+) -> None:
+    lights = builder.lights
+    lights.sky, lights.ground = (0.05, 0.055, 0.075), (0.035, 0.028, 0.02)
+    glow = builder.add_material(base_color=(1.0, 0.78, 0.45), emission=3.0)
+    bulb = builder.add_mesh(shapes.sphere(12), "bulb")
+    every = max(1, columns // 8)
+    xs = (np.arange(0, columns, every) + 0.5) * BAY - 0.5 * length + 0.5 * BAY
+    for number, x in enumerate(xs[:-1] if len(xs) > 1 else xs):
+        side = 1.0 if number % 2 else -1.0
+        place = np.array([x, 4.2, side * 0.25 * width])
+        color = ((1.0, 0.72, 0.40), (0.55, 0.72, 1.0), (1.0, 0.52, 0.36))[number % 3]
+        lights.add_point(place, 16.0, color, 26.0)
+        node = builder.add_node(multiply(translation(place), scaling((0.3, 0.3, 0.3))), name=f"bulb {number}")
+        builder.add_objects(node, bulb, glow)
+        aim = (float(rng.uniform(-0.2, 0.2)), -1.0, -0.1 * side)
+        lights.add_spot((x, _HEIGHT - 0.4, 0.0), aim, 14.0, 0.30, 0.55, (1.0, 0.95, 0.85), 55.0)
+
+
+def _add_cameras(builder: SceneBuilder, length: float, width: float) -> None:
+    lens = Perspective(fov=np.radians(65.0), near=0.1)
+    end = 0.5 * length - 1.5
+    builder.views["overview"] = Camera.look_at((-end, 2.6, 0.6), (0.0, 2.8, 0.0), projection=lens)
+    builder.views["aisle"] = Camera.look_at(
+        (-end, 1.7, 0.5 * width - 2.0), (end, 2.2, 0.5 * width - 2.6), projection=lens
+    )
+    builder.views["flags"] = Camera.look_at((-end + 4.0, 3.4, 0.0), (-end + 10.0, 3.9, 2.2), projection=lens)
+    low = [(-end, 1.7, 0.0), (end, 1.7, 0.0)]
+    high = [(-end, _HEIGHT - 1.2, 0.0), (-1.0, 3.6, 0.0), (1.0, 3.6, 0.0), (end, _HEIGHT - 1.2, 0.0)]
+    builder.paths["ground"] = make_path(low, lens, rounding=4.0, ahead=8.0)
+    builder.paths["sky"] = make_path(high, lens, rounding=6.0, ahead=8.0, sink=1.5)

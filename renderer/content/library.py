@@ -1,0 +1,75 @@
+"""What a user can ask for by text: scenes and cameras.
+
+A scene is a generator with options or a model file; a camera is a path's frame, a named view, or
+coordinates.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from renderer import rules
+from renderer.content.city import CITY
+from renderer.content.grid import GRID
+from renderer.content.hall import HALL
+from renderer.content.models import FORMATS, load_model
+from renderer.content.specs import Generator
+from renderer.scene.camera import Camera
+from renderer.scene.paths import CameraPath
+from renderer.scene.scene import Scene
+from rhi.errors import refuse
+
+__rhi_internal__ = True
+
+GENERATORS: Final[dict[str, Generator]] = {generator.name: generator for generator in (CITY, HALL, GRID)}
+"""Scene generators by name."""
+
+
+def load_scene(text: str) -> Scene:
+    """The scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file.
+
+    Refuses unknown names, keys and values with what is allowed, and files as `load_model` does.
+    """
+    name, _, options = text.partition(":")
+    if name in GENERATORS:
+        generator = GENERATORS[name]
+        return generator.build(**generator.parse(options))
+    if Path(text).suffix.lower() not in FORMATS and not Path(text).is_file():
+        known = [*GENERATORS, *(f"a file{end}" for end in FORMATS)]
+        rules.refuse_name(rules.UNKNOWN_SCENE, f"load_scene({text!r})", name, known)
+    return load_model(text)
+
+
+def find_path(text: str, scene: Scene) -> CameraPath:
+    """The camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
+    if text in scene.paths:
+        return scene.paths[text]
+    if Path(text).suffix.lower() != ".json":
+        rules.refuse_name(rules.UNKNOWN_CAMERA, f"find_path({text!r})", text, scene.paths)
+    return CameraPath.load(Path(text))
+
+
+def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
+    """The camera that `text` names in `scene`.
+
+    `text` is the name of a path or the file of a walk-through, of which `frame` is taken, the name of a view, a
+    position `x,y,z` that looks at the scene's centre, or a position and a target `x,y,z,x,y,z`.
+    """
+    call = f"parse_camera({text!r})"
+    if text in scene.paths or Path(text).suffix.lower() == ".json":
+        return find_path(text, scene).camera(frame)
+    if text in scene.views:
+        return scene.views[text]
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        rules.refuse_name(rules.UNKNOWN_CAMERA, call, text, [*scene.paths, *scene.views])
+    if len(numbers) not in (3, 6) or not np.isfinite(numbers).all():
+        refuse(rules.UNKNOWN_CAMERA, call, text, "3 or 6 finite numbers")
+    lower, upper = scene.bounds
+    target = np.array(numbers[3:]) if len(numbers) == 6 else 0.5 * (lower + upper)
+    lens = next(iter(scene.views.values())).projection
+    return Camera.look_at(numbers[:3], target, projection=lens)

@@ -1,0 +1,264 @@
+"""Pictures of what was culled and why (thesis, Figures 6.1 and 6.3): from the camera, and from above.
+
+Each object's bounding box has the colour of its fate. The camera's picture is what the algorithm drew, with boxes
+as edges: those of hidden objects are seen through what hides them. From above boxes are solid, and white lines
+are the edges of what the camera sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import IntEnum
+from itertools import product
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.content import BUILT_IN
+from renderer.renderer import FrameResult, Renderer
+from renderer.scene import Camera, Depth, Orthographic, Scene
+from renderer.visibility.boxes.bounds import find_near, pad_boxes
+from renderer.visibility.boxes.volumes import Side, classify, fit_aligned
+from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Mesh, Primitive, Program
+from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, vec3, vec4
+
+Rows = NDArray[np.int64]
+
+
+class Fate(IntEnum):
+    """What became of an object."""
+
+    OUTSIDE = 0
+    CROSSING = 1
+    INSIDE = 2
+    OCCLUDED = 3
+    NEAR = 4
+
+
+COLORS: Final = {
+    Fate.OUTSIDE: (0.13, 0.65, 0.20),
+    Fate.CROSSING: (0.95, 0.85, 0.10),
+    Fate.INSIDE: (0.90, 0.12, 0.10),
+    Fate.OCCLUDED: (0.12, 0.25, 0.95),
+    Fate.NEAR: (0.10, 0.90, 0.95),
+}
+"""As in the thesis, linear."""
+
+MEANINGS: Final = {
+    Fate.OUTSIDE: "outside the frustum",
+    Fate.CROSSING: "across its edge, drawn",
+    Fate.INSIDE: "inside it, drawn",
+    Fate.OCCLUDED: "hidden by others",
+    Fate.NEAR: "too near to be asked for, drawn",
+}
+
+_THROUGH: Final = (Fate.OCCLUDED, Fate.NEAR)  # whose edges are seen through everything
+_SPREAD: Final = 0.05  # of the picture from above: what covers more of it, streets say, isn't shown there
+_NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
+
+
+class Mark(Struct):
+    """A box relative to the eye, and its colour."""
+
+    centre: vec3
+    half: vec3
+    color: vec3
+
+
+class MarkCamera(Struct):
+    """From positions relative to the eye to clip space."""
+
+    relative_view_projection: mat4
+
+
+class MarkCorner(Struct):
+    """Of a cube from -1/2 to 1/2."""
+
+    position: vec3
+    normal: vec3
+
+
+class MarkVarying(Struct):
+    """Where a mark is and what it looks like there."""
+
+    clip: vec4
+    color: vec3
+
+
+class MarkShader(Shader):
+    """Boxes lit from one side, so that their shape shows."""
+
+    camera: Uniform[MarkCamera]
+    marks: Storage[Mark]
+
+    def vertex(self, v: MarkCorner) -> MarkVarying:
+        mark = self.marks[instance_index()]
+        place = mark.centre + 2.0 * mark.half * v.position
+        lit = 0.7 + 0.3 * dot(v.normal, vec3(0.36, 0.80, 0.48))
+        return MarkVarying(
+            clip=self.camera.relative_view_projection @ vec4(place, 1.0), color=mark.color * lit
+        )
+
+    def fragment(self, v: MarkVarying) -> vec4:
+        return vec4(v.color, 1.0)
+
+
+def find_fates(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
+    """(n,) of `Fate`: of all objects, when those with the rows `drawn` were drawn."""
+    everything = np.arange(len(scene.objects))
+    boxes = fit_aligned(scene, everything)
+    side = classify(camera.frustum.planes, boxes)
+    near = find_near(camera, *pad_boxes(camera, boxes.lower, boxes.upper))
+    is_drawn = np.isin(everything, drawn)
+    fate = np.where(side == Side.INSIDE, Fate.INSIDE, Fate.CROSSING)
+    fate = np.where(near, Fate.NEAR, np.where(is_drawn, fate, Fate.OCCLUDED))
+    return np.where(side == Side.OUTSIDE, Fate.OUTSIDE, fate).astype(np.uint8)
+
+
+def picture_from_camera(
+    renderer: Renderer, camera: Camera, result: FrameResult, fates: NDArray[np.uint8]
+) -> NDArray[np.uint8]:
+    """(h, w, 4) sRGB: the frame as it came out, and the edges of all boxes that aren't outside."""
+    device, scene = renderer.device, renderer.scene
+    camera = camera.with_aspect(renderer.size[0] / renderer.size[1])
+    nearer = _NEARER[camera.projection.depth]
+    with (
+        _Marks(device) as marks,
+        device.render_pass(result.image, result.depth),
+        device.states(CullMode.NONE, DepthWrite.OFF, nearer),
+    ):
+        for fate in (Fate.OCCLUDED, Fate.CROSSING, Fate.INSIDE, Fate.NEAR):
+            with device.states(DepthTest.OFF if fate in _THROUGH else DepthTest.ON):
+                marks.draw_boxes(scene, camera, np.flatnonzero(fates == fate), fates, solid=False)
+    return np.asarray(result.image.read())
+
+
+def picture_from_above(renderer: Renderer, camera: Camera, fates: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """(h, w, 4) sRGB: all boxes but those that cover more than a twentieth of the picture, the widest."""
+    device, scene, (width, height) = renderer.device, renderer.scene, renderer.size
+    rows, above = look_from_above(scene, width / height)
+    with (
+        device.texture((width, height), Format.RGBA8_SRGB, label="from above") as color,
+        _Marks(device) as marks,
+    ):
+        with (
+            device.render_pass(color, clear=(0.02, 0.02, 0.02, 1.0)),
+            device.states(DepthTest.OFF, DepthWrite.OFF),
+        ):
+            with device.states(CullMode.BACK):
+                marks.draw_boxes(scene, above, rows, fates, solid=True)
+            with device.states(CullMode.NONE):
+                marks.draw_lines(above, find_edges(camera.with_aspect(width / height), above))
+        return np.asarray(color.read())
+
+
+def look_from_above(scene: Scene, aspect: float) -> tuple[Rows, Camera]:
+    """The objects to show from above, the widest first so that no roof hides what is below it, and a camera that
+    sees them all."""
+    lower, upper = scene.objects.lower, scene.objects.upper
+    size = upper - lower
+    rows = np.arange(len(lower))
+    while True:  # the widest go, and the picture becomes smaller
+        low, high = lower[rows].min(axis=0), upper[rows].max(axis=0)
+        ground = max(float((high - low)[0] * (high - low)[2]), 1e-12)
+        kept = rows[size[rows, 0] * size[rows, 2] <= _SPREAD * ground]
+        if len(kept) == len(rows) or not len(kept):
+            break
+        rows = kept
+    rows = rows[np.argsort(-size[rows, 0] * size[rows, 2], kind="stable")]
+    middle, extent = 0.5 * (low + high), high - low
+    tall = 1.04 * max(float(extent[2]), float(extent[0]) / aspect, 1e-3)
+    lens = Orthographic(tall, aspect, near=0.0, far=float(extent[1]) + 2.0)
+    eye = np.array([middle[0], high[1] + 1.0, middle[2]])
+    return rows, Camera.look_at(eye, eye - (0.0, 1.0, 0.0), (0.0, 0.0, -1.0), lens)
+
+
+def find_edges(camera: Camera, above: Camera) -> NDArray[np.float64]:
+    """(8, 2, 3) lines: the sides of the near plane, and the edges from there across the picture from above.
+
+    All are laid into one level, within what is seen from above.
+    """
+    inverse = np.linalg.inv(camera.projection.matrix)
+    near_depth = 1.0 if camera.projection.depth is Depth.REVERSED else 0.0
+    corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+
+    def unproject(depth: float) -> NDArray[np.float64]:
+        clip = np.concatenate([corners, np.full((4, 1), depth), np.ones((4, 1))], axis=1)
+        view = clip @ inverse.T
+        return np.asarray((view[:, :3] / view[:, 3:]) @ camera.rotation + camera.position)
+
+    near = unproject(near_depth)
+    away = unproject(0.5) - near
+    away /= np.linalg.norm(away, axis=1, keepdims=True)
+    lens = above.projection
+    assert isinstance(lens, Orthographic)
+    far = near + away * 2.0 * lens.height * max(lens.aspect, 1.0)
+    lines = np.concatenate(
+        [np.stack([near, far], axis=1), np.stack([near, np.roll(near, 1, axis=0)], axis=1)]
+    )
+    lines[:, :, 1] = above.position[1] - 0.5 * lens.far
+    return lines
+
+
+class _Marks:
+    """Draws boxes and lines in the open pass."""
+
+    def __init__(self, device: Device) -> None:
+        self._device = device
+        self._program: Program[Any] = device.program(MarkShader)
+        vertices = BUILT_IN["box"]()
+        self._solid = device.mesh(
+            {name: vertices.vertices[name] for name in ("position", "normal")}, vertices.indices, label="box"
+        )
+        corners = np.array(list(product((-0.5, 0.5), repeat=3)), np.float32)
+        pairs = [(a, b) for a, b in product(range(8), repeat=2) if a < b and (a ^ b).bit_count() == 1]
+        self._edges = self._lines_of(corners, np.array(pairs, np.uint16).reshape(-1))
+
+    def _lines_of(self, points: NDArray[np.float32], indices: NDArray[np.uint16] | None = None) -> Mesh:
+        up = np.tile(np.array([0.36, 0.80, 0.48], np.float32), (len(points), 1))  # fully lit
+        return self._device.mesh(
+            {"position": points, "normal": up}, indices, primitive=Primitive.LINES, label="edges"
+        )
+
+    def draw_boxes(
+        self, scene: Scene, camera: Camera, rows: Rows, fates: NDArray[np.uint8], *, solid: bool
+    ) -> None:
+        """The boxes of the objects `rows`."""
+        if not len(rows):
+            return
+        lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
+        table = np.array([COLORS[fate] for fate in Fate])
+        with self._bound(
+            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower), table[fates[rows]]
+        ) as marks:
+            self._draw(self._solid if solid else self._edges, camera, marks, len(rows))
+
+    def draw_lines(self, camera: Camera, lines: NDArray[np.float64]) -> None:
+        """White lines (k, 2, 3)."""
+        points = (0.5 * (lines.reshape(-1, 3) - camera.position)).astype(np.float32)
+        with (
+            self._lines_of(points) as mesh,
+            self._bound(np.zeros((1, 3)), np.ones((1, 3)), np.ones((1, 3))) as marks,
+        ):
+            self._draw(mesh, camera, marks, 1)
+
+    @contextmanager
+    def _bound(self, centre: Any, half: Any, color: Any) -> Iterator[Any]:
+        marks = np.zeros(len(centre), Mark.dtype)
+        marks["centre"], marks["half"], marks["color"] = centre, half, color
+        with self._device.storage(Mark, marks, label="marks") as buffer:
+            yield buffer
+
+    def _draw(self, mesh: Mesh, camera: Camera, marks: Any, count: int) -> None:
+        matrix = MarkCamera(relative_view_projection=camera.relative_view_projection)
+        with self._device.uniform(matrix) as uniform:
+            self._device.draw(self._program, mesh, count, camera=uniform, marks=marks)
+
+    def __enter__(self) -> _Marks:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._solid.destroy()
+        self._edges.destroy()

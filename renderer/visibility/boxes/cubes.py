@@ -1,0 +1,40 @@
+"""The unit cube that boxes are drawn as, and the camera that draws it relative to the eye."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from rhi import Device, Mesh
+from rhi.shading import Struct, mat4, vec3
+
+__rhi_internal__ = True
+
+_CORNERS: Final = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], np.float32)
+
+_FACES: Final = np.array(
+    [(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)], np.uint16
+)
+"""Corners of each side, counter-clockwise seen from outside."""
+
+TRIANGLES: Final = 12
+"""Of a box."""
+
+
+class Corner(Struct):
+    """Of a cube from -1 to 1."""
+
+    position: vec3
+
+
+class BoxCamera(Struct):
+    """From positions relative to the eye to clip space."""
+
+    relative_view_projection: mat4
+
+
+def make_cube(device: Device) -> Mesh:
+    """A mesh of `Corner`, from -1 to 1: each side two triangles."""
+    triangles = np.ascontiguousarray(_FACES[:, [0, 1, 2, 0, 2, 3]]).reshape(-1)
+    return device.mesh({"position": _CORNERS}, triangles, label="unit cube")

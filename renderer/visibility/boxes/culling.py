@@ -1,0 +1,272 @@
+"""Boxes against planes, on arrays (thesis 6.1): once by brute force, once through a hierarchy.
+
+A box is outside when, for some plane, its p-vertex (the corner furthest along the normal) lies behind it:
+`(x n_x + y n_y) + z n_z < -d` in float64, in this order. Both ways end in this test, so they find the same
+set, not nearly the same: nodes are tested with a margin wider than the rounding of either, and what the
+margin leaves open is passed down to the boxes.
+
+The hierarchy is walked breadth first; a level is a few array operations over all nodes that are left.
+Nodes are wide, because a NumPy call costs as much as a hundred boxes: the levels are cuts through the
+binary hierarchy, and the last one is the boxes themselves. What the thesis does per node is done so:
+
+- *Last culling plane first* (6.1.2): the first cut is kept sorted by the plane that culled each node last
+  time. A group is then a slice, tested against its one plane without gathering anything; only nodes that
+  pass, few more than those in view, meet the other planes.
+- *Plane masking* (6.1.3): below, what is tested are (node, plane) pairs, a pair for each plane that the
+  node was found to lie across by its n-vertex. All children of the node are tested side by side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.visibility.boxes.hierarchy import LARGEST, Floats, Hierarchy, Rows
+
+__rhi_internal__ = True
+
+Bits = NDArray[np.uint8]
+"""A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
+
+_GROUPS: Final = (8, 64)  # fewest and most boxes for a node of the last cut to hold
+_NODES: Final = 1024  # between these, as many as give so many nodes
+_WIDEST: Final = 8192  # nodes in the first cut beyond which a coarser one is put above it
+_WIDTH: Final = 64  # nodes of a cut for each of the cut above
+_STALE: Final = 16  # the first cut is sorted again when one node in this many is culled by another plane
+_MOST_PLANES: Final = 7
+_OUTSIDE: Final = np.uint8(1 << _MOST_PLANES)
+_BIT: Final = np.left_shift(1, np.arange(_MOST_PLANES)).astype(np.uint8)
+_WEIGHTS: Final = [np.append(np.full(p, _OUTSIDE), _BIT[:p])[:, None] for p in range(_MOST_PLANES + 1)]
+_LOWER: Final = np.arange(3)[:, None]  # rows of the lower corner among a box's six numbers
+_UPPER: Final = _LOWER + 3
+_MEMBERS: Final = (np.arange(1 << _MOST_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set as flags
+_SIZES: Final = _MEMBERS.sum(axis=1)
+_MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; each way rounds by 8 at most
+
+
+@dataclass(frozen=True, slots=True)
+class Counts:
+    """What a cull cost: nodes and objects that were tested, and (box, plane) pairs in all."""
+
+    nodes: int = 0
+    objects: int = 0
+    planes: int = 0
+
+    def __add__(self, other: Counts) -> Counts:
+        return Counts(self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes)
+
+
+def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:
+    """Which boxes (n, 3) are not outside any of `planes` (p, 4): every box against every plane.
+
+    Fastest when each column is contiguous, as in the transpose of a (3, n) array.
+    """
+    visible = np.ones(len(lower), bool)
+    for *normal, d in planes.tolist():
+        x, y, z = ((upper if n > 0.0 else lower)[:, axis] * n for axis, n in enumerate(normal))
+        x += y
+        x += z
+        visible &= x >= -d
+    return visible
+
+
+class Culler:
+    """Culls the boxes of one hierarchy, again and again, and remembers what culled its nodes."""
+
+    def __init__(self, hierarchy: Hierarchy, lower: Floats, upper: Floats) -> None:
+        self._order = hierarchy.order.astype(np.int32 if len(hierarchy.order) < 2**31 else np.int64)
+        total = len(self._order)
+        sizes = [min(max(total // _NODES, _GROUPS[0]), _GROUPS[1])]
+        while total > _WIDEST * sizes[0]:
+            sizes.insert(0, sizes[0] * _WIDTH)
+        cuts = [hierarchy.cut(size) for size in sizes]
+        firsts = [*(hierarchy.first[cut] for cut in cuts), np.arange(total)]
+        bounds = [*((hierarchy.lower[cut], hierarchy.upper[cut]) for cut in cuts)]
+        bounds.append((lower[self._order], upper[self._order]))
+        self._runs = [np.append(first, total) for first in firsts]
+        self._groups = _Groups(*bounds[0])
+        self._blocks = [
+            _Blocks(*bounds[level], np.searchsorted(firsts[level], self._runs[level - 1]))
+            for level in range(1, len(bounds))
+        ]
+
+    def find_visible(self, planes: Floats) -> tuple[Rows, Counts]:
+        """Rows, ascending, of the boxes that are not outside any of `planes` (p, 4), p <= 7, unit normals."""
+        tables = _Tables(planes)
+        nodes, across, tested, pairs = self._groups.test(tables)
+        found: list[Rows] = []
+        objects = 0
+        for runs, blocks in zip(self._runs, self._blocks, strict=False):
+            tested += objects
+            inside = nodes.take((across == 0).nonzero()[0])
+            found.append(_expand(runs.take(inside), runs.take(inside + 1)))
+            crossing = across.nonzero()[0]
+            nodes, across = nodes.take(crossing), across.take(crossing)
+            nodes, across, objects, more = blocks.test(tables, nodes, across, blocks is self._blocks[-1])
+            pairs += more
+        found.append(nodes)
+        visible = self._order.take(np.concatenate(found))
+        visible.sort()  # half as long in 32 bits
+        return visible.astype(np.int64), Counts(tested, objects, pairs)
+
+
+class _Tables:
+    """The planes as what to gather of a box and what to multiply it by."""
+
+    def __init__(self, planes: Floats) -> None:
+        self.planes = planes
+        self.normals = planes.T[:3].copy()
+        self.limits = -planes[:, 3]
+        self.far = np.where(self.normals > 0.0, _UPPER, _LOWER)  # rows of the p-vertex, for each plane
+        self.weights = _WEIGHTS[len(planes)]
+
+    @property
+    def near(self) -> Rows:
+        """Rows of the n-vertex: of each axis the corner that the p-vertex does not use."""
+        return (_LOWER + _UPPER) - self.far
+
+
+class _Groups:
+    """The first cut, sorted by the plane that culled each node last.
+
+    Attributes:
+        nodes: (m,) which node of the cut each column is.
+        corners: (7, m) lower corner, upper corner and 1.
+        last: (m,) the plane that culled it, as of the last sort; starts: where each plane's slice begins.
+        reach: the sum of the largest absolute coordinates; bounds the terms of a unit normal's distance.
+    """
+
+    def __init__(self, lower: Floats, upper: Floats) -> None:
+        self.nodes: Rows = np.arange(len(lower))
+        self.corners = np.ones((7, len(lower)))
+        self.corners[:3], self.corners[3:6] = lower.T, upper.T
+        self.last = np.zeros(len(lower), np.uint8)
+        self.reach = np.maximum(np.abs(lower), np.abs(upper)).max(axis=0, initial=0.0).sum()
+        self._find_starts()
+
+    def test(self, tables: _Tables) -> tuple[Rows, Bits, int, int]:
+        """The nodes that are not outside, the planes that each lies across, and how many nodes and
+        (node, plane) pairs were tested."""
+        count = len(tables.planes)
+        matrix = self._make_matrix(tables.planes)
+        distance = np.empty(len(self.nodes))
+        for plane in range(count):
+            start, end = self.starts[plane], self.starts[plane + 1]
+            if start < end:
+                np.matmul(matrix[plane], self.corners[:, start:end], out=distance[start:end])
+        distance[self.starts[count] :] = 0.0  # culled by a plane that there is none of today
+        columns = (distance >= 0.0).nonzero()[0]
+
+        behind = np.matmul(matrix, self.corners.take(columns, axis=1)) < 0.0
+        bits = np.bitwise_or.reduce(behind * tables.weights)
+        kept = (bits < _OUTSIDE).nonzero()[0]
+        nodes = self.nodes.take(columns.take(kept))
+        if _STALE * (len(columns) - len(kept)) > len(self.nodes):
+            outside = (bits >= _OUTSIDE).nonzero()[0]
+            self._sort(columns.take(outside), behind[:count].take(outside, axis=1).argmax(axis=0))
+        return nodes, bits.take(kept), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
+
+    def _make_matrix(self, planes: Floats) -> Floats:
+        """(2 p, 7) for `corners`: the distance of each p-vertex plus the margin, then n-vertex minus it."""
+        count, offsets = len(planes), planes[:, 3]
+        margin = np.abs(offsets)
+        margin += self.reach
+        margin *= _MARGIN
+        matrix = np.empty((2 * count, 7))
+        up = np.maximum(planes[:, :3], 0.0, out=matrix[:count, 3:6])
+        down = np.minimum(planes[:, :3], 0.0, out=matrix[:count, :3])
+        matrix[count:, :3], matrix[count:, 3:6] = up, down
+        np.add(offsets, margin, out=matrix[:count, 6])
+        np.subtract(offsets, margin, out=matrix[count:, 6])
+        return matrix
+
+    def _sort(self, columns: Rows, planes: Rows) -> None:
+        """Note that `planes` culled the nodes in `columns` now, and sort by plane again."""
+        self.last[columns] = planes
+        order = np.argsort(self.last, kind="stable")
+        self.nodes, self.last = self.nodes.take(order), self.last.take(order)
+        self.corners = self.corners.take(order, axis=1)
+        self._find_starts()
+
+    def _find_starts(self) -> None:
+        self.starts = [0, *np.cumsum(np.bincount(self.last, minlength=_MOST_PLANES)).tolist()]
+
+
+class _Blocks:
+    """A level below the first: the children of each node above, side by side in a row as wide as the widest.
+
+    Attributes:
+        corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, filled up
+            with boxes that every plane culls; w is a multiple of 8, for `_merge`.
+        first: (b,) each node's first child; size: (b,) how many it has.
+    """
+
+    def __init__(self, lower: Floats, upper: Floats, starts: Rows) -> None:
+        self.first, self.size = starts[:-1].copy(), np.diff(starts)
+        self.width = -(-int(self.size.max(initial=1)) // 8) * 8
+        lane = np.arange(self.width)
+        child = np.minimum(self.first[:, None] + lane, max(len(lower) - 1, 0))
+        unused = (lane >= self.size[:, None])[..., None]
+        corners = np.where(unused, LARGEST, lower[child]), np.where(unused, -LARGEST, upper[child])
+        blocks = np.concatenate(corners, axis=2).transpose(0, 2, 1)
+        self.corners = np.ascontiguousarray(blocks).reshape(6 * len(self.first), self.width)
+
+    def test(self, tables: _Tables, nodes: Rows, across: Bits, last: bool) -> tuple[Rows, Bits, int, int]:
+        """Test the children of `nodes` (k,) against the planes `across` (k,) which these lie.
+
+        Returns the children that are not outside, the planes that each lies across (not worked out for
+        the `last` level, where nothing is below), and the numbers of children and of pairs tested.
+        """
+        flat = _MEMBERS.take(across, axis=0).reshape(-1).nonzero()[0]
+        above = flat // _MOST_PLANES
+        plane = flat - above * _MOST_PLANES
+        node = nodes.take(above)
+        limits = tables.limits.take(plane)[:, None]
+        normals = tables.normals.take(plane, axis=1)[:, :, None]
+        bits = self._find_behind(tables.far, normals, node, plane, limits).view(np.uint8)
+        if not last:
+            bits = bits * _OUTSIDE
+            bits |= self._find_behind(tables.near, normals, node, plane, limits) * _BIT.take(plane)[:, None]
+        pairs = _SIZES.take(across)
+        if len(above) > len(nodes):
+            bits = _merge(bits, pairs.cumsum() - pairs)
+        bits = bits.reshape(-1)
+        kept = (bits < (1 if last else _OUTSIDE)).nonzero()[0]
+        row = kept // self.width
+        children = self.first.take(nodes.take(row))
+        children += kept
+        children -= row * self.width
+        size = self.size.take(nodes)
+        return children, bits if last else bits.take(kept), int(np.add.reduce(size)), int(size.dot(pairs))
+
+    def _find_behind(
+        self, columns: Rows, normals: Floats, node: Rows, plane: Rows, limits: Floats
+    ) -> NDArray[np.bool_]:
+        """(pairs, w) whether the children's corners that `columns` names lie behind the pairs' planes."""
+        rows = columns.take(plane, axis=1)
+        rows += 6 * node
+        products = self.corners.take(rows, axis=0)
+        products *= normals
+        total: Floats = products[0]
+        total += products[1]
+        total += products[2]
+        return total < limits
+
+
+def _merge(bits: Bits, starts: Rows) -> Bits:
+    """`bitwise_or` of the rows from each start to the next, eight bytes at a time."""
+    return np.bitwise_or.reduceat(bits.view(np.uint64), starts, axis=0).view(np.uint8)
+
+
+def _expand(first: Rows, end: Rows) -> Rows:
+    """All of first[0] to end[0], first[1] to end[1], and so on, one after the other."""
+    count = end - first
+    last = count.cumsum()
+    first = first - last
+    first += count
+    run = first.repeat(count)
+    run += np.arange(len(run))
+    return run

@@ -1,0 +1,210 @@
+"""Occlusion culling with a depth pyramid: boxes are compared with the farthest depths under them.
+
+1. What showed in the last frame is drawn.
+2. A pyramid is made of the depth that is there now, and each box tested against it. What shows and isn't drawn yet is
+   drawn; what shows is drawn first in the next frame.
+
+A box's test is one invocation's work: the rectangle around its corners, and their nearest depth, against the texels of
+the finest level that has at most 8 under the rectangle each way. It shows if it isn't behind all of them. The texels of
+the next coarser level are looked at first: what is behind those is behind all of these. The rectangle is larger than
+the box, and its texels' depth farther than the pixels', so more is drawn than of boxes rasterised.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from renderer.scene import Camera, Depth, Scene
+from renderer.shaders import View
+from renderer.visibility.gpu.device_culling import DeviceCulling
+from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth
+from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
+from renderer.visibility.scene_pass import ScenePass
+from rhi import Device, UniformBuffer
+from rhi.shading import (
+    Array,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    array,
+    clamp,
+    floor,
+    global_id,
+    ivec2,
+    ivec4,
+    max,
+    min,
+    uint,
+    vec2,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+_LEVELS: Final = 9
+"""Of an image of 65,536 pixels a side, itself included."""
+_ACROSS: Final = 8
+"""Texels that a test looks at each way."""
+
+
+class Levels(Struct):
+    """How many levels a pyramid has, and of each its width, height and where it begins; level 0 is the image."""
+
+    levels: Array[ivec4] = array(ivec4, _LEVELS)
+    count: int
+
+
+class FindSeen(FindOccludees):
+    """What was seen in the last frame is marked VISIBLE."""
+
+    seen: Storage[uint]
+
+    def first_mark(self, row: int) -> int:
+        return VISIBLE if self.seen[row] == uint(1) else HIDDEN
+
+
+class BoxTest(Shader):
+    """What shows of boxes in a depth image, by its pyramid."""
+
+    work_group = (GROUP,)
+    view: Uniform[View]
+    pyramid: Uniform[Levels]
+    depth: Texture2D
+    farthest: Storage[float]
+    boxes: Storage[Occludee]
+    is_reversed = True
+    margin = 1.0 / 64.0
+    """Pixels by which a rectangle is enlarged, for what rasterising rounds."""
+
+    def shows(self, box: Occludee) -> bool:
+        size = vec2(self.pyramid.levels[0].xy)
+        nearest = 0.0 if self.is_reversed else 1.0
+        lower = size
+        upper = vec2(0.0)
+        for corner in range(8):
+            place = box.centre
+            place += box.x if corner % 2 == 1 else -box.x
+            place += box.y if corner // 2 % 2 == 1 else -box.y
+            place += box.z if corner // 4 == 1 else -box.z
+            clip = self.view.relative_view_projection @ vec4(place, 1.0)
+            if not clip.w > 0.0:
+                return True  # beside or behind the eye: it has no rectangle
+            pixel = (vec2(clip.x, -clip.y) / clip.w + 1.0) * 0.5 * size
+            lower = min(lower, pixel)
+            upper = max(upper, pixel)
+            depth = clip.z / clip.w
+            nearest = max(nearest, depth) if self.is_reversed else min(nearest, depth)
+        begin = ivec2(clamp(floor(lower - self.margin), vec2(0.0), size))
+        end = ivec2(clamp(floor(upper + self.margin), vec2(-1.0), size - 1.0))
+        level = 0
+        while level < self.pyramid.count - 1 and (end.x - begin.x >= _ACROSS or end.y - begin.y >= _ACROSS):
+            begin = begin // SCALE
+            end = end // SCALE
+            level += 1
+        if level < self.pyramid.count - 1 and not self.is_before(
+            nearest, level + 1, begin // SCALE, end // SCALE
+        ):
+            return False  # behind whole tiles: their texels needn't be looked at
+        return self.is_before(nearest, level, begin, end)
+
+    def is_before(self, nearest: float, level: int, begin: ivec2, end: ivec2) -> bool:
+        for y in range(begin.y, end.y + 1):
+            for x in range(begin.x, end.x + 1):
+                behind = self.fetch(level, ivec2(x, y))
+                if (nearest >= behind) if self.is_reversed else (nearest <= behind):
+                    return True
+        return False
+
+    def fetch(self, level: int, at: ivec2) -> float:
+        if level == 0:
+            return self.depth.load(at).r
+        chosen = self.pyramid.levels[level]
+        return self.farthest[chosen.z + at.y * chosen.x + at.x]
+
+
+class CompareBoxes(BoxTest):
+    """Marks what shows, and notes it as seen."""
+
+    marks: StorageRW[uint]
+    seen: StorageRW[uint]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row >= len(self.marks):
+            return
+        mark = self.marks[row]
+        shows = False
+        if mark == uint(HIDDEN) or mark == uint(DRAWN):
+            shows = self.shows(self.boxes[row])
+        self.seen[row] = uint(1 if shows else 0)
+        if shows and mark == uint(HIDDEN):
+            self.marks[row] = uint(VISIBLE)
+
+
+class CompareBoxesStandard(CompareBoxes):
+    """For depth that grows with distance."""
+
+    is_reversed = False
+
+
+_SHADERS: Final = {Depth.REVERSED: CompareBoxes, Depth.STANDARD: CompareBoxesStandard}
+
+
+class DepthPyramidCulling(DeviceCulling):
+    """Draws what showed in the last frame, then what isn't behind it."""
+
+    def __init__(self, scene: Scene, device: Device) -> None:
+        super().__init__(scene, device, FindSeen)
+        self._seen = device.storage(uint, len(scene.objects), label="seen")
+        self._pyramid: FarthestDepth | None = None
+        self._levels: UniformBuffer[Levels] = device.uniform(Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0))
+
+    def _mark_likely(self, camera: Camera, scene: ScenePass) -> None:
+        self._occludees.find(camera, scene.arrays, seen=self._seen)
+
+    def _mark_missed(self, camera: Camera, scene: ScenePass) -> None:
+        direction, occludees = camera.projection.depth, self._occludees
+        pyramid = self._fit(scene.depth.size)
+        pyramid.build(scene.depth, direction)
+        self._device.dispatch(
+            self._device.program(_SHADERS[direction]),
+            occludees.groups,
+            view=scene.arrays.view,
+            pyramid=self._levels,
+            depth=scene.depth,
+            farthest=pyramid.farthest,
+            boxes=occludees.boxes,
+            marks=occludees.marks,
+            seen=self._seen,
+        )
+
+    def _remember(self, camera: Camera, scene: ScenePass) -> None:
+        """What was seen is kept where it was found."""
+
+    def _fit(self, size: tuple[int, int]) -> FarthestDepth:
+        """The pyramid for an image of `size`."""
+        pyramid = self._pyramid
+        if pyramid is None or pyramid.size != size:
+            if pyramid is not None:
+                pyramid.destroy()
+            pyramid = self._pyramid = FarthestDepth(self._device, size)
+            self._levels.write(make_levels(pyramid))
+        return pyramid
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        super().destroy()
+        self._seen.destroy()
+        self._levels.destroy()
+        if self._pyramid is not None:
+            self._pyramid.destroy()
+            self._pyramid = None
+
+
+def make_levels(pyramid: FarthestDepth) -> Levels:
+    """A pyramid's levels, as the shader reads them."""
+    rows = [(*size, begin, 0) for size, begin in zip(pyramid.sizes, pyramid.begins, strict=True)]
+    return Levels(levels=rows + [(0, 0, 0, 0)] * (_LEVELS - len(rows)), count=len(rows))

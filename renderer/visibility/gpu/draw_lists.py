@@ -1,0 +1,254 @@
+"""Lists of draws that the device makes itself (Deferred+, 1.3.1, Listing 1.3).
+
+Each object has a mark: what is to become of it. `DrawLists.list_draws` gathers the draws of those marked VISIBLE,
+and the rows of those marked HIDDEN, so that the CPU, which sees neither, draws both indirectly.
+
+- One pass of a counting sort: by winding, then by the depth of their farthest corner in half octaves, near first. Rows
+  keep their order within a half octave. So the same marks give the same list, and early depth tests find what is near
+  drawn.
+- No atomics: a group counts its 64 keys and ranks them in shared memory, one group adds up, each row is written to
+  its place.
+- Windings have parts of their own, because a draw's front face is a state, which the device can't choose.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.shaders import MeshPart, Place
+from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
+from renderer.visibility.scene_pass import SceneArrays
+from rhi import DRAW, Device, IndirectDraws
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    barrier,
+    clamp,
+    floor,
+    global_id,
+    group_count,
+    group_id,
+    local_index,
+    log2,
+    max,
+    shared,
+    uint,
+)
+
+__rhi_internal__ = True
+
+_BUCKETS: Final = 31
+"""Distances: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
+_HIDDEN_KEY: Final = 2 * _BUCKETS
+_NO_KEY: Final = 63
+_LANES: Final = 256
+
+
+class DrawArguments(Struct):
+    """A draw as the device reads it, `rhi.DRAW`."""
+
+    count: uint
+    instances: uint
+    first: uint
+    base_vertex: int
+    base_instance: uint
+
+
+class ListCounts(Struct):
+    """How many draws there are of objects that are not mirrored, of those that are, and how many hidden rows."""
+
+    plain: uint
+    mirrored: uint
+    hidden: uint
+
+
+class CountKeys(Shader):
+    """Gives each row its key and its rank among equal keys of its group, and counts each group's keys."""
+
+    work_group = (GROUP,)
+    places: Storage[Place]
+    occludees: Storage[Occludee]
+    marks: StorageRW[uint]
+    keys: StorageRW[uint]
+    counts: StorageRW[uint]
+    in_group = shared(uint, GROUP)
+
+    def compute(self) -> None:
+        row = global_id().x
+        lane = local_index()
+        key = _NO_KEY
+        if row < len(self.marks):
+            mark = self.marks[row]
+            if mark == uint(VISIBLE):
+                octaves = log2(max(self.occludees[row].depth, 0.125))
+                key = clamp(int(floor(2.0 * octaves)) + 6, 0, _BUCKETS - 1)
+                key += _BUCKETS * self.places[row].mirrored
+                self.marks[row] = uint(DRAWN)
+            elif mark == uint(HIDDEN):
+                key = _HIDDEN_KEY
+        self.in_group[lane] = uint(key)
+        barrier()
+        rank = 0
+        count = uint(0)
+        for other in range(GROUP):
+            if self.in_group[other] == uint(lane):
+                count += 1
+            if other < lane and self.in_group[other] == uint(key):
+                rank += 1
+        if row < len(self.marks):
+            self.keys[row] = uint(key + GROUP * rank)
+        self.counts[lane * group_count().x + group_id().x] = count
+
+
+class AddCounts(Shader):
+    """Turns counts into the sums of all before them; one group, each lane a run of its own."""
+
+    work_group = (_LANES,)
+    counts: StorageRW[uint]
+    sums = shared(uint, _LANES)
+
+    def compute(self) -> None:
+        lane = local_index()
+        share = (len(self.counts) + _LANES - 1) // _LANES
+        begin = min(lane * share, len(self.counts))
+        end = min(begin + share, len(self.counts))
+        total = uint(0)
+        for place in range(begin, end):
+            total += self.counts[place]
+        self.sums[lane] = total
+        step = 1
+        while step < _LANES:
+            barrier()
+            before = self.sums[lane - step] if lane >= step else uint(0)
+            barrier()
+            self.sums[lane] += before
+            step *= 2
+        place_sum = self.sums[lane] - total
+        for place in range(begin, end):
+            count = self.counts[place]
+            self.counts[place] = place_sum
+            place_sum += count
+
+
+class WriteDraws(Shader):
+    """Writes each row's draw, or hidden rows, where the sums say."""
+
+    work_group = (GROUP,)
+    places: Storage[Place]
+    parts: Storage[MeshPart]
+    keys: Storage[uint]
+    sums: Storage[uint]
+    listed: StorageRW[DrawArguments]
+    hidden: StorageRW[uint]
+    totals: StorageRW[ListCounts]
+    boxes: StorageRW[DrawArguments]
+
+    def compute(self) -> None:
+        row = global_id().x
+        groups = group_count().x
+        mirrored = self.sums[_BUCKETS * groups]
+        hidden = self.sums[_HIDDEN_KEY * groups]
+        if row == 0:
+            count = self.sums[_NO_KEY * groups] - hidden
+            self.totals[0] = ListCounts(plain=mirrored, mirrored=hidden - mirrored, hidden=count)
+            self.boxes[0].instances = count
+        if row < len(self.keys):
+            packed = int(self.keys[row])
+            key = packed % GROUP
+            place = self.sums[key * groups + group_id().x] + uint(packed // GROUP)
+            if key < _HIDDEN_KEY:
+                at = int(place) if key < _BUCKETS else int(place - mirrored) + len(self.keys)
+                part = self.parts[self.places[row].mesh]
+                self.listed[at] = DrawArguments(
+                    count=part.count,
+                    instances=uint(1),
+                    first=part.first,
+                    base_vertex=part.base_vertex,
+                    base_instance=uint(row),
+                )
+            elif key == _HIDDEN_KEY:
+                self.hidden[int(place - hidden)] = uint(row)
+
+
+class DrawLists:
+    """One list of draws, as the device makes it.
+
+    Attributes:
+        draws: (2 n,) of `rhi.DRAW`: from 0 what is drawn as it is, from n what is mirrored.
+        totals: (1,) of `ListCounts`: how many there are of either, and hidden rows.
+        hidden: (n,) rows; box_draw: the draw of as many boxes.
+        generation: how often it was made.
+    """
+
+    def __init__(self, device: Device, occludees: Occludees) -> None:
+        count = occludees.count
+        self.generation = 0
+        self.draws = device.storage(DrawArguments, 2 * count, label="listed draws")
+        self.totals = device.storage(ListCounts, 1, label="list counts")
+        self.hidden = device.storage(uint, count, label="hidden rows")
+        self.box_draw = device.storage(DrawArguments, occludees.cube.draws(instances=0), label="box draw")
+        self._device = device
+        self._occludees = occludees
+        self._keys = device.storage(uint, count, label="keys")
+        self._counts = device.storage(uint, GROUP * occludees.groups, label="key counts")
+        self._count_keys = device.program(CountKeys)
+        self._add_counts = device.program(AddCounts)
+        self._write_draws = device.program(WriteDraws)
+
+    def list_draws(self, arrays: SceneArrays) -> None:
+        """List the draws of objects marked VISIBLE, marking them DRAWN, and the rows of those marked HIDDEN."""
+        device, occludees = self._device, self._occludees
+        self.generation += 1
+        if not device.capabilities.indirect_count:
+            self.draws.clear()  # all are drawn then, those that are not listed with no instance
+        device.dispatch(
+            self._count_keys,
+            occludees.groups,
+            places=arrays.places,
+            occludees=occludees.boxes,
+            marks=occludees.marks,
+            keys=self._keys,
+            counts=self._counts,
+        )
+        device.dispatch(self._add_counts, 1, counts=self._counts)
+        device.dispatch(
+            self._write_draws,
+            occludees.groups,
+            places=arrays.places,
+            parts=arrays.parts,
+            keys=self._keys,
+            sums=self._counts,
+            listed=self.draws,
+            hidden=self.hidden,
+            totals=self.totals,
+            boxes=self.box_draw,
+        )
+
+    def arguments(self, *, mirrored: bool) -> IndirectDraws:
+        """The list of one winding, for `device.draw_indirect`."""
+        count, size = self._occludees.count, DRAW.itemsize
+        counted = self._device.capabilities.indirect_count
+        return IndirectDraws(
+            self.draws,
+            count,
+            offset=count * size if mirrored else 0,
+            count=self.totals if counted else None,
+            count_offset=4 if mirrored and counted else 0,
+        )
+
+    def read_rows(self) -> NDArray[np.int64]:
+        """The rows listed, in the order of their draws; waits for the device."""
+        plain, mirrored = (int(self.totals.read()[0][name]) for name in ("plain", "mirrored"))
+        count = self._occludees.count
+        parts = (self.draws.read(0, plain), self.draws.read(count, mirrored))
+        return np.concatenate([part["base_instance"].astype(np.int64) for part in parts])
+
+    def destroy(self) -> None:
+        """Give everything back that was made on the device."""
+        for resource in (self.draws, self.totals, self.hidden, self.box_draw, self._keys, self._counts):
+            resource.destroy()

@@ -1,0 +1,317 @@
+"""Boxes of all objects, found, tested and marked by the device: the CPU's part is the same for ten and a million.
+
+- A box is a mesh's own, moved with its object: an oriented one, as tight for a turned object as for another.
+- It is padded as for queries (`bounds`): each side moves out by the margin. Boxes too flat or too skew for that are
+  replaced by boxes along the world's axes around them.
+- What the near plane may cut counts as visible, what is outside the frustum doesn't count at all. Neither is drawn:
+  such a box is kept without extent.
+- Boxes that are drawn mark their object where a fragment passes the depth test. All write the same value, so there
+  is no need of atomics (Deferred+, Listing 1.2).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene import Camera, Depth, Plane
+from renderer.shaders import MeshPart, Object, Place, View, relative_position
+from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius
+from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
+from renderer.visibility.scene_pass import SceneArrays
+from rhi import (
+    CullMode,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    FrontFace,
+    IndirectDraws,
+    Program,
+    StateScope,
+    StorageBuffer,
+)
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRange,
+    StorageRW,
+    Struct,
+    Uniform,
+    abs,
+    cross,
+    dot,
+    function,
+    global_id,
+    instance_index,
+    length,
+    max,
+    transpose,
+    uint,
+    vec3,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+HIDDEN: Final = 0
+"""As far as is known."""
+VISIBLE: Final = 1
+"""To be drawn by the next list."""
+OUTSIDE: Final = 2
+"""Of the frustum."""
+DRAWN: Final = 3
+"""By a list of this frame."""
+
+GROUP: Final = 64
+"""Objects to a work-group."""
+
+_SKEW: Final = 0.5  # the volume of a box's directions below which it is replaced
+_SLACK: Final = 1.0001
+_NEARER: Final = {
+    Depth.REVERSED: DepthFunction.GREATER_EQUAL,
+    Depth.STANDARD: DepthFunction.LESS_EQUAL,
+}
+
+
+class Occludee(Struct):
+    """A box relative to the eye: its centre, half of each edge, and how far along the view its farthest corner is."""
+
+    centre: vec3
+    depth: float
+    x: vec3
+    y: vec3
+    z: vec3
+
+
+class Lens(Struct):
+    """What of a camera is not in its matrix.
+
+    The margin of a box whose farthest point is f metres away is dot(margin, (1, f, f²)). Boxes within `near_radius`
+    of the eye, or not beyond `near_depth` along `forward`, count as visible; only one of the two applies.
+    """
+
+    forward: vec3
+    near_radius: float
+    margin: vec3
+    near_depth: float
+
+
+@function
+def is_beyond(plane: vec4, box: Occludee) -> bool:
+    """Whether a box is on the wrong side of a plane."""
+    n = plane.xyz
+    reach = abs(dot(n, box.x)) + abs(dot(n, box.y)) + abs(dot(n, box.z))
+    return dot(n, box.centre) + plane.w + reach < 0.0
+
+
+class FindOccludees(Shader):
+    """Writes each object's box and first mark."""
+
+    work_group = (GROUP,)
+    view: Uniform[View]
+    lens: Uniform[Lens]
+    objects: Storage[Object]
+    places: Storage[Place]
+    parts: Storage[MeshPart]
+    boxes: StorageRW[Occludee]
+    marks: StorageRW[uint]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row >= len(self.marks):
+            return
+        place = self.places[row]
+        part = self.parts[place.mesh]
+        linear = self.objects[row].linear
+        middle = linear @ (0.5 * (part.lower + part.upper))
+        half = 0.5 * (part.upper - part.lower)
+        columns = transpose(linear)
+        box = Occludee(
+            centre=relative_position(place, self.view) + middle,
+            depth=0.0,
+            x=columns[0] * half.x,
+            y=columns[1] * half.y,
+            z=columns[2] * half.z,
+        )
+        size = length(box.x) + length(box.y) + length(box.z)
+        far = length(box.centre) + size
+        margin = dot(self.lens.margin, vec3(1.0, far, far * far)) + ROUNDING * (length(middle) + size)
+
+        x = columns[0] / max(length(columns[0]), 1e-30)
+        y = columns[1] / max(length(columns[1]), 1e-30)
+        z = columns[2] / max(length(columns[2]), 1e-30)
+        volume = dot(x, cross(y, z))
+        sides = abs(box.x) + abs(box.y) + abs(box.z) + margin
+        if abs(volume) > _SKEW:
+            padding = margin / abs(volume)
+            box.x += x * padding
+            box.y += y * padding
+            box.z += z * padding
+            sides = abs(box.x) + abs(box.y) + abs(box.z)
+            if volume < 0.0:  # mirrored: its sides are to face outwards all the same
+                box.z = -box.z
+        else:
+            box.x = vec3(sides.x, 0.0, 0.0)
+            box.y = vec3(0.0, sides.y, 0.0)
+            box.z = vec3(0.0, 0.0, sides.z)
+
+        forward = self.lens.forward
+        middle_depth = dot(box.centre, forward)
+        box.depth = (
+            middle_depth + abs(dot(forward, box.x)) + abs(dot(forward, box.y)) + abs(dot(forward, box.z))
+        )
+        away = max(abs(box.centre) - sides, vec3(0.0))
+        begin = middle_depth - dot(abs(forward), sides)
+        mark = self.first_mark(row)
+        is_near = length(away) <= self.lens.near_radius or begin <= self.lens.near_depth
+        if is_near or not far < TOO_FAR:
+            mark = VISIBLE
+        elif self.is_outside(box):
+            mark = OUTSIDE
+        if is_near or mark == OUTSIDE or not far < TOO_FAR:
+            box.x = vec3(0.0)
+            box.y = vec3(0.0)
+            box.z = vec3(0.0)
+        self.boxes[row] = box
+        self.marks[row] = uint(mark)
+
+    def first_mark(self, row: int) -> int:
+        return HIDDEN
+
+    def is_outside(self, box: Occludee) -> bool:
+        m = self.view.relative_view_projection
+        return (
+            is_beyond(m[3] + m[0], box)
+            or is_beyond(m[3] - m[0], box)
+            or is_beyond(m[3] + m[1], box)
+            or is_beyond(m[3] - m[1], box)
+            or is_beyond(m[2], box)
+            or is_beyond(m[3] - m[2], box)
+        )
+
+
+class BoxVarying(Struct):
+    """From vertex to fragment."""
+
+    clip: vec4
+    row: int
+
+
+class MarkBoxes(Shader):
+    """Marks each object whose box passes the depth test somewhere."""
+
+    early_depth = True
+    camera: Uniform[BoxCamera]
+    boxes: Storage[Occludee]
+    marks: StorageRW[uint]
+
+    def vertex(self, v: Corner) -> BoxVarying:
+        row = self.row()
+        box = self.boxes[row]
+        p = v.position
+        corner = box.centre + box.x * p.x + box.y * p.y + box.z * p.z
+        return BoxVarying(clip=self.camera.relative_view_projection @ vec4(corner, 1.0), row=row)
+
+    def row(self) -> int:
+        return instance_index()
+
+    def fragment(self, v: BoxVarying) -> None:
+        self.marks[v.row] = uint(VISIBLE)
+
+
+class MarkListedBoxes(MarkBoxes):
+    """The same for the boxes of listed rows alone."""
+
+    rows: Storage[uint]
+
+    def row(self) -> int:
+        return int(self.rows[instance_index()])
+
+
+class Occludees:
+    """The boxes and marks of `count` objects, and ways to test the boxes.
+
+    Attributes:
+        boxes, marks: a row for each object.
+        cube: what boxes are drawn as.
+    """
+
+    def __init__(self, device: Device, count: int, find: type[FindOccludees] = FindOccludees) -> None:
+        """`find` says how boxes get their first marks."""
+        self.count = count
+        self.boxes = device.storage(Occludee, count, label="boxes")
+        self.marks = device.storage(uint, count, label="marks")
+        self.cube = make_cube(device)
+        self._device = device
+        self._lens = device.uniform(_lens(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
+        self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
+        self._find: Program[Any] = device.program(find)
+        self._mark = device.program(MarkBoxes)
+        self._mark_listed = device.program(MarkListedBoxes)
+
+    @property
+    def groups(self) -> int:
+        """Work-groups of `GROUP` for a row each."""
+        return -(-self.count // GROUP)
+
+    def find(self, camera: Camera, arrays: SceneArrays, **more: StorageRange[Any]) -> None:
+        """Find the boxes as `camera` sees them, and mark all anew; `more` is what `find` reads besides."""
+        self._lens.write(_lens(camera))
+        self._device.dispatch(
+            self._find,
+            self.groups,
+            view=arrays.view,
+            lens=self._lens,
+            objects=arrays.objects,
+            places=arrays.places,
+            parts=arrays.parts,
+            boxes=self.boxes,
+            marks=self.marks,
+            **more,
+        )
+
+    def mark_all(self, matrix: NDArray[Any], depth: Depth) -> None:
+        """Mark what shows in the open pass; `matrix` (4, 4) leads from the eye's axes to clip space."""
+        self._camera.write(BoxCamera(relative_view_projection=matrix))
+        with self._states(depth):
+            self._device.draw(
+                self._mark, self.cube, self.count, camera=self._camera, boxes=self.boxes, marks=self.marks
+            )
+
+    def mark_listed(
+        self, matrix: NDArray[Any], depth: Depth, rows: StorageBuffer[uint], draw: StorageBuffer[Any]
+    ) -> None:
+        """The same for the boxes of `rows` alone; how many, `draw` says."""
+        self._camera.write(BoxCamera(relative_view_projection=matrix))
+        with self._states(depth):
+            self._device.draw_indirect(
+                self._mark_listed,
+                self.cube,
+                IndirectDraws(draw, 1),
+                camera=self._camera,
+                boxes=self.boxes,
+                marks=self.marks,
+                rows=rows,
+            )
+
+    def _states(self, depth: Depth) -> StateScope:
+        return self._device.states(
+            DepthTest.ON, DepthWrite.OFF, _NEARER[depth], CullMode.BACK, FrontFace.COUNTER_CLOCKWISE
+        )
+
+    def destroy(self) -> None:
+        """Give everything back that was made on the device."""
+        for resource in (self.boxes, self.marks, self.cube, self._lens, self._camera):
+            resource.destroy()
+
+
+def _lens(camera: Camera) -> Lens:
+    if is_parallel(camera):
+        *normal, d = camera.frustum.planes[Plane.NEAR].tolist()
+        radius, near = -1.0, -(float(camera.position @ normal) + d)
+    else:
+        radius, near = _SLACK * near_radius(camera), -1e30
+    return Lens(forward=camera.forward, near_radius=radius, margin=margin_terms(camera), near_depth=near)

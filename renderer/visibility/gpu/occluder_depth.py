@@ -1,0 +1,201 @@
+"""The depth of a few objects on a device of its own, and boxes tested against it in one batch (thesis 8.2).
+
+- Occluders are drawn as they are, at the image's own samples, and then kept as the farthest depth of 4 × 4 pixels, of
+  16 × 16, and so on. So a tile that they cover in part hides nothing, and what a tile hides is behind all its pixels.
+- A box is tested against the tiles under its rectangle, coarse ones first, which settle most (`BoxTest`).
+- Two rasterisers needn't agree where an edge passes within 1/256 pixel of a sample. So rectangles are larger by a pixel
+  each way: where this device covers a pixel that the other one doesn't, the next one beyond the edge is free.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene import Camera, Depth, Scene
+from renderer.shaders import Vertex, View
+from renderer.visibility.boxes.hierarchy import Floats, Rows
+from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
+from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
+from renderer.visibility.gpu.occludees import GROUP, Occludee
+from rhi import (
+    CullMode,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    Format,
+    FrontFace,
+    Texture,
+    UniformBuffer,
+)
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    global_id,
+    instance_index,
+    mat3,
+    uint,
+    vec3,
+    vec4,
+)
+
+__rhi_internal__ = True
+
+_NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
+_WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
+
+
+class Occluder(Struct):
+    """An occluder's transform, relative to the eye."""
+
+    linear: mat3
+    position: vec3
+
+
+class DrawOccluders(Shader):
+    """Their depth alone."""
+
+    view: Uniform[View]
+    occluders: Storage[Occluder]
+
+    def vertex(self, v: Vertex) -> vec4:
+        occluder = self.occluders[instance_index()]
+        position = occluder.linear @ v.position + occluder.position
+        return self.view.relative_view_projection @ vec4(position, 1.0)
+
+    def fragment(self) -> None:
+        pass
+
+
+class FindShown(BoxTest):
+    """Writes 1 for each box that shows, 0 for the others."""
+
+    margin = 1.0 + 1.0 / 64.0
+    shown: StorageRW[uint]
+
+    def compute(self) -> None:
+        row = global_id().x
+        if row < len(self.shown):
+            self.shown[row] = uint(1 if self.shows(self.boxes[row]) else 0)
+
+
+class FindShownStandard(FindShown):
+    """For depth that grows with distance."""
+
+    is_reversed = False
+
+
+_FIND: Final = {Depth.REVERSED: FindShown, Depth.STANDARD: FindShownStandard}
+
+
+class _Image:
+    """What is as large as the image: its depth, and the tiles."""
+
+    def __init__(self, device: Device, size: tuple[int, int]) -> None:
+        self.depth: Texture = device.texture(size, Format.D32F, label="occluder depth")
+        self.pyramid = FarthestDepth(device, size)
+        self.levels: UniformBuffer[Levels] = device.uniform(make_levels(self.pyramid))
+
+    def destroy(self) -> None:
+        for part in (self.depth, self.pyramid, self.levels):
+            part.destroy()
+
+
+class OccluderDepth:
+    """The depth of objects of a scene, as a camera sees them."""
+
+    def __init__(self, device: Device, scene: Scene, occluders: int, boxes: int) -> None:
+        """At most so many `occluders` are drawn at a time, and so many `boxes` tested."""
+        meshes = scene.meshes
+        self._device = device
+        self._scene = scene
+        self._mesh = device.mesh(meshes.vertices, meshes.indices, label="occluders")
+        self._view = device.uniform(_view(np.eye(4, dtype=np.float32)))
+        self._occluders = device.storage(Occluder, occluders, label="occluders")
+        self._boxes = device.storage(Occludee, boxes, label="boxes")
+        self._shown = device.storage(uint, boxes, label="shown")
+        self._image: _Image | None = None
+        self._depth = Depth.REVERSED
+
+    def render(self, camera: Camera, rows: Rows, size: tuple[int, int]) -> None:
+        """Draw the objects `rows` (k,) in an image of `size` pixels; doesn't wait."""
+        image = self._image
+        if image is None or image.pyramid.size != size:
+            if image is not None:
+                image.destroy()
+            image = self._image = _Image(self._device, size)
+        device, scene = self._device, self._scene
+        self._depth = direction = camera.projection.depth
+        world = scene.nodes.world[scene.objects.node[rows]]
+        table = np.zeros(len(rows), Occluder.dtype)
+        table["linear"][:, :, :3] = world[:, :3, :3]
+        table["position"] = world[:, :3, 3] - camera.position
+        if len(rows):
+            self._occluders.write(table)
+        self._view.write(_view(camera.relative_view_projection))
+        ranges = scene.meshes.ranges[scene.objects.mesh[rows]]
+        draws = self._mesh.draws(
+            ranges["first_index"],
+            ranges["index_count"],
+            base_vertex=ranges["base_vertex"],
+            base_instance=np.arange(len(rows)),
+        )
+        mirrored = np.linalg.det(world[:, :3, :3]) < 0.0
+        program = device.program(DrawOccluders)
+        with (
+            device.render_pass(depth=image.depth, clear_depth=FAR[direction]),
+            device.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, _NEARER[direction]),
+        ):
+            for turned, winding in _WINDINGS:
+                part = draws[mirrored == turned]
+                if len(part):
+                    with device.states(winding):
+                        device.draw_many(
+                            program, self._mesh, part, view=self._view, occluders=self._occluders
+                        )
+        image.pyramid.build(image.depth, direction)
+
+    def find_shown(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:
+        """Which boxes (k,) aren't behind what was rendered; waits for the device.
+
+        `centre` (k, 3) is relative to the eye, `half` (k, 3) half the size along the world's axes, padded. The near
+        plane cuts none of them.
+        """
+        image, count = self._image, len(centre)
+        assert image is not None, "rendered before"
+        if not count:
+            return np.zeros(0, bool)
+        table = np.zeros(count, Occludee.dtype)
+        table["centre"] = centre
+        for axis, name in enumerate("xyz"):
+            table[name][:, axis] = half[:, axis]
+        self._boxes.write(table)
+        self._device.dispatch(
+            self._device.program(_FIND[self._depth]),
+            -(-count // GROUP),
+            view=self._view,
+            pyramid=image.levels,
+            depth=image.depth,
+            farthest=image.pyramid.farthest,
+            boxes=self._boxes,
+            shown=self._shown,
+        )
+        return self._shown.read(0, count).astype(bool)
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        for resource in (self._mesh, self._view, self._occluders, self._boxes, self._shown):
+            resource.destroy()
+        if self._image is not None:
+            self._image.destroy()
+            self._image = None
+
+
+def _view(matrix: NDArray[np.float32]) -> View:
+    return View(relative_view_projection=matrix, eye_high=(0, 0, 0), eye_low=(0, 0, 0))

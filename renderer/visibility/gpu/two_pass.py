@@ -1,0 +1,55 @@
+"""Two-pass occlusion culling (Deferred+, 1.3.1).
+
+1. The last frame's depth is moved to where this frame's camera sees it, at a quarter of the resolution. Boxes are
+   drawn against it; where a fragment passes, it marks its object, which is drawn.
+2. The boxes of the others are drawn against the depth that is there now, at full resolution. What is marked was
+   wrongly hidden, and is drawn too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from renderer.scene import Camera, Scene
+from renderer.visibility.algorithm import Statistics
+from renderer.visibility.gpu.device_culling import DeviceCulling
+from renderer.visibility.gpu.occludees import FindOccludees
+from renderer.visibility.gpu.reprojection import ReprojectedDepth
+from renderer.visibility.scene_pass import ScenePass
+from rhi import Device
+
+__rhi_internal__ = True
+
+
+class TwoPassCulling(DeviceCulling):
+    """Draws what the last frame's depth doesn't hide, then what this frame's doesn't."""
+
+    def __init__(self, scene: Scene, device: Device) -> None:
+        super().__init__(scene, device, FindOccludees)
+        self._reprojected = ReprojectedDepth(device)
+
+    def _mark_likely(self, camera: Camera, scene: ScenePass) -> None:
+        self._occludees.find(camera, scene.arrays)
+        with self._reprojected.render_pass(camera, scene.depth.size) as matrix:
+            self._occludees.mark_all(matrix, camera.projection.depth)
+
+    def _mark_missed(self, camera: Camera, scene: ScenePass) -> None:
+        with self._device.render_pass(depth=scene.depth):
+            self._occludees.mark_listed(
+                camera.relative_view_projection,
+                camera.projection.depth,
+                self.first.hidden,
+                self.first.box_draw,
+            )
+
+    def _remember(self, camera: Camera, scene: ScenePass) -> None:
+        self._reprojected.remember(camera, scene.depth)
+
+    def _count(self) -> Statistics:
+        count = self._occludees.count
+        return replace(super()._count(), box_draws=2, boxes=2 * count)
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        super().destroy()
+        self._reprojected.destroy()

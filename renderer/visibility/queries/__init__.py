@@ -1,0 +1,1 @@
+"""Culling by hardware occlusion queries, from stop-and-wait to CHC++."""

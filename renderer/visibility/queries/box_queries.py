@@ -1,0 +1,156 @@
+"""Occlusion queries of bounding boxes, in the middle of a technique's pass (thesis 6.2, steps 1 to 4).
+
+What can be asked for is a node, which has one box or a few. All boxes are rows of one array, relative to the
+eye, written once a frame; a node's boxes follow each other and are the instances of one draw, and drawing some
+nodes is one call. Directions of their axes are another array, written when they change. Boxes are drawn with the
+technique's depth test, and write neither colour nor depth. Queries are used again and again; how long the CPU
+waited for answers is counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from renderer.scene import Camera
+from renderer.visibility.boxes.bounds import Boxes
+from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
+from renderer.visibility.boxes.hierarchy import Rows
+from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, StateScope
+from rhi.shading import Shader, Storage, Struct, Uniform, cross, instance_index, vec3, vec4
+
+__rhi_internal__ = True
+
+
+class Box(Struct):
+    """Where it is relative to the eye, and half its size along its own axes."""
+
+    centre: vec3
+    half: vec3
+
+
+class Turn(Struct):
+    """Unit vectors along a box's first two axes; the third is at right angles to both."""
+
+    x: vec3
+    y: vec3
+
+
+class BoxShader(Shader):
+    """Depth alone."""
+
+    camera: Uniform[BoxCamera]
+    boxes: Storage[Box]
+    turns: Storage[Turn]
+
+    def vertex(self, v: Corner) -> vec4:
+        box = self.boxes[instance_index()]
+        turn = self.turns[instance_index()]
+        corner = box.half * v.position
+        place = box.centre + turn.x * corner.x + turn.y * corner.y + cross(turn.x, turn.y) * corner.z
+        return self.camera.relative_view_projection @ vec4(place, 1.0)
+
+    def fragment(self) -> None:
+        pass
+
+
+class BoxQueries:
+    """Asks a device how many samples of boxes pass the depth test.
+
+    Attributes:
+        threshold: what passes no more samples than this counts as hidden; above 0, images may differ.
+        issued: queries since `begin_frame`; draws, boxes: draws of boxes in them, and their boxes.
+        stalled: seconds that the CPU waited for answers since `begin_frame`.
+    """
+
+    def __init__(self, device: Device, sizes: Rows, members: Rows, threshold: int = 0) -> None:
+        """`sizes` (n,): how many boxes each node has, 1 or more; `members`: which, node after node."""
+        self.device = device
+        self.threshold = threshold
+        self.issued = self.draws = self.boxes = 0
+        self.stalled = 0.0
+        self._program = device.program(BoxShader)
+        self._mesh = make_cube(device)
+        count = len(members)
+        self._members = members
+        self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
+        self._buffer = device.storage(Box, max(count, 1), label="boxes")
+        self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
+        self._turns = device.storage(Turn, max(count, 1), label="turns of boxes")
+        # Rows of `Box` as plain floats: one gather of whole rows is ten times as fast as one of each field.
+        self._rows = np.zeros((count, 8), np.float32)
+        self._directions: tuple[NDArray[np.float32], ...] = (np.zeros((0, 3), np.float32),) * 2  # as written
+        self._free: list[OcclusionQuery] = []
+
+    def begin_frame(self, camera: Camera, boxes: Boxes) -> None:
+        """Let the boxes of all nodes be made of these, and count from 0."""
+        self.issued = self.draws = self.boxes = 0
+        self.stalled = 0.0
+        self._camera.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
+        rows, members = self._rows, self._members
+        if not len(rows):
+            return
+        each = np.zeros((len(boxes.centre), 8), np.float32)
+        with np.errstate(over="ignore"):  # what is too far for float32 is drawn without being asked for
+            each[:, 0:3] = boxes.centre - camera.position
+            each[:, 4:7] = boxes.half
+        each.take(members, axis=0, out=rows, mode="clip")  # without a copy in between
+        self._buffer.write(rows.view(self._buffer.dtype)[:, 0])
+        directions = (boxes.x, boxes.y)
+        if not all(map(np.array_equal, self._directions, directions)):
+            turns = np.zeros(len(rows), self._turns.dtype)
+            turns["x"], turns["y"] = boxes.x[members], boxes.y[members]
+            self._turns.write(turns)
+            self._directions = directions
+
+    def states(self) -> StateScope:
+        """`with queries.states():` around `ask`: boxes leave no trace in the targets."""
+        return self.device.states(ColorWrite.OFF, DepthWrite.OFF, CullMode.BACK, FrontFace.COUNTER_CLOCKWISE)
+
+    def ask(self, nodes: Sequence[int]) -> OcclusionQuery:
+        """One query about these nodes together; to be given to `answer` or `release`."""
+        query = self.take()
+        draws = self._draws.take(nodes)
+        with query:
+            self.device.draw_many(
+                self._program,
+                self._mesh,
+                draws,
+                camera=self._camera,
+                boxes=self._buffer,
+                turns=self._turns,
+            )
+        self.draws += len(draws)
+        self.boxes += int(draws["instances"].sum())
+        return query
+
+    def take(self) -> OcclusionQuery:
+        """A query for other draws; it will be begun."""
+        self.issued += 1
+        return self._free.pop() if self._free else self.device.occlusion_query()
+
+    def answer(self, query: OcclusionQuery) -> bool:
+        """Whether more samples than the threshold passed; waits for it if it must. Gives the query back."""
+        if query.is_finished:
+            samples = query.visible_samples
+        else:
+            began = perf_counter()
+            samples = query.wait()
+            self.stalled += perf_counter() - began
+        self._free.append(query)
+        return samples > self.threshold
+
+    def release(self, query: OcclusionQuery) -> None:
+        """Give a query back whose answer doesn't matter any more."""
+        self._free.append(query)
+
+    def destroy(self) -> None:
+        """Give everything back that was made on the device."""
+        for query in self._free:
+            query.destroy()
+        self._free.clear()
+        for resource in (self._mesh, self._buffer, self._turns, self._camera):
+            resource.destroy()

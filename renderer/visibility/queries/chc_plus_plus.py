@@ -1,0 +1,266 @@
+"""CHC++, coherent hierarchical culling revisited (thesis 6.4; Mattausch, Bittner and Wimmer, 2008).
+
+CHC with everything in batches:
+
+- *i-queue*: nodes that were hidden gather until there are b of them; then states change once and all are asked
+  for (6.4.2);
+- *v-queue*: leaves that were visible are drawn anyway, so whether they still are is asked when there is nothing
+  else to do, and read in the next frame (6.4.3);
+- *render queue*: what is to be drawn gathers until queries need it in the depth buffer (6.4.4);
+- *persistence*: a leaf that is visible is asked for again only after n frames, the first time after a random
+  number of them, so that questions don't come all in one frame (6.4.5);
+- *multiqueries*: hidden nodes that will likely stay hidden are asked for together (6.4.6): see `choose_size`;
+- *tight bounds*: a node is asked for by the boxes of nodes below it where these fit closer.
+
+Stack and queues have a fixed size (6.5.2, 6.5.3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import exp
+from random import Random
+from typing import Final
+
+import numpy as np
+
+from renderer import rules
+from renderer.scene import Camera, Scene
+from renderer.visibility.algorithm import DrawObjects, Statistics
+from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
+from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.queries.chc import NEVER, pull_up
+from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
+
+__rhi_internal__ = True
+
+KEEPS: Final = tuple(0.99 - 0.7 * exp(-t) for t in range(16))
+"""How likely a node that was hidden for t frames stays hidden in the next; as good as constant from 15 on."""
+
+
+def choose_size(keeps: Sequence[float]) -> int:
+    """How many nodes to ask for together, given how likely each stays hidden, in descending order; 1 or more.
+
+    k nodes in one query cost 1 + (1 - product of their probabilities) · k queries, as all are asked for again
+    if any shows; one alone costs 1. The best k is where nodes per query stop growing.
+    """
+    best, likely = 1.0, keeps[0]
+    for size in range(2, len(keeps) + 1):
+        likely *= keeps[size - 1]
+        value = size / (1.0 + (1.0 - likely) * size)
+        if value < best:
+            return size - 1
+        best = value
+    return len(keeps)
+
+
+class ChcPlusPlus:
+    """Draws what was visible, and asks in batches for what was hidden."""
+
+    def __init__(
+        self,
+        scene: Scene,
+        device: Device,
+        *,
+        batch: int = 50,
+        persistence: int = 20,
+        threshold: int = 0,
+        seed: int = 0,
+    ) -> None:
+        """What the thesis tunes (6.5.1) is `batch`, its b, and `persistence`, its n.
+
+        Args:
+            batch: how many hidden nodes gather before they are asked for, 1 or more.
+            persistence: for how many frames a visible leaf isn't asked for again, 1 or more.
+            threshold: a node that passes no more samples than this is taken for hidden.
+            seed: of the random numbers.
+        """
+        if batch < 1 or persistence < 1:
+            given = f"batch={batch}, persistence={persistence}"
+            refuse(rules.BAD_PARAMETER, "ChcPlusPlus(...)", given, "1 or more")
+        self._objects = scene.objects
+        self._forest = Forest(scene)
+        self._batch = batch
+        self._persistence = persistence
+        self._random = Random(seed)
+        count = len(self._forest)
+        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold)
+        self._visible = bytearray(count)
+        self._visited = [NEVER] * count
+        self._hidden_since = [0] * count
+        self._next_query = [0] * count  # frame in which a visible leaf is asked for again
+        self._is_asked = bytearray(count)  # leaves whose visibility was asked for and not yet read
+        self._frame = 0
+        room = max(count, 1)
+        self._stack: FixedStack[int] = FixedStack(room)
+        self._hidden: list[int] = []  # the i-queue
+        self._again: list[int] = []  # nodes of a multiquery that showed something
+        self._seen: FixedQueue[int] = FixedQueue(room)  # the v-queue
+        self._asked: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
+        self._asked_seen: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
+        self._to_draw: list[int] = []  # the render queue
+        self._shown: list[int] = []
+        self._drawn = self._batches = self._walked = 0
+
+    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        """Draw what `camera` sees, and what it saw lately."""
+        forest, stack, asked, visit = self._forest, self._stack, self._asked, self._visit
+        self._begin(camera)
+        while True:
+            while asked and asked.front[1].is_finished:
+                self._take_answer(*asked.pop())
+            if stack:
+                visit(stack.pop())
+                if len(self._hidden) >= self._batch:
+                    self._ask_hidden(draw)
+            elif self._hidden or self._again:
+                self._ask_hidden(draw)
+            elif asked:
+                if self._seen:
+                    self._ask_seen(draw)
+                else:
+                    self._take_answer(*asked.pop())
+            else:
+                break
+        self._draw(draw)
+        if self._seen:
+            self._ask_seen(draw)
+        pull_up(self._shown, self._visible, forest.parent)
+        return self._count()
+
+    def _count(self) -> Statistics:
+        queries = self._queries
+        return Statistics(
+            objects=len(self._objects),
+            visible=self._drawn,
+            batches=self._batches,
+            nodes_tested=self._walked,
+            queries=queries.issued,
+            box_draws=queries.draws,
+            boxes=queries.boxes,
+            stalled_milliseconds=1e3 * queries.stalled,
+        )
+
+    def _begin(self, camera: Camera) -> None:
+        """Take the answers that were left to this frame, and start at the roots."""
+        forest, queries = self._forest, self._queries
+        queries.begin_frame(camera, forest.update(camera))
+        self._frame += 1
+        self._drawn = self._batches = self._walked = 0
+        for left in (self._stack, self._hidden, self._again, self._to_draw, self._shown, self._seen):
+            left.clear()
+        while self._asked:  # a frame that was broken off
+            queries.release(self._asked.pop()[1])
+        while self._asked_seen and self._asked_seen.front[1].is_finished:
+            leaf, query = self._asked_seen.pop()
+            self._is_asked[leaf] = 0
+            if queries.answer(query):
+                self._next_query[leaf] = self._frame - 1 + self._persistence
+            elif self._visible[leaf]:
+                self._visible[leaf] = 0
+                self._hidden_since[leaf] = self._frame
+        for root in forest.roots:
+            self._stack.push(root)
+
+    def _visit(self, node: int) -> None:
+        forest, visible, frame = self._forest, self._visible, self._frame
+        place = forest.place[node]
+        if place == OUTSIDE:
+            return
+        self._walked += 1
+        was_visited = self._visited[node] == frame - 1
+        self._visited[node] = frame
+        if place == NEAR:
+            self._show(node)
+        elif not visible[node] or not was_visited:
+            visible[node] = 0
+            if not was_visited:
+                self._hidden_since[node] = frame
+            self._hidden.append(node)
+        elif forest.child[node] < 0:
+            if self._next_query[node] <= frame and not self._is_asked[node]:
+                self._seen.push(node)
+            self._shown.append(node)
+            self._to_draw.append(forest.object[node])
+        else:
+            visible[node] = 0
+            self._hidden_since[node] = frame
+            self._open(node)
+
+    def _take_answer(self, nodes: list[int], query: OcclusionQuery) -> None:
+        """Of hidden nodes; waits if there is no answer yet."""
+        if not self._queries.answer(query):
+            return
+        if len(nodes) > 1:
+            self._again += nodes
+            return
+        (node,) = nodes
+        self._hidden_since[node] = self._frame
+        self._next_query[node] = self._frame + self._random.randint(1, self._persistence)
+        self._show(node)
+
+    def _show(self, node: int) -> None:
+        self._visible[node] = 1
+        self._shown.append(node)
+        self._open(node)
+
+    def _open(self, node: int) -> None:
+        forest = self._forest
+        child = forest.child[node]
+        if child < 0:
+            self._to_draw.append(forest.object[node])
+        else:
+            nearer = forest.second_first[node]
+            self._stack.push(child + 1 - nearer)
+            self._stack.push(child + nearer)
+
+    def _ask_hidden(self, draw: DrawObjects) -> None:
+        """Ask for all in the i-queue, those together that are likely to stay hidden."""
+        self._draw(draw)
+        queries, asked = self._queries, self._asked
+        with queries.states():
+            for nodes in self._group_hidden():
+                asked.push((nodes, queries.ask(nodes)))
+        self._hidden.clear()
+        self._again.clear()
+
+    def _group_hidden(self) -> list[list[int]]:
+        """The i-queue in groups to be asked for together."""
+        since, frame, last = self._hidden_since, self._frame, len(KEEPS) - 1
+        hidden = sorted(self._hidden, key=since.__getitem__)
+        keeps = [KEEPS[min(frame - since[node], last)] for node in hidden]
+        groups = [[node] for node in self._again]
+        start = 0
+        while start < len(hidden):
+            end = start + choose_size(keeps[start:])
+            groups.append(hidden[start:end])
+            start = end
+        return groups
+
+    def _ask_seen(self, draw: DrawObjects) -> None:
+        """Ask for the v-queue until there is an answer to go on with."""
+        self._draw(draw)
+        asked = self._asked
+        with self._queries.states():
+            while self._seen and not (asked and asked.front[1].is_finished):
+                self._ask_leaf(self._seen.pop())
+
+    def _ask_leaf(self, leaf: int) -> None:
+        self._is_asked[leaf] = 1
+        self._asked_seen.push((leaf, self._queries.ask((leaf,))))
+
+    def _draw(self, draw: DrawObjects) -> None:
+        """Draw the render queue."""
+        if self._to_draw:
+            rows = np.array(self._to_draw)
+            rows.sort()
+            draw(rows)
+            self._drawn += len(rows)
+            self._batches += 1
+            self._to_draw.clear()
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        while self._asked_seen:
+            self._queries.release(self._asked_seen.pop()[1])
+        self._queries.destroy()

@@ -1,0 +1,64 @@
+"""Stop-and-wait occlusion culling (thesis 6.2, Listing 6.2): simple, exact, and slow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from renderer.scene import Camera, Scene
+from renderer.visibility.algorithm import DrawObjects, Statistics, find_visible_objects
+from renderer.visibility.boxes.bounds import see_boxes
+from renderer.visibility.boxes.volumes import TightestBoxes
+from renderer.visibility.frustum import FrustumCulling
+from renderer.visibility.queries.box_queries import BoxQueries
+from rhi import Device
+
+__rhi_internal__ = True
+
+
+class StopAndWait:
+    """Asks for each object in the frustum, front to back, and waits for the answer before the next.
+
+    No more is drawn than what shows its box, given all that is nearer. CPU and GPU work in turns: while one
+    works, the other waits.
+    """
+
+    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
+        """`threshold`: an object whose box passes no more samples than this is taken for hidden."""
+        self._objects = scene.objects
+        self._frustum = FrustumCulling(scene)
+        self._tightest = TightestBoxes(scene)
+        count = len(scene.objects)
+        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
+
+    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+        """Draw the objects that are not hidden behind nearer ones."""
+        lower, upper = self._objects.lower, self._objects.upper
+        rows = find_visible_objects(self._frustum, camera)
+        rows = rows[np.argsort((lower[rows] + upper[rows]) @ camera.forward, kind="stable")]
+        turned = self._tightest.find()
+        boxes = see_boxes(camera, lower, upper, turned, turned.rows)
+        near = boxes.near
+        queries = self._queries
+        queries.begin_frame(camera, boxes)
+        visible = 0
+        for place, row in enumerate(rows.tolist()):
+            if not near[row]:
+                with queries.states():
+                    query = queries.ask((row,))
+                if not queries.answer(query):
+                    continue
+            draw(rows[place : place + 1])
+            visible += 1
+        return Statistics(
+            objects=len(self._objects),
+            visible=visible,
+            batches=visible,
+            queries=queries.issued,
+            box_draws=queries.draws,
+            boxes=queries.boxes,
+            stalled_milliseconds=1e3 * queries.stalled,
+        )
+
+    def destroy(self) -> None:
+        """Give back what was made on the device."""
+        self._queries.destroy()

@@ -1,0 +1,402 @@
+"""Probes: a built-in or operator by itself, as a function on arrays and as compute shaders, and what it is given.
+
+A probe's shaders read the words of its arguments from a buffer and write those of its result to another, so that all
+languages compute from the same bits. `sample` and `hard` make the arguments. Float64 is the reference: it has 29 bits
+more than what is judged by it, so its own error, of a unit in its last place or two, is 1e-8 of one in theirs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import linecache
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi.shading
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType, MatrixType, ScalarType, VectorType
+from rhi.shading.evaluation.compute import evaluate
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, Error, Precision
+from rhi.shading.language.shader import Shader
+from rhi.shading.language.types import MATRICES, VECTORS
+
+__rhi_internal__ = True
+
+Array = NDArray[Any]
+Way = Literal["glsl", "exact", "fast", "numpy"]
+"""How results came about: the names of the bounds in `Error`."""
+
+WORK_GROUP: Final = 64
+PASSES: Final = 32
+"""How often a probe's `Often` reads its arguments."""
+
+_FROM_WORD: Final = {FLOAT: "uint_bits_to_float({})", INT: "int({})", UINT: "{}", BOOL: "({} != 0)"}
+_TO_WORD: Final = {
+    FLOAT: "float_bits_to_uint({})",
+    INT: "uint({})",
+    UINT: "{}",
+    BOOL: "(uint(1) if {} else uint(0))",
+}
+_TO_FLOAT: Final = {FLOAT: "{}", INT: "float({})", UINT: "float({})", BOOL: "(1.0 if {} else 0.0)"}
+_DTYPES: Final = {FLOAT: np.float32, INT: np.int32, UINT: np.uint32, BOOL: np.bool_}
+_MOST: Final = float(np.finfo(np.float32).max)
+_LEAST: Final = 2.0**-126
+
+SMALLEST: Final = 1e-12
+"""Of built-ins made from others: products of three smaller numbers, as in a determinant, underflow."""
+
+_ANCHORS: Final = np.array([0.5, 1, 2, np.e, 10, 100])
+_HARD_FLOATS: Final = np.array(
+    [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 3.0, 0.1, -0.7, 7.0, 100.25, -100.75, 1e-7, -1e-20, 1e20, 8388609.0,
+     65504.0, 65520.0, 6e-8, 2.0**31, -(2.0**31), 1e-45, -1e-40, 1.17549435e-38,
+     _MOST, -_MOST, np.inf, -np.inf, np.nan],
+    np.float32,
+)  # fmt: skip
+_HARD_INTS: Final = np.array(
+    [0, 1, -1, 2, -2, 3, -3, 7, -7, 8, 10, 31, 32, 255, -256, 65535, 0x7FFFFFFF, -0x7FFFFFFF, -0x80000000, 0x12345678],
+    np.int64,
+).astype(np.int32)  # fmt: skip
+
+
+def scalar_kind(type: HostType) -> ScalarType:
+    """What a value's components are."""
+    return FLOAT if isinstance(type, MatrixType) else type.scalar if isinstance(type, VectorType) else type  # type: ignore[return-value]
+
+
+def _shape(type: HostType) -> tuple[int, ...]:
+    return (
+        (type.size,) * (1 + isinstance(type, MatrixType)) if isinstance(type, MatrixType | VectorType) else ()
+    )
+
+
+def _size(type: HostType) -> int:
+    return int(np.prod(_shape(type), dtype=int))
+
+
+def _parts(type: HostType, name: str) -> list[str]:
+    """The components of a value as expressions."""
+    if isinstance(type, MatrixType):
+        return [f"{name}[{row}].{'xyzw'[column]}" for row in range(type.size) for column in range(type.size)]
+    return [f"{name}.{letter}" for letter in "xyzw"[: type.size]] if isinstance(type, VectorType) else [name]
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """`expression` is the shading language's, of arguments a, b, c and d of the types `parameters`."""
+
+    name: str
+    expression: str
+    parameters: tuple[HostType, ...]
+    result: HostType
+    error: Error
+
+    def __str__(self) -> str:
+        return f"{self.name}({', '.join(map(str, self.parameters))})"
+
+    @property
+    def kinds(self) -> list[ScalarType]:
+        """The kind of each word of the arguments."""
+        return [scalar_kind(type) for type in self.parameters for _ in range(_size(type))]
+
+    @cached_property
+    def _made(self) -> dict[str, Any]:
+        names = "abcd"[: len(self.parameters)]
+        declared = ", ".join(f"{name}: {type}" for name, type in zip(names, self.parameters, strict=True))
+        total, at, given = len(self.kinds), 0, []
+        for type in self.parameters:
+            words = [f"self.given[row * {total} + {at + k}]" for k in range(_size(type))]
+            texts = [_FROM_WORD[scalar_kind(type)].format(word) for word in words]
+            given.append(texts[0] if isinstance(type, ScalarType) else f"{type}({', '.join(texts)})")
+            at += len(words)
+        loads = [f"{name} = {text}" for name, text in zip(names, given, strict=True)]
+        kind, results = scalar_kind(self.result), _parts(self.result, "r")
+        stores = [
+            f"self.results[row * {len(results)} + {k}] = {_TO_WORD[kind].format(part)}"
+            for k, part in enumerate(results)
+        ]
+        summed = " + ".join(_TO_FLOAT[kind].format(part) for part in results)
+        idle = " + ".join(
+            _TO_FLOAT[scalar_kind(type)].format(part)
+            for name, type in zip(names, self.parameters, strict=True)
+            for part in _parts(type, name)
+        )
+        call = [f"r = probe({', '.join(names)})"]
+        source = "\n".join(
+            [
+                "@function",
+                f"def probe({declared}) -> {self.result}:",
+                f"    return {self.expression}",
+                "class Buffers(Shader):",
+                f"    work_group = ({WORK_GROUP},)",
+                "    given: Storage[uint]",
+                "    results: StorageRW[uint]",
+                "class Once(Buffers):",
+                "    def compute(self) -> None:",
+                "        row = global_id().x",
+                *(f"        {line}" for line in [*loads, *call, *stores]),
+                *_repeat("Often", total, [*loads, *call, f"total += {summed}"]),
+                *_repeat("Idle", total, [*loads, f"total += {idle}"]),
+            ]
+        )
+        space = {**vars(rhi.shading), "__name__": __name__}
+        name = f"<probe of {self}>"
+        linecache.cache[name] = (len(source), None, source.splitlines(True), name)
+        exec(compile(source, name, "exec", dont_inherit=True), space)
+        return space
+
+    def shader(self, way: str = "Once", precision: Precision = Precision.EXACT) -> type[Shader]:
+        """`Once`: a result for each row of `given`; `Often`: sums of many, `Idle`: the same without the call, so
+        that the difference of their times is that of the calls."""
+        shader: type[Shader] = self._made[way]
+        return (
+            shader
+            if precision is Precision.EXACT
+            else type(f"Fast{way}", (shader,), {"precision": precision})
+        )
+
+    def evaluate(self, given: Array, dtype: Any) -> Array:
+        """On NumPy: words (n, words) to numbers (n, components)."""
+        columns = self.columns(given).values()
+        values = [
+            part.reshape(-1, *_shape(type)) for part, type in zip(columns, self.parameters, strict=True)
+        ]
+        return np.asarray(evaluate(self._made["probe"], *values, dtype=dtype)).reshape(len(given), -1)
+
+    def numbers(self, words: Array) -> Array:
+        """The results' words (n, components) as numbers."""
+        kind = scalar_kind(self.result)
+        return words != 0 if kind is BOOL else words.view(_DTYPES[kind])
+
+    # -- arguments
+
+    def columns(self, given: Array) -> dict[str, Array]:
+        """The arguments as numbers by name: (n,) each, (n, components) of vectors, (n, rows · columns) of matrices."""
+        result, at = {}, 0
+        for name, type in zip("abcd", self.parameters, strict=False):
+            size, kind = _size(type), scalar_kind(type)
+            part = np.ascontiguousarray(given[:, at : at + size])
+            numbers = part != 0 if kind is BOOL else part.view(_DTYPES[kind])
+            result[name] = numbers[:, 0] if isinstance(type, ScalarType) else numbers
+            at += size
+        return result
+
+    def is_defined(self, given: Array) -> Array:
+        """Whether there is a result, for each row of words."""
+        if not self.error.defined:
+            return np.ones(len(given), bool)
+        with np.errstate(all="ignore"):
+            columns = {name: values.astype(np.float64) for name, values in self.columns(given).items()}
+            defined: Array = eval(self.error.defined, {"np": np}, columns)
+        return defined
+
+    def is_in_domain(self, given: Array) -> Array:
+        """Whether all floats of a row lie within the domain of the stated error; what isn't a number does not."""
+        inside = np.ones(len(given), bool)
+        for number, values in enumerate(self.columns(given).values()):
+            if values.dtype == np.float32:
+                low, high = self.error.domain[min(number, len(self.error.domain) - 1)]
+                fits = (values >= low) & (values <= high)
+                if self.error.of_arguments:
+                    fits &= (values == 0) | (np.abs(values) >= SMALLEST)
+                inside &= fits.reshape(len(given), -1).all(axis=1)
+        return inside
+
+    def sample(self, count: int, seed: int = 0) -> Array:
+        """Words (count, words) for which there is a result, in the domain of the stated error: floats evenly, evenly in
+        magnitude, and close to numbers where functions change."""
+        batches: list[Array] = []
+        while sum(map(len, batches)) < count:
+            batch = self._sample(count, seed + len(batches))
+            batches.append(batch[self.is_defined(batch)])
+        return np.concatenate(batches)[:count]
+
+    def _sample(self, count: int, seed: int) -> Array:
+        rng = np.random.default_rng(seed)
+        columns = []
+        for number, type in enumerate(self.parameters):
+            low, high = self.error.domain[min(number, len(self.error.domain) - 1)]
+            for _ in range(_size(type)):
+                columns.append(_sample(scalar_kind(type), low, high, count, rng))
+        return np.stack(columns, axis=1)
+
+    def hard(self) -> Array:
+        """Words (n, words): every pair of hard numbers for two components, a random choice of them for more."""
+        hard = [_hard(kind) for kind in self.kinds]
+        if len(hard) <= 2:
+            rows = list(itertools.product(*hard))
+            return np.array(rows, np.uint32).reshape(len(rows), len(hard))
+        rng = np.random.default_rng(len(hard))
+        return np.stack([rng.choice(column, 4096) for column in hard], axis=1)
+
+
+def _repeat(name: str, words: int, lines: Sequence[str]) -> list[str]:
+    """A shader that does `lines` many times; four at once, so that what is measured is not how long a sum takes."""
+    return [
+        f"class {name}(Buffers):",
+        "    def compute(self) -> None:",
+        "        i = global_id().x",
+        "        count = len(self.results)",
+        *(f"        total{k} = 0.0" for k in range(4)),
+        f"        for _ in range({PASSES}):",
+        f"            for turn in range(0, len(self.given) // (count * {words}), 4):",
+        *(
+            f"                {line.replace('total', f'total{k}')}"
+            for k in range(4)
+            for line in (f"row = (turn + {k}) * count + i", *lines)
+        ),
+        "        self.results[i] = float_bits_to_uint(total0 + total1 + total2 + total3)",
+    ]
+
+
+def _hard(kind: ScalarType) -> Array:
+    if kind is FLOAT:
+        return _HARD_FLOATS.view(np.uint32)
+    return np.array([0, 1], np.uint32) if kind is BOOL else _HARD_INTS.view(np.uint32)
+
+
+def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.random.Generator) -> Array:
+    if kind is BOOL:
+        return rng.integers(0, 2, count).astype(np.uint32)
+    if kind is not FLOAT:
+        return rng.integers(0, 1 << 32, count, np.uint64).astype(np.uint32) >> rng.integers(
+            0, 32, count
+        ).astype(np.uint32)
+    even = rng.uniform(low, high, count)
+    most = max(abs(low), abs(high))
+    magnitude = np.exp(rng.uniform(np.log(low if low > 0 else most * 1e-6), np.log(most), count))
+    turns = rng.integers(1, 640, count) * (np.pi / 2)
+    close = np.where(rng.random(count) < 0.5, rng.choice(_ANCHORS, count), turns)
+    close *= 1 + rng.choice((-1, 1), count) * np.exp(rng.uniform(np.log(1e-8), 0, count))
+    sign = np.where(rng.random(count) < 0.5, -1, 1) if low < 0 else 1
+    values = np.choose(rng.integers(0, 3, count), (even, sign * magnitude, sign * close)).astype(np.float32)
+    return np.clip(values, np.float32(low), np.float32(high)).view(np.uint32)
+
+
+# -- how far off -------------------------------------------------------------------------------------------
+
+
+def count_units(probe: Probe, given: Array, results: Array) -> Array:
+    """How far results lie from the exact ones, (n, components) in units of the error bound.
+
+    A unit is one in the last place (ulp) of the exact float32; for a built-in that is made from others it is also
+    what one such unit in each argument makes of the result, if that is more: a sum of products can't do better. A
+    result or argument below 2^-126 may count as zero, as devices have it. What is not a number, or infinite, in only
+    one of the two is infinitely far; so is every difference between whole numbers or bools, which may be those that
+    float32 leads to: a pack rounds a product.
+    """
+    if scalar_kind(probe.result) is not FLOAT:
+        same = [results == probe.evaluate(given, dtype) for dtype in (np.float64, np.float32)]
+        return np.where(same[0] | same[1], 0.0, np.inf)
+    off = _distance(probe, given, results)
+    flushed = _flush(probe, given)
+    return off if flushed is None else np.minimum(off, _distance(probe, flushed, results))
+
+
+def _distance(probe: Probe, given: Array, results: Array) -> Array:
+    with np.errstate(all="ignore"):
+        exact, got = probe.evaluate(given, np.float64), results.astype(np.float64)
+        unit = np.spacing(np.clip(np.abs(exact), _LEAST, _MOST).astype(np.float32)).astype(np.float64)
+        if probe.error.of_arguments:
+            unit = np.maximum(unit, _spread(probe, given, exact))
+        off = np.abs(got - exact)
+        off = np.where(np.abs(exact) < _LEAST, np.minimum(off, np.abs(got)), off) / unit
+        rounded = exact.astype(np.float32)
+        same = (rounded == got) | (np.isnan(exact) & np.isnan(got))
+        return np.where(
+            same,
+            np.where(np.isinf(rounded) | np.isnan(exact), 0.0, off),
+            np.where(np.isfinite(off), off, np.inf),
+        )
+
+
+def _spread(probe: Probe, given: Array, exact: Array) -> Array:
+    """What a unit in the last place of each argument makes of the result, all together."""
+    total = np.zeros_like(exact)
+    for column, kind in enumerate(probe.kinds):
+        if kind is FLOAT:
+            changes = []
+            for step in (1, -1):
+                moved = given.copy()
+                moved[:, column] += np.uint32(step & 0xFFFFFFFF)
+                changes.append(np.nan_to_num(np.abs(probe.evaluate(moved, np.float64) - exact)))
+            total += np.maximum(*changes)
+    return total
+
+
+def _flush(probe: Probe, given: Array) -> Array | None:
+    """Arguments with zeros for numbers below 2^-126; None if there are none."""
+    floats = np.array([kind is FLOAT for kind in probe.kinds])
+    small = floats & ((given & 0x7F800000) == 0) & ((given & 0x7FFFFFFF) != 0)
+    return np.where(small, given & 0x80000000, given).astype(np.uint32) if small.any() else None
+
+
+def judge(probe: Probe, given: Array, results: Array, way: Way) -> Array:
+    """The most units of each row's components (n,), to be compared with `getattr(probe.error, way)`; 0 for rows of
+    which the bound says nothing: without a defined result, or out of its domain."""
+    error = probe.error
+    units = count_units(probe, given, results)
+    if way == "glsl" and error.glsl_absolute:
+        with np.errstate(all="ignore"):
+            off = np.abs(results - probe.evaluate(given, np.float64))
+        units = np.where(off <= error.glsl_absolute, 0, units)
+    stated = probe.is_defined(given)
+    if error.of_arguments or way in ("glsl", "fast"):
+        stated &= probe.is_in_domain(given)
+    most: Array = np.where(stated, units.max(axis=1), 0.0)
+    return most
+
+
+# -- all of them -------------------------------------------------------------------------------------------
+
+
+def all_probes() -> list[Probe]:
+    """Every operator, and every built-in that is a function of its arguments; of the sizes, one."""
+    return [*operator_probes(), *itertools.chain.from_iterable(map(builtin_probes, BUILTINS.values()))]
+
+
+def builtin_probes(row: Builtin) -> Iterator[Probe]:
+    """A built-in on floats, ints and uints, as far as it takes them: scalars, else vectors or matrices of three."""
+    if row.effect is not Effect.NONE or len(row.stages) == 1 or row.name == "uniform":
+        return  # uniform gives its argument only where all lanes have the same
+    chosen: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
+    for overload in row.overloads:
+        types: tuple[Any, ...] = tuple(parameter.type for parameter in overload.parameters)
+        kinds = tuple(map(scalar_kind, types))
+        if kinds not in chosen or all(3 in _shape(type) for type in types):
+            if kinds in chosen and not _shape(chosen[kinds][0][0]):
+                continue
+            chosen[kinds] = types, overload.result  # type: ignore[assignment]
+    for types, result in chosen.values():
+        yield Probe(row.name, f"{row.name}({', '.join('abcd'[: len(types)])})", types, result, row.error)
+
+
+def operator_probes() -> Iterator[Probe]:
+    """Each operator on floats, ints, uints and bools, as far as it takes them."""
+    vector, matrix = VECTORS[FLOAT, 3], MATRICES[3]
+    for name, error in OPERATORS.items():
+        unary = name in ("neg", "~", "not")
+        if name == "@":
+            yield Probe(name, "a @ b", (matrix, vector), vector, error)
+            continue
+        for kind in _operands(name):
+            result = BOOL if name in ("==", "!=", "<", "<=", ">", ">=") else FLOAT if name == "/" else kind
+            text = f"{'-' if name == 'neg' else name + ' '}a" if unary else f"a {name} b"
+            yield Probe(name, text, (kind,) if unary else (kind, kind), result, error)
+
+
+def _operands(operator: str) -> tuple[ScalarType, ...]:
+    match operator:
+        case "and" | "or" | "not":
+            return (BOOL,)
+        case "&" | "|" | "^" | "<<" | ">>" | "~":
+            return INT, UINT
+        case "neg":
+            return FLOAT, INT
+        case "**":
+            return (FLOAT,)
+        case _:
+            return FLOAT, INT, UINT

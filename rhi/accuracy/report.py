@@ -1,0 +1,289 @@
+"""`python -m rhi shading accuracy`: how exact each built-in is on each backend of this machine, and what it costs.
+
+Each is called on the same sample (`rhi.accuracy.probes`, and `sample_probes` of textures) and compared with float64.
+Its time is the difference between a kernel that calls it many times and one that reads the same arguments and
+doesn't. Both alternate, and of each the shortest run counts: of a difference this small, what else the machine does
+would be most. What is left is the time of all cores for a call; of functions that hide behind the reading it is next
+to nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+import rhi
+from rhi.accuracy.probes import PASSES, WORK_GROUP, Probe, Way, all_probes, count_units, judge
+from rhi.accuracy.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
+from rhi.device.device import Device
+from rhi.device.resources.programs import Program
+from rhi.errors import RhiError
+from rhi.shading import Precision
+from rhi.shading.language.builtins import BUILTINS
+
+__rhi_internal__ = True
+
+Array = NDArray[Any]
+
+SAMPLES: Final = 1 << 16
+REPEATS: Final = 15
+LEAST_NANOSECONDS: Final = 0.01
+_WAYS: Final[dict[tuple[str, Precision], Way]] = {
+    ("gl", Precision.EXACT): "glsl",
+    ("cl", Precision.EXACT): "exact",
+    ("cl", Precision.FAST): "fast",
+    ("numpy", Precision.EXACT): "numpy",
+}
+
+
+@dataclass(frozen=True)
+class Row:
+    """A built-in or operator on a backend.
+
+    Attributes:
+        precision: "exact" or "fast" where a shader can choose, else "".
+        median_ulp, max_ulp: units over the sample, as `rhi.accuracy.probes.count_units` counts them; of textures'
+            samples those of 2^-23.
+        bound_ulp: most units that the table of built-ins states.
+        keeps: whether the whole sample is within that, OpenGL's absolute bounds included.
+        worst_input: the arguments that gave `max_ulp`.
+        nanoseconds: of a call, all cores at work.
+    """
+
+    builtin: str
+    backend: str
+    precision: str
+    median_ulp: float
+    max_ulp: float
+    bound_ulp: float
+    keeps: bool
+    worst_input: list[float]
+    nanoseconds: float
+
+
+def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[Row]:
+    """Rows of all built-ins and operators that are not exact everywhere, or of those named. Backends that don't work
+    here are left out."""
+    probes: list[Probe | SampleProbe] = []
+    probes += [probe for probe in all_probes() if (probe.name in names if names else _is_inexact(probe))]
+    probes += [probe for probe in SAMPLE_PROBES if probe.name in names or not names]
+    for backend in backends:
+        if backend == "numpy":
+            yield from (_row(probe, backend, Precision.EXACT, *_on_numpy(probe)) for probe in probes)
+            continue
+        try:
+            device = rhi.create_device(backend)
+        except RhiError as error:
+            print(f"{backend}: {error.rule.sentence}", file=sys.stderr)
+            continue
+        with device:
+            for probe in probes:
+                for precision in Precision:
+                    if (backend, precision) in _WAYS:
+                        yield _row(probe, backend, precision, *_on_device(device, probe, precision))
+
+
+def _is_inexact(probe: Probe) -> bool:
+    error = probe.error
+    return max(error.glsl, error.exact, error.fast, error.numpy) > 0 and all(
+        kind.name == "float" for kind in probe.kinds
+    )
+
+
+def _row(
+    probe: Probe | SampleProbe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
+) -> Row:  # fmt: skip
+    way = _WAYS[backend, precision]
+    bound = getattr(probe.error, way)
+    if isinstance(probe, SampleProbe):
+        units = probe.count_units(given, results)
+        keeps, columns = units <= bound, [given[:, :3]]
+    else:
+        units = count_units(probe, given, results).max(axis=1)
+        keeps, columns = judge(probe, given, results, way) <= bound, list(probe.columns(given).values())
+    worst = int(units.argmax())
+    return Row(
+        str(probe),
+        backend,
+        precision.value if backend == "cl" else "",
+        float(np.median(units)),
+        float(units[worst]),
+        float(bound),
+        bool(keeps.all()),
+        [float(number) for column in columns for number in np.ravel(column[worst])],
+        1e9 * max(seconds, 0.0) / SAMPLES,
+    )
+
+
+# -- backends ----------------------------------------------------------------------------------------------
+
+
+def _on_numpy(probe: Probe | SampleProbe) -> tuple[Array, Array, float]:
+    given = probe.sample(SAMPLES)
+    (seconds,) = _least([lambda: probe.evaluate(given, np.float32)])
+    return given, probe.evaluate(given, np.float32), seconds
+
+
+def _on_device(
+    device: Device, probe: Probe | SampleProbe, precision: Precision
+) -> tuple[Array, Array, float]:
+    if isinstance(probe, SampleProbe):
+        return _sample_on_device(device, probe, precision)
+    given = probe.sample(SAMPLES)
+    uint: Any = rhi.shading.uint
+    buffer = device.storage(uint, given.ravel())
+    size = probe.evaluate(given[:1], np.float32).shape[1]
+    results = device.storage(uint, SAMPLES * size)
+    once: Program[Any] = device.program(probe.shader("Once", precision))
+    device.dispatch(once, SAMPLES // WORK_GROUP, given=buffer, results=results)
+    words = results.read().reshape(SAMPLES, size)
+    sums = device.storage(uint, SAMPLES // TURNS)
+    runs = []
+    for way in ("Often", "Idle"):
+        program: Program[Any] = device.program(probe.shader(way, precision))
+
+        def run(program: Program[Any] = program) -> None:
+            device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, given=buffer, results=sums)
+            device.finish()
+
+        runs.append(run)
+    often, idle = _least(runs)
+    return given, probe.numbers(words), (often - idle) / PASSES
+
+
+def _sample_on_device(
+    device: Device, probe: SampleProbe, precision: Precision
+) -> tuple[Array, Array, float]:
+    given, levels, four = probe.sample(SAMPLES), probe.texture.levels, rhi.shading.vec4
+    height, width = levels[0].shape[1:3]
+    with (
+        device.texture((width, height), probe.format, levels=len(levels)) as image,
+        device.storage(four, given) as at,
+        device.storage(four, SAMPLES) as results,
+    ):
+        for level, texels in enumerate(levels):
+            image.write(texels, level)
+        once, often, idle = (device.program(shader) for shader in SHADERS[precision])
+        device.dispatch(once, SAMPLES // WORK_GROUP, image=image, at=at, results=results)
+        taken = results.read()
+
+        def run(program: Program[Any]) -> None:
+            device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, image=image, at=at, results=results)
+            device.finish()
+
+        sampled, read = _least([partial(run, often), partial(run, idle)])
+    return given, taken, sampled - read
+
+
+def _least(runs: Sequence[Callable[[], object]]) -> list[float]:
+    """The fewest seconds of each, alternating; the first run, which builds, doesn't count."""
+    times: list[list[float]] = [[] for _ in runs]
+    for _ in range(REPEATS + 1):
+        for run, seconds in zip(runs, times, strict=True):
+            started = time.perf_counter()
+            run()
+            seconds.append(time.perf_counter() - started)
+    return [min(seconds[1:]) for seconds in times]
+
+
+# -- what it prints ----------------------------------------------------------------------------------------
+
+
+def write_table(rows: Sequence[Row]) -> str:
+    """Rows as a table in Markdown."""
+    lines = ["| | backend | median ulp | max ulp | stated | worst at | ns |", "|---|---|---|---|---|---|---|"]
+    for row in rows:
+        worst = ", ".join(f"{number:.6g}" for number in row.worst_input[:4]) + (
+            " …" if len(row.worst_input) > 4 else ""
+        )
+        way = f"{row.backend} {row.precision}".strip()
+        kept = "" if row.keeps else " **broken**"
+        lines.append(
+            f"| `{row.builtin}` | {way} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | {row.bound_ulp:g}{kept} | {worst} "
+            f"| {row.nanoseconds:.2f} |"
+        )
+    return "\n".join(lines)
+
+
+def plot(rows: Sequence[Row], path: str | Path) -> None:
+    """Error against time of the built-ins that have a FAST form, a point a row, those of a built-in joined. Needs
+    matplotlib."""
+    from matplotlib.figure import Figure
+
+    fast_names = {name for name, row in BUILTINS.items() if row.fast}
+    shown = [row for row in rows if row.builtin.partition("(")[0] in fast_names] or list(rows)
+    figure = Figure(figsize=(10, 6.5), layout="constrained")
+    axes: Any = figure.add_subplot()
+    styles = {
+        ("numpy", ""): ("0.6", "x", "NumPy, float32"),
+        ("gl", ""): ("tab:green", "s", "OpenGL"),
+        ("cl", "exact"): ("tab:blue", "o", "OpenCL, EXACT"),
+        ("cl", "fast"): ("tab:red", "o", "OpenCL, FAST"),
+    }
+
+    def point(row: Row) -> tuple[float, float]:
+        return max(row.nanoseconds, LEAST_NANOSECONDS), max(row.max_ulp, 0.1)
+
+    for number, name in enumerate(dict.fromkeys(row.builtin for row in shown)):
+        ways = {(row.backend, row.precision): point(row) for row in shown if row.builtin == name}
+        if ("cl", "exact") in ways and ("cl", "fast") in ways:
+            arrow = {"arrowstyle": "->", "color": "0.6", "shrinkA": 5, "shrinkB": 5}
+            axes.annotate("", ways["cl", "fast"], ways["cl", "exact"], arrowprops=arrow, zorder=2)
+        for at in ways.values():
+            text, place = name.partition("(")[0], (5, -9 if number % 2 else 4)
+            axes.annotate(text, at, place, textcoords="offset points", fontsize=7, color="0.3")
+    for key, (color, marker, label) in styles.items():
+        points = [point(row) for row in shown if (row.backend, row.precision) == key]
+        if points:
+            axes.scatter(*zip(*points, strict=True), s=30, color=color, marker=marker, label=label, zorder=3)
+    axes.set(xscale="log", yscale="log", ylabel="greatest error, units in the last place")
+    hidden = f"{LEAST_NANOSECONDS} and less: hidden behind reading the arguments"
+    axes.set_xlabel(f"nanoseconds a call, all cores ({hidden})")
+    axes.grid(True, which="major", alpha=0.3)
+    axes.legend(loc="upper right")
+    figure.savefig(path, dpi=110)
+
+
+def main(arguments: Sequence[str]) -> int:
+    """`python -m rhi shading accuracy …`; 1 if a stated error is not kept."""
+    parser = argparse.ArgumentParser(
+        prog="python -m rhi shading",
+        epilog="examples:\n  python -m rhi shading accuracy --builtin pow --builtin exp\n"
+        "  python -m rhi shading accuracy --json --plot accuracy.png",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+    accuracy = commands.add_parser("accuracy", help="the error and the time of each built-in on each backend")
+    accuracy.add_argument("--json", action="store_true", help="print one JSON object")
+    accuracy.add_argument("--plot", metavar="F.png", help="draw error against time")
+    accuracy.add_argument("--builtin", action="append", default=[], metavar="NAME", help="only this one")
+    accuracy.add_argument(
+        "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this one"
+    )
+    options = parser.parse_args(arguments)
+    rows = []
+    for row in measure(options.builtin, options.backend or ("gl", "cl", "numpy")):
+        rows.append(row)
+        print(f"\r{row.backend:<6} {row.builtin:<40}", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
+    if not rows:
+        print("error: no such built-in, or no backend", file=sys.stderr)
+        return 2
+    if options.plot:
+        plot(rows, options.plot)
+    if options.json:
+        print(json.dumps({"rows": [dataclasses.asdict(row) for row in rows]}, indent=2))
+    else:
+        print(write_table(rows))
+    return 0 if all(row.keeps for row in rows) else 1

@@ -1,0 +1,1 @@
+"""The tile rasteriser: from draw calls to pixels, in OpenCL kernels."""

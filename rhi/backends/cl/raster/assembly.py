@@ -1,0 +1,232 @@
+"""Primitive assembly on the host: each draw becomes a plain list of points, lines or triangles.
+
+- Lists stay what they are: the kernels read consecutive vertices, or the index buffer itself. Strips, fans and quads,
+  and lists that restart, become index lists of 32 bits, which are made by NumPy once and kept: without indices one
+  list serves all draws of a topology, with a draw's first vertex as its base.
+- Which vertices a draw names, lowest to highest, is known beforehand, so that each is transformed once. The host
+  therefore keeps a copy of every index buffer (read back once, then kept in step with what the CPU writes) and the
+  extremes of each `_SPAN` indices; what it found is kept until the buffer changes.
+- Once the device may have written a buffer, its contents are unknown. Lists don't need them, their vertices are then
+  transformed once per index; for strips, fans and quads the buffer is read back, which waits.
+- The restart index ends a primitive of any topology, as in OpenGL. The first vertex provokes; the order of corners
+  keeps that and the winding.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, Generic, TypeAlias, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.contract.descriptors import Id, Primitive
+from rhi.contract.formats import IndexFormat
+
+__rhi_internal__ = True
+
+T = TypeVar("T")
+_Indices: TypeAlias = "NDArray[Any]"
+_Key: TypeAlias = tuple[Primitive, IndexFormat, int, int]
+
+CORNERS: Final = {
+    Primitive.POINTS: 1, Primitive.LINES: 2, Primitive.LINE_STRIP: 2, Primitive.TRIANGLES: 3,
+    Primitive.TRIANGLE_STRIP: 3, Primitive.TRIANGLE_FAN: 3, Primitive.QUADS: 3,
+}  # fmt: skip
+_LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
+_NO_RESTART: Final = -1
+_SPAN: Final = 1024  # a range is found in two scans of at most so many indices and one of the spans between
+_MAX_KEPT: Final = 4096
+_MIN_PATTERN: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Assembly(Generic[T]):
+    """A draw's primitives.
+
+    Vertex k of the list (0 ≤ k < count) is vertex `start + k`, or with `indexed` the one that index `start + k` names;
+    `base` is added to it, besides the draw's own base vertex.
+
+    Attributes:
+        corners: vertices of a primitive: 1, 2 or 3.
+        count: vertices of the list, a multiple of `corners`.
+        indexed: whether there is a list of indices.
+        memory: the uint32 list made here; None with `indexed`: the draw's own index buffer.
+        lowest, highest: the vertices named, before any base is added; None where the host doesn't know.
+    """
+
+    corners: int
+    count: int
+    start: int
+    base: int = 0
+    indexed: bool = False
+    memory: T | None = None
+    lowest: int | None = None
+    highest: int | None = None
+
+
+class _Contents(Generic[T]):
+    """What is known of one index buffer."""
+
+    def __init__(self, size: int) -> None:
+        self.size = size
+        self.bytes: NDArray[np.uint8] | None = None
+        self.device_wrote = False
+        self.kept: dict[_Key, Assembly[T]] = {}
+        self.spans: dict[IndexFormat, tuple[_Indices, _Indices]] = {}
+
+    def forget_findings(self) -> None:
+        self.kept.clear()
+        self.spans.clear()
+
+    def find_range(self, format: IndexFormat, first: int, count: int) -> tuple[int, int]:
+        """The lowest and highest of some indices, from the extremes of whole spans and the rest of two."""
+        assert self.bytes is not None
+        indices = _view(self.bytes, format)
+        if format not in self.spans:
+            starts = np.arange(0, len(indices), _SPAN)
+            self.spans[format] = np.minimum.reduceat(indices, starts), np.maximum.reduceat(indices, starts)
+        lows, highs = self.spans[format]
+        begin, end = -(-first // _SPAN), (first + count) // _SPAN
+        if begin >= end:
+            chosen = indices[first : first + count]
+            return int(chosen.min()), int(chosen.max())
+        edges = indices[first : begin * _SPAN], indices[end * _SPAN : first + count]
+        parts = [part for part in edges if len(part)]
+        low = min([int(lows[begin:end].min()), *(int(part.min()) for part in parts)])
+        return low, max([int(highs[begin:end].max()), *(int(part.max()) for part in parts)])
+
+
+class Assembler(Generic[T]):
+    """Assembles the draws of one device."""
+
+    def __init__(
+        self, read: Callable[[Id, int, int], bytes], upload: Callable[[NDArray[np.uint32]], T]
+    ) -> None:
+        """`read` gives a buffer's bytes from an offset on, `upload` makes device memory of a list."""
+        self._read = read
+        self._upload = upload
+        self._buffers: dict[Id, _Contents[T]] = {}
+        self._patterns: dict[Primitive, tuple[int, T]] = {}
+
+    def watch(self, buffer: Id, size: int) -> None:
+        """`buffer` holds indices; from here on be told of all that changes it."""
+        self._buffers.setdefault(buffer, _Contents(size))
+
+    def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        """The CPU writes a buffer, watched or not."""
+        contents = self._buffers.get(buffer)
+        if contents is not None:
+            contents.forget_findings()
+            if contents.bytes is not None:
+                source = np.frombuffer(memoryview(data), np.uint8)
+                contents.bytes[offset : offset + len(source)] = source
+
+    def change(self, buffer: Id) -> None:
+        """The device may write a buffer, watched or not: by a copy, a clear, a stage that stores."""
+        contents = self._buffers.get(buffer)
+        if contents is not None:
+            contents.forget_findings()
+            contents.bytes, contents.device_wrote = None, True
+
+    def forget(self, buffer: Id) -> None:
+        """A buffer is destroyed, watched or not."""
+        self._buffers.pop(buffer, None)
+
+    def assemble(
+        self, primitive: Primitive, first: int, count: int, buffer: Id = 0, format: IndexFormat = IndexFormat.UINT32
+    ) -> Assembly[T]:  # fmt: skip
+        """The primitives of `count` vertices, or with `buffer` (which is watched) indices, from `first` on.
+
+        Indices beyond the buffer's end are left out.
+        """
+        if not buffer:
+            return self._assemble_vertices(primitive, first, count)
+        contents = self._buffers[buffer]
+        count = min(count, contents.size // format.size - first)
+        corners = CORNERS[primitive]
+        if count <= 0:
+            return Assembly(corners, 0, 0)
+        whole = count - count % corners
+        if contents.bytes is None:
+            if contents.device_wrote and primitive in _LISTS:
+                return Assembly(corners, whole, first, indexed=True)
+            contents.bytes = np.frombuffer(bytearray(self._read(buffer, 0, contents.size)), np.uint8)
+        key = primitive, format, first, count
+        made = contents.kept.get(key)
+        if made is None:
+            if len(contents.kept) == _MAX_KEPT:
+                contents.kept.clear()
+            made = contents.kept[key] = self._assemble_indices(contents, *key)
+        return made
+
+    def _assemble_vertices(self, primitive: Primitive, first: int, count: int) -> Assembly[T]:
+        corners = CORNERS[primitive]
+        if primitive in _LISTS:
+            whole = count - count % corners
+            return Assembly(corners, whole, first, 0, False, None, first, first + whole - 1)
+        listed = _listed(primitive, count)
+        capacity, memory = self._patterns.get(primitive, (0, None))
+        if memory is None or capacity < count:
+            capacity = max(_MIN_PATTERN, 1 << (count - 1).bit_length())
+            memory = self._upload(list_primitives(primitive, np.arange(capacity), _NO_RESTART))
+            self._patterns[primitive] = capacity, memory
+        return Assembly(corners, listed, 0, first, True, memory, 0, count - 1)
+
+    def _assemble_indices(
+        self, contents: _Contents[T], primitive: Primitive, format: IndexFormat, first: int, count: int
+    ) -> Assembly[T]:
+        assert contents.bytes is not None
+        corners = CORNERS[primitive]
+        restart = 256**format.size - 1
+        low, high = contents.find_range(format, first, count)
+        if primitive in _LISTS and high != restart:
+            return Assembly(corners, count - count % corners, first, 0, True, None, low, high)
+        indices = _view(contents.bytes, format)[first : first + count]
+        listed = list_primitives(primitive, indices, restart)
+        if not len(listed):
+            return Assembly(corners, 0, 0)
+        low, high = int(listed.min()), int(listed.max())
+        return Assembly(corners, len(listed), 0, 0, True, self._upload(listed), low, high)
+
+
+def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart: int) -> NDArray[np.uint32]:
+    """The corners of all primitives, one after the other; an index that equals `restart` begins anew."""
+    places = np.arange(len(indices))
+    restarts = indices == restart
+    begins = np.maximum.accumulate(np.where(restarts, places + 1, 0))  # the first place of each one's run
+    size = 4 if primitive is Primitive.QUADS else CORNERS[primitive]
+    ends = np.flatnonzero(restarts)
+    stops = np.append(ends, len(indices))[np.searchsorted(ends, places)]  # one past the last place of its run
+    if primitive is Primitive.TRIANGLE_FAN:
+        a = places[(places > begins) & (places + 1 < stops)]
+        corners = np.stack([a, a + 1, begins[a]], axis=1)
+    elif primitive in (Primitive.TRIANGLE_STRIP, Primitive.LINE_STRIP):
+        a = places[(places >= begins) & (places + size <= stops)]
+        if primitive is Primitive.LINE_STRIP:
+            corners = np.stack([a, a + 1], axis=1)
+        else:
+            odd = (a - begins[a]) & 1
+            corners = np.stack([a, a + 1 + odd, a + 2 - odd], axis=1)
+    else:
+        a = places[((places - begins) % size == 0) & (places >= begins) & (places + size <= stops)]
+        order = (0, 1, 2, 0, 2, 3) if primitive is Primitive.QUADS else range(size)
+        corners = a[:, None] + np.array(order)
+    listed: NDArray[np.uint32] = indices[corners.reshape(-1)].astype(np.uint32)
+    return listed
+
+
+def _listed(primitive: Primitive, count: int) -> int:
+    """Vertices in the list that `count` vertices of a strip, fan or quads become."""
+    if primitive is Primitive.QUADS:
+        return count // 4 * 6
+    corners = CORNERS[primitive]
+    return max(0, count - corners + 1) * corners
+
+
+def _view(data: NDArray[np.uint8], format: IndexFormat) -> _Indices:
+    whole = len(data) // format.size * format.size
+    view: _Indices = data[:whole].view(format.dtype)
+    return view

@@ -1,0 +1,300 @@
+// Vertices: 16 at a time through the program's vertex stage, on to window positions.
+//
+// - Each work-item does some groups; a group's attributes are gathered as words and transposed.
+// - Stored for each vertex: its window position {x, y in subtexels, depth, 1/w} and its varyings. A vertex that can't
+//   have a window position (behind a plane of the view's depth, or too far aside) is marked by 1/w = -1, and its x are
+//   the planes it lies behind. Clip positions are kept of all, since a vertex can't know what it is clipped with; they
+//   can't be found from window positions, whose rounding tilts planes that reach to the horizon.
+// - Before this text stand the stage and what tables.py writes: INPUT_WORDS, VARYING_WORDS, FETCH, BINDINGS.
+
+FIND_DRAW(find_draw_of_vertices, vertex_group)
+
+// The words of 16 vertices, whose places in memory PLACE gives: one, or up to four; up to 12 bytes beyond the last one
+// are read.
+#define GATHER(PLACE) \
+    if (count == 1) { \
+        words[0] = (uint16)(WORD(PLACE, 0), WORD(PLACE, 1), WORD(PLACE, 2), WORD(PLACE, 3), WORD(PLACE, 4), \
+                            WORD(PLACE, 5), WORD(PLACE, 6), WORD(PLACE, 7), WORD(PLACE, 8), WORD(PLACE, 9), \
+                            WORD(PLACE, 10), WORD(PLACE, 11), WORD(PLACE, 12), WORD(PLACE, 13), WORD(PLACE, 14), \
+                            WORD(PLACE, 15)); \
+    } else { \
+        uint16 rows[4]; \
+        UNROLL for (int i = 0; i < 4; ++i) \
+            rows[i] = (uint16)(FOUR(PLACE, i), FOUR(PLACE, i + 4), FOUR(PLACE, i + 8), FOUR(PLACE, i + 12)); \
+        transpose4(rows, words); \
+    }
+#define WORD(PLACE, lane) *(global const uint *)(attribute + PLACE(lane) * stride)
+#define FOUR(PLACE, lane) *(global const word_uint4 *)(attribute + PLACE(lane) * stride)
+
+INLINE void gather(global const uchar *attribute, const int *vertices, const long stride, const int count, uint16 *words) {
+#define NAMED(lane) vertices[lane]
+    GATHER(NAMED)
+}
+
+// The same of vertices that follow one another: their places are known when this is compiled.
+INLINE void gather_row(global const uchar *attribute, const long stride, const int count, uint16 *words) {
+#define IN_ROW(lane) (lane)
+    GATHER(IN_ROW)
+}
+
+// The same words for all lanes.
+INLINE void spread(global const uchar *attribute, uint16 *words) {
+    UNROLL for (int i = 0; i < 4; ++i) words[i] = (uint16)(((global const uint *)attribute)[i]);
+}
+
+// Components of packed words.
+#define FIELD(word, shift, bits) ((word) >> (shift) & ((1u << (bits)) - 1u))
+#define SIGNED(word, shift, bits) (as_int16((word) << (32 - (shift) - (bits))) >> (32 - (bits)))
+#define UNORM(word, shift, bits) as_uint16(convert_float16(FIELD(word, shift, bits)) * (1.0f / ((1u << (bits)) - 1u)))
+#define SNORM(word, shift, bits) \
+    as_uint16(max(convert_float16(SIGNED(word, shift, bits)) * (1.0f / ((1u << ((bits) - 1)) - 1u)), -1.0f))
+
+INLINE uint16 read_half_bits(uint16 word, const int shift) {
+    uint16 stored = FIELD(word, shift, 16), size = (stored & 0x7FFFu) << 13, exponent = size & 0x0F800000u;
+    float16 tiny = as_float16(size + 0x38800000u) - 0x1p-14f;
+    uint16 value = exponent == 0x0F800000u ? size + 0x70000000u : size + 0x38000000u;
+    value = exponent == 0u ? as_uint16(tiny) : value;
+    return value | (stored & 0x8000u) << 16;
+}
+
+// Outputs are as the stage gives them: a vector for each word, 16 vertices in its lanes. `width` words are stored for
+// each vertex, a multiple of 4.
+INLINE void store_words(global uint *memory, const uint16 *words, const int width) {
+    UNROLL for (int i = 0; i < width; i += 4) {
+        uint16 rows[4];
+        transpose4(words + i, rows);
+        if (width == 4) {
+            uint16 whole[4];
+            exchange_quarters(rows, whole);
+            UNROLL for (int j = 0; j < 4; ++j) ((global uint16 *)memory)[j] = whole[j];
+            return;
+        }
+        UNROLL for (int j = 0; j < 4; ++j) {
+            vstore4(rows[j].s0123, 0, memory + j * width + i);
+            vstore4(rows[j].s4567, 0, memory + (j + 4) * width + i);
+            vstore4(rows[j].s89ab, 0, memory + (j + 8) * width + i);
+            vstore4(rows[j].scdef, 0, memory + (j + 12) * width + i);
+        }
+    }
+}
+
+// The vertices that a list names at 16 places.
+INLINE int16 look_up(global const Draw *draw, int16 places) {
+    int named[GROUP];
+    vstore16(places, 0, named);
+    for (int i = 0; i < GROUP; ++i)
+        named[i] = draw->vertex_index_bytes == 2 ? AT(const ushort, draw->vertex_indices)[named[i]]
+                                                 : AT(const uint, draw->vertex_indices)[named[i]];
+    return vload16(0, named);
+}
+
+// The attributes of 16 of an instance's vertices, and which they are; the last group repeats the last one.
+INLINE int16 fetch(global const Draw *draw, global const ulong *row, int part, int numbered, uint16 *inputs) {
+    const int last = draw->vertices - 1 - part * GROUP;
+    int16 vertex = part * GROUP + min(LANES, last);
+    if (draw->vertex_indices) vertex = look_up(draw, vertex);
+    vertex += draw->first_vertex;
+    const bool in_row = last >= GROUP - 1 && !draw->vertex_indices;
+    int vertices[GROUP];
+    vstore16(vertex, 0, vertices);
+    FETCH
+    return vertex;
+}
+
+INLINE global const ulong *find_row(global const Batch *batch, global const Draw *draw) {
+    return AT(const ulong, batch->rows) + (long)draw->row * batch->row_words;
+}
+
+#ifdef RHI_BOXED
+// Before an instance is transformed, the box of its vertices' attributes is: where the clip position is an affine function
+// of up to four words, all vertices lie within the hull of the box's corners, a lane each. Corners are computed by the
+// same stage, so what is found holds but for rounding; how much that is the stage says, too (rhi.shading.lowering.bounds).
+
+#define COUNT_WORD(word) + (VERTEX_WORDS >> word & 1)
+#define COUNT_OTHER(word) + (~VERTEX_WORDS >> word & 1)
+enum { BOX_WORDS = 0 RHI_BOXED(COUNT_WORD), OTHER_WORDS = 0 RHI_BOXED(COUNT_OTHER), MAX_BOX_WORDS = 4 };
+
+// What a window position is rounded by on its way, here and in transform, relative to its terms: 16 times 2^-24, divisions
+// of 2.5 units included; twice that.
+#define WINDOW_ROUNDING 0x1p-19f
+
+// How far window positions or depths of vertices may lie outside of those of corners, with p / w of a corner: with errors
+// dp and dw, that of a vertex is off by (dp - p / w dw) / w. That grows by less than p / w does, so corners tell of all.
+INLINE float16 find_slack(float16 ratio, float slack, float slack_w, float least_w, float scale, float shift) {
+    return (slack + fabs(ratio) * slack_w) / least_w * (fabs(scale) * 1.001f) +
+           WINDOW_ROUNDING * (fabs(ratio * scale) + fabs(shift));
+}
+
+// How far an instance's vertices reach at the most.
+Extent bound_extent(global const View *view, const uint16 *outputs) {
+    float16 x = as_float16(outputs[0]), y = as_float16(outputs[1]), z = as_float16(outputs[2]), w = as_float16(outputs[3]);
+    float slack_x = as_float(outputs[4].s0), slack_y = as_float(outputs[5].s0), slack_z = as_float(outputs[6].s0);
+    float slack_w = as_float(outputs[7].s0);
+    Extent extent;
+    extent.behind = find_common(
+        ((z < -slack_z) & 1) | ((w - z < -(slack_z + slack_w)) & 2) | ((w + x < -(slack_x + slack_w)) & 4) |
+        ((w - x < -(slack_x + slack_w)) & 8) | ((w + y < -(slack_y + slack_w)) & 16) | ((w - y < -(slack_y + slack_w)) & 32));
+    float least_w = find_least(w) - 2.0f * slack_w;
+    extent.fit = least_w > 2.0f * slack_w && find_least(z) > slack_z && find_least(w - z) > slack_z + slack_w;
+    if (!extent.fit) return extent;
+    float16 ratio_x = x / w, ratio_y = y / w, ratio_z = z / w;
+    float16 window_x = ratio_x * view->scale[0] + view->shift[0], window_y = ratio_y * view->scale[1] + view->shift[1];
+    float16 depth = ratio_z * view->scale[2] + view->shift[2];
+    float16 aside_x = find_slack(ratio_x, slack_x, slack_w, least_w, view->scale[0], view->shift[0]);
+    float16 aside_y = find_slack(ratio_y, slack_y, slack_w, least_w, view->scale[1], view->shift[1]);
+    float16 aside = find_slack(ratio_z, slack_z, slack_w, least_w, view->scale[2], view->shift[2]);
+    float low_x = (find_least(window_x - aside_x) - 0.5f) * SUBTEXELS - 2.0f;
+    float low_y = (find_least(window_y - aside_y) - 0.5f) * SUBTEXELS - 2.0f;
+    float high_x = (find_greatest(window_x + aside_x) - 0.5f) * SUBTEXELS + 2.0f;
+    float high_y = (find_greatest(window_y + aside_y) - 0.5f) * SUBTEXELS + 2.0f;
+    extent.fit = low_x > -POSITION_LIMIT && low_y > -POSITION_LIMIT && high_x < POSITION_LIMIT && high_y < POSITION_LIMIT;
+    if (!extent.fit) return extent;
+    extent.low_x = (int)low_x;
+    extent.low_y = (int)low_y;
+    extent.high_x = (int)high_x;
+    extent.high_y = (int)high_y;
+    extent.low = find_least(depth - aside);
+    extent.high = find_greatest(depth + aside);
+    return extent;
+}
+
+// Whether an instance needn't be transformed, since set-up would drop it.
+bool is_box_unseen(
+    global const Batch *batch, global const Draw *draw, global const View *view, global const ulong *row, int numbered
+) {
+    if (BOX_WORDS > MAX_BOX_WORDS) return false;
+    global const float *box = AT(const float, draw->box & ~1ul);
+    uint16 inputs[INPUT_WORDS + 1], outputs[8];
+    uint reaches[INPUT_WORDS + 1];
+    if (OTHER_WORDS) fetch(draw, row, 0, numbered, inputs);  // those of instances
+    int side = 0;
+#define PUT_CORNERS(word) \
+    if (~VERTEX_WORDS >> word & 1) reaches[word] = as_uint(fabs(as_float(inputs[word].s0))); \
+    else { \
+        float low = box[2 * side], high = box[2 * side + 1]; \
+        inputs[word] = as_uint16((LANES >> side & 1) == 0 ? (float16)(low) : (float16)(high)); \
+        reaches[word] = as_uint(fmax(fabs(low), fabs(high))); \
+        ++side; \
+    }
+    RHI_BOXED(PUT_CORNERS)
+    rhi_bounds(BINDINGS inputs, reaches, (int16)(0), numbered, draw->number, (int16)(-1), outputs);
+    return is_unseen(batch, draw, view, bound_extent(view, outputs));
+}
+
+// What a draw's attributes lie between, word by word; NaN if one of them isn't finite.
+SINGLE measure(ulong address) {
+    global const Batch *batch = AT(const Batch, address);
+    global const Draw *draw = AT(const Draw, batch->draws) + get_global_id(0);
+    if (BOX_WORDS > MAX_BOX_WORDS || !(draw->box & 1)) return;
+    global const ulong *row = find_row(batch, draw);
+    float16 lows[MAX_BOX_WORDS], highs[MAX_BOX_WORDS];
+    UNROLL for (int i = 0; i < MAX_BOX_WORDS; ++i) {
+        lows[i] = (float16)(INFINITY);
+        highs[i] = (float16)(-INFINITY);
+    }
+    int16 finite = (int16)(-1);
+    for (int part = 0; part < draw->vertex_groups; ++part) {
+        uint16 inputs[INPUT_WORDS + 1];
+        fetch(draw, row, part, 0, inputs);
+        int side = 0;
+#define ADD_WORD(word) \
+        if (VERTEX_WORDS >> word & 1) { \
+            float16 value = as_float16(inputs[word]); \
+            finite &= fabs(value) < INFINITY; \
+            lows[side] = value < lows[side] ? value : lows[side]; \
+            highs[side] = value > highs[side] ? value : highs[side]; \
+            side = side + 1 & MAX_BOX_WORDS - 1; \
+        }
+        RHI_BOXED(ADD_WORD)
+    }
+    global float *box = AT(float, draw->box & ~1ul);
+    const bool known = find_common(finite) != 0;
+    UNROLL for (int i = 0; i < MAX_BOX_WORDS; ++i) {
+        box[2 * i] = known ? find_least(lows[i]) : NAN;
+        box[2 * i + 1] = known ? find_greatest(highs[i]) : NAN;
+    }
+}
+#endif
+
+SINGLE transform(ulong address) {
+    global const Batch *batch = AT(const Batch, address);
+    global const Draw *draws = AT(const Draw, batch->draws);
+    int group = get_global_id(0) * batch->vertex_chunk;
+    int end = min(group + batch->vertex_chunk, batch->vertex_groups);
+    int found = find_draw_of_vertices(draws, batch->draw_count, group);
+    while (group < end) {
+        while (group >= draws[found + 1].vertex_group) ++found;
+        global const Draw *draw = draws + found;
+        if (is_dropped(draw)) {
+            group = draws[found + 1].vertex_group;
+            continue;
+        }
+        global const View *view = AT(const View, batch->views) + draw->view;
+        global const ulong *row = find_row(batch, draw);
+        int instance = (group - draw->vertex_group) / draw->vertex_groups;
+        int part = (group - draw->vertex_group) - instance * draw->vertex_groups;
+        int parts = min(draw->vertex_groups, part + end - group);
+        int numbered = draw->base_instance + instance;
+        global Extent *extent = AT(Extent, batch->extents) + group;
+#ifdef RHI_BOXED
+        if (draw->box && is_box_unseen(batch, draw, view, row, numbered)) {
+            extent->behind = -1;
+            group += parts - part;
+            continue;
+        }
+#endif
+        int16 low_x = (int16)(INT_MAX), low_y = low_x, high_x = (int16)(INT_MIN), high_y = high_x, all_behind = (int16)(-1);
+        float16 low = (float16)(INFINITY), high = -low;
+        uint any_fit = 0, any_unfit = 0;
+        for (; part < parts; ++part, ++group) {
+            uint16 inputs[INPUT_WORDS + 1], outputs[4 + VARYING_WORDS];
+            int16 vertex = fetch(draw, row, part, numbered, inputs);
+            const int last = draw->vertices - 1 - part * GROUP;
+            UNROLL for (int i = 0; i < 4 + VARYING_WORDS; ++i) outputs[i] = (uint16)(0u);
+            rhi_vertex(BINDINGS inputs, vertex, numbered, draw->number, LANES <= last, outputs);
+
+            float16 x = as_float16(outputs[0]), y = as_float16(outputs[1]), z = as_float16(outputs[2]);
+            float16 w = as_float16(outputs[3]), near_w = 1.0f / w;
+            float16 window_x = fma(x * near_w, (float16)(view->scale[0]), (float16)(view->shift[0]));
+            float16 window_y = fma(y * near_w, (float16)(view->scale[1]), (float16)(view->shift[1]));
+            float16 depth = fma(z * near_w, (float16)(view->scale[2]), (float16)(view->shift[2]));
+            float16 sub_x = (window_x - 0.5f) * SUBTEXELS, sub_y = (window_y - 0.5f) * SUBTEXELS;
+            int16 fits = (w > 0.0f) & (z >= 0.0f) & (z <= w) & (fabs(sub_x) < POSITION_LIMIT) &
+                         (fabs(sub_y) < POSITION_LIMIT);
+            int16 fixed_x = as_int16(sub_x + 12582912.0f) - 0x4B400000;
+            int16 fixed_y = as_int16(sub_y + 12582912.0f) - 0x4B400000;
+            long slot = (long)group * GROUP;
+            low_x = min(low_x, fixed_x);
+            low_y = min(low_y, fixed_y);
+            high_x = max(high_x, fixed_x);
+            high_y = max(high_y, fixed_y);
+            low = depth < low ? depth : low;
+            high = depth > high ? depth : high;
+            const uint unfit = bits_of(~fits);
+            any_unfit |= unfit;
+            any_fit |= ~unfit & 0xFFFFu;
+            if (unfit) {
+                int16 behind = ((z < 0.0f) & 1) | ((z > w) & 2) | ((x < -w) & 4) | ((x > w) & 8) | ((y < -w) & 16) |
+                               ((y > w) & 32);
+                fixed_x = fits ? fixed_x : behind;
+                near_w = fits ? near_w : (float16)(-1.0f);
+                all_behind &= behind;
+            }
+            // Few are ever read, so a group's lie component by component, as they come.
+            UNROLL for (int i = 0; i < 4; ++i) AT(uint16, batch->clips)[4 * (long)group + i] = outputs[i];
+            uint16 position[4] = {as_uint16(fixed_x), as_uint16(fixed_y), as_uint16(depth), as_uint16(near_w)};
+            store_words(AT(uint, batch->positions) + slot * 4, position, 4);
+#if VARYING_WORDS
+            store_words(AT(uint, batch->varyings) + slot * VARYING_WORDS, outputs + 4, VARYING_WORDS);
+#endif
+        }
+        extent->low_x = find_least(low_x);
+        extent->low_y = find_least(low_y);
+        extent->high_x = find_greatest(high_x);
+        extent->high_y = find_greatest(high_y);
+        extent->low = find_least(low);
+        extent->high = find_greatest(high);
+        extent->fit = !any_unfit;
+        extent->behind = any_fit ? 0 : find_common(all_behind);
+    }
+}

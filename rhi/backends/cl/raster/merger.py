@@ -1,0 +1,332 @@
+"""The output merger's Python half: what of states, formats and a program goes into a pipeline's text, and what into
+a draw's state block.
+
+- `make_key` gathers what decides about the code; equal keys share a compiled pipeline. It keeps only what matters:
+  a target that is not written, a test that always passes and the like leave no trace, so few pipelines are built.
+- `make_state` packs the rest into `STATE_WORDS` words: factors, references and masks may change from draw to draw.
+- `MergerKey.defines` is the text before `kernels/targets.cl`, whose comments say how its functions are used.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+import numpy as np
+from numpy.polynomial import Chebyshev, Polynomial
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import ProgramDescriptor
+from rhi.contract.formats import Format, Kind
+from rhi.contract.states import (
+    MAX_TARGETS,
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    AlphaToCoverage,
+    BlendColor,
+    BlendFactor,
+    BlendFunction,
+    BlendOperation,
+    ColorWrite,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    StencilBack,
+    StencilFront,
+    StencilOperation,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+)
+
+__rhi_internal__ = True
+
+_PASSES: Final = {
+    "never": 0, "less": 1, "equal": 2, "less_equal": 3, "greater": 4, "not_equal": 5, "greater_equal": 6, "always": 7,
+}  # fmt: skip
+"""Comparisons by name: 1 lets less pass, 2 equal, 4 greater."""
+_ALWAYS: Final = _PASSES["always"]
+_ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
+_FLOAT_BITS: Final = 32
+_KINDS: Final = {kind: number for number, kind in enumerate(Kind)}
+_STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(StencilOperation)}
+_BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(BlendOperation)}
+_FACTORS: Final = {
+    BlendFactor.ZERO: 0, BlendFactor.SOURCE_COLOR: 1, BlendFactor.SOURCE_ALPHA: 2, BlendFactor.DESTINATION_COLOR: 3,
+    BlendFactor.DESTINATION_ALPHA: 4, BlendFactor.CONSTANT: 5, BlendFactor.SOURCE_ALPHA_SATURATE: 6,
+    BlendFactor.ONE: 8, BlendFactor.ONE_MINUS_SOURCE_COLOR: 9, BlendFactor.ONE_MINUS_SOURCE_ALPHA: 10,
+    BlendFactor.ONE_MINUS_DESTINATION_COLOR: 11, BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 12,
+    BlendFactor.ONE_MINUS_CONSTANT: 13,
+}  # fmt: skip
+"""8 more means 1 minus it."""
+
+_ALPHA_STATE: Final = 0  # what passes, the reference
+_BLEND_STATE: Final = 2  # the constant color
+_STENCIL_STATE: Final = 6  # two words for the front, two for the back
+_COLOR_STATE: Final = 10  # of each target: the blend function, the bits of a texel's 4 words that are written
+_COLOR_WORDS: Final = 5
+STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
+
+
+class TestOrder(enum.Enum):
+    """When depth and stencil are tested and written.
+
+    EARLY: before shading. SPLIT: tested before it, so that what is hidden isn't shaded, and written after it for
+    what it kept. LATE: both after it, since it gives the depth, or acts on lanes that fail, too.
+    """
+
+    EARLY = 0
+    SPLIT = 1
+    LATE = 2
+
+    __test__ = False  # pytest would collect it
+
+
+@dataclass(frozen=True, slots=True)
+class ColorKey:
+    """A target that is written.
+
+    Attributes:
+        location: which attachment.
+        components: how many the fragment stage gives.
+        channels, bits, kind: of a texel, and of each of its channels.
+    """
+
+    location: int
+    components: int
+    channels: int
+    bits: int
+    kind: Kind
+    blends: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MergerKey:
+    """The targets' part of a pipeline's key.
+
+    Attributes:
+        colors: the targets that are written.
+        depth_bits: 16 or 24, 32 for floats, 0: neither tested nor written.
+        depth_passes: what the test lets pass, as a number of `_PASSES`.
+        depth_writes: whether the depth of what passes is kept.
+        has_stencil: whether the kernel takes the stencil plane.
+        order: when tests come.
+        shades: whether there is a fragment stage to run.
+        output_words: words of the stage's outputs, four for each location.
+    """
+
+    colors: tuple[ColorKey, ...]
+    depth_bits: int
+    depth_passes: int
+    depth_writes: bool
+    has_stencil: bool
+    alpha_test: bool
+    alpha_to_coverage: bool
+    samples: int
+    order: TestOrder
+    shades: bool
+    output_words: int
+
+    @property
+    def has_depth(self) -> bool:
+        """Whether the kernel takes the depth plane."""
+        return self.depth_bits > 0
+
+    @property
+    def surfaces(self) -> list[str]:
+        """What the kernel calls the surfaces that it takes, in their order."""
+        colors = [f"color{place}" for place in range(len(self.colors))]
+        return colors + ["depth"] * self.has_depth + ["stencil"] * self.has_stencil
+
+    @property
+    def stages_depth(self) -> bool:
+        """Whether the raster kernel keeps a tile's depth at hand: one sample, no stencil."""
+        return self.has_depth and not self.has_stencil and self.samples == 1
+
+    @property
+    def bounds_depth(self) -> bool:
+        """Whether it also knows depths behind which the test fails: before shading, which may change them."""
+        comes_first = self.order is not TestOrder.LATE or not self.shades
+        return self.stages_depth and self.depth_passes in _ORDERED and comes_first
+
+    @property
+    def depth_step(self) -> float:
+        """Between depths that the target can hold; 0: they are floats."""
+        return 1 / ((1 << self.depth_bits) - 1) if 0 < self.depth_bits < _FLOAT_BITS else 0.0
+
+    def defines(self) -> str:
+        """The macros that `kernels/targets.cl` is compiled with."""
+        rows = [
+            f"X({place}, {color.location}, {color.components}, {color.channels}, {color.bits}, "
+            f"KIND_{color.kind.name}, {int(color.blends)})"
+            for place, color in enumerate(self.colors)
+        ]
+        parameters = [f"global uchar *{name}" for name in self.surfaces] + ["global const ulong *target_places"]
+        numbers = {
+            "SAMPLES": self.samples,
+            "COLOR_COUNT": len(self.colors),
+            "HAS_DEPTH": int(self.has_depth),
+            "DEPTH_BITS": self.depth_bits,
+            "DEPTH_PASSES": self.depth_passes,
+            "DEPTH_WRITES": int(self.depth_writes),
+            "HAS_STENCIL": int(self.has_stencil),
+            "ALPHA_TEST": int(self.alpha_test),
+            "ALPHA_TO_COVERAGE": int(self.alpha_to_coverage),
+            "TEST_ORDER": f"TEST_{self.order.name}",
+            "SHADES": int(self.shades),
+            "OUTPUT_WORDS": self.output_words,
+        }
+        return _constants() + "".join(
+            f"#define {name} {value}\n"
+            for name, value in (
+                *numbers.items(),
+                ("COLOR_TARGETS(X)", " ".join(rows)),
+                ("TARGET_PARAMETERS", ", ".join(parameters)),
+                ("TARGET_ARGUMENTS", ", ".join([*self.surfaces, "target_places"])),
+            )
+        )
+
+
+def make_key(
+    program: ProgramDescriptor, values: Mapping[type, Any], colors: Sequence[Format], depth: Format | None, samples: int
+) -> MergerKey:  # fmt: skip
+    """What of these states a program's pipeline for these targets is compiled with.
+
+    Args:
+        program: one that draws.
+        values: the value of each state type; a tuple of `MAX_TARGETS` for those of `PER_TARGET`.
+        colors: the formats of the color targets, by location.
+        depth: that of the depth target, if there is one.
+        samples: of all targets.
+    """
+    outputs = {output.location: output for output in program.outputs}
+    first = outputs.get(0)
+    has_alpha = first is not None and first.kind == "float" and first.components == 4
+    alpha_test = has_alpha and values[AlphaTest] is AlphaTest.ON
+    alpha_to_coverage = has_alpha and samples > 1 and values[AlphaToCoverage] is AlphaToCoverage.ON
+    keys = tuple(
+        ColorKey(
+            location, outputs[location].components, format.channels, 8 * format.dtype.itemsize, format.kind,
+            not format.is_integer and not values[BlendFunction][location].is_off,
+        )
+        for location, format in enumerate(colors)
+        if location in outputs and any(_written_channels(values[ColorWrite][location])[: format.channels])
+    )  # fmt: skip
+    tests = values[DepthTest] is DepthTest.ON
+    passes = _PASSES[values[DepthFunction].value] if tests else _ALWAYS
+    writes = depth is not None and values[DepthWrite] is DepthWrite.ON
+    if depth is None or (passes == _ALWAYS and not writes):
+        depth_bits, passes, writes = 0, _ALWAYS, False
+    else:
+        depth_bits = depth.depth_steps.bit_length() or _FLOAT_BITS
+    stencil = depth is not None and depth.has_stencil and values[StencilTest] is StencilTest.ON
+    drops = program.discards or alpha_test or alpha_to_coverage
+    gives_depth = program.writes_depth and not program.early_depth
+    order = TestOrder.EARLY
+    if not program.early_depth:
+        if gives_depth or program.writes_memory or (drops and stencil):
+            order = TestOrder.LATE
+        elif drops:
+            order = TestOrder.SPLIT
+    return MergerKey(
+        colors=keys,
+        depth_bits=depth_bits,
+        depth_passes=passes,
+        depth_writes=writes,
+        has_stencil=stencil,
+        alpha_test=alpha_test,
+        alpha_to_coverage=alpha_to_coverage,
+        samples=samples,
+        order=order,
+        shades=bool(keys) or drops or program.writes_memory or (gives_depth and depth_bits > 0),
+        output_words=4 * max([0, *outputs]) + 4,
+    )
+
+
+def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[np.uint32]:
+    """A draw's state block: (STATE_WORDS,). Arguments as in `make_key`."""
+    state = np.zeros(STATE_WORDS, np.uint32)
+    numbers = state.view(np.float32)
+    state[_ALPHA_STATE] = _PASSES[values[AlphaFunction].value]
+    numbers[_ALPHA_STATE + 1] = values[AlphaReference].value
+    constant = values[BlendColor]
+    numbers[_BLEND_STATE : _BLEND_STATE + 4] = constant.red, constant.green, constant.blue, constant.alpha
+    for place, side in enumerate((values[StencilFront], values[StencilBack])):
+        codes = [
+            _STENCIL_OPERATIONS[operation]
+            for operation in (side.stencil_fail, side.depth_fail, side.both_pass)
+        ]
+        state[_STENCIL_STATE + 2 * place] = (
+            _PASSES[side.function.value] | codes[0] << 4 | codes[1] << 8 | codes[2] << 12
+        )
+        masks = values[StencilReference], values[StencilReadMask], values[StencilWriteMask]
+        reference, read, write = ((mask.front, mask.back)[place] for mask in masks)
+        state[_STENCIL_STATE + 2 * place + 1] = reference | read << 8 | write << 16
+    for location, format in enumerate(colors):
+        place = _COLOR_STATE + _COLOR_WORDS * location
+        state[place] = _pack_function(values[BlendFunction][location])
+        texel = np.zeros(16, np.uint8)
+        written = np.array(_written_channels(values[ColorWrite][location])[: format.channels])
+        texel[: format.channels * format.dtype.itemsize] = np.repeat(written, format.dtype.itemsize) * 255
+        state[place + 1 : place + 5] = texel.view(np.uint32)
+    return state
+
+
+@cache
+def read_source() -> str:
+    """The text of `kernels/targets.cl`."""
+    return files(__package__).joinpath("kernels", "targets.cl").read_text()
+
+
+def _written_channels(write: ColorWrite) -> tuple[bool, bool, bool, bool]:
+    return write.red, write.green, write.blue, write.alpha
+
+
+def _pack_function(function: BlendFunction) -> int:
+    """Source factor, destination factor and operation of the color, then of alpha: 4 bits each."""
+    parts = (
+        _FACTORS[function.source],
+        _FACTORS[function.destination],
+        _BLEND_OPERATIONS[function.operation],
+        _FACTORS[function.source_alpha or function.source],
+        _FACTORS[function.destination_alpha or function.destination],
+        _BLEND_OPERATIONS[function.operation_alpha or function.operation],
+    )
+    return sum(part << 4 * place for place, part in enumerate(parts))
+
+
+@cache
+def _constants() -> str:
+    """What is the same for all keys: the tables above under the names that the kernels use."""
+    numbers: dict[str, object] = {f"KIND_{kind.name}": number for kind, number in _KINDS.items()}
+    numbers |= {f"STENCIL_{operation.name}": number for operation, number in _STENCIL_OPERATIONS.items()}
+    numbers |= {f"OPERATION_{operation.name}": number for operation, number in _BLEND_OPERATIONS.items()}
+    numbers |= {f"FACTOR_{factor.name}": number for factor, number in _FACTORS.items()}
+    numbers |= {f"TEST_{order.name}": order.value for order in TestOrder}
+    numbers |= {
+        "ALPHA_STATE": _ALPHA_STATE,
+        "BLEND_STATE": _BLEND_STATE,
+        "STENCIL_STATE": _STENCIL_STATE,
+        "COLOR_STATE(location)": f"({_COLOR_STATE} + {_COLOR_WORDS} * (location))",
+        # sRGB's powers beyond the curve's straight piece: x^(5/12) as a polynomial in x^(1/4), u^0.4 as one in
+        # u^(1/2). Nearer to 0 than that, where powers have no polynomial, the curve is straight.
+        "ENCODE_SRGB(x)": _fit(lambda q: q ** (5 / 3), 0.0031308**0.25, 7),
+        "DECODE_SRGB(x)": _fit(lambda root: root**0.8, ((0.04045 + 0.055) / 1.055) ** 0.5, 7),
+    }
+    return "".join(f"#define {name} {value}\n" for name, value in numbers.items())
+
+
+def _fit(function: Callable[[NDArray[Any]], NDArray[Any]], start: float, degree: int) -> str:
+    """OpenCL C of a polynomial in x that is near `function` between `start` and 1."""
+    chebyshev = Chebyshev.interpolate(function, degree, domain=[start, 1.0])
+    *lower, highest = chebyshev.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef.tolist()
+    text = f"(float16)({highest!r}f)"
+    for coefficient in reversed(lower):
+        text = f"fma({text}, x, (float16)({coefficient!r}f))"
+    return text

@@ -1,0 +1,38 @@
+"""Occlusion queries that are asked together: one segment of counters, and draws that name theirs in a column."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.backends.cl.raster.counters import Segment
+from rhi.backends.cl.raster.rasteriser import Rasteriser
+from rhi.contract.descriptors import Id, Primitive
+
+__rhi_internal__ = True
+
+
+class QuerySet:
+    """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: those before may still run."""
+
+    def __init__(self, rasteriser: Rasteriser, size: int) -> None:
+        self._rasteriser = rasteriser
+        self._size = size
+        self._segment: Segment | None = None
+
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
+    ) -> None:
+        counters = self._rasteriser.counters
+        self._segment = segment = counters.begin_set(self._size)
+        try:
+            self._rasteriser.draw_counted(vertex_array, primitive, draws, rows, segment.address)
+        finally:
+            counters.end_set(segment)
+
+    def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
+        assert self._segment is not None
+        counted = self._rasteriser.counters.read_set(self._segment)
+        return None if counted is None else counted.view(np.int64).take(rows)

@@ -1,0 +1,226 @@
+"""What the kernels of a draw read besides their arguments: tables in memory, and macros in front of their text.
+
+- The dtypes mirror the structs of kernels/common.cl, field by field.
+- The macros hold what a program and its vertices' layout decide: how attributes become words, how bindings become
+  arguments, which varyings are interpolated how.
+- A draw's row: the addresses of what is bound, binding by binding (storage: and the number of elements; textures and
+  images: and the words that describe them), then those of its vertex streams.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from struct import Struct
+from typing import Final
+
+import numpy as np
+
+from rhi.backends.cl.raster.merger import STATE_WORDS, MergerKey
+from rhi.contract.descriptors import (
+    Attribute,
+    Binding,
+    BindingKind,
+    Interpolation,
+    ProgramDescriptor,
+    VertexAttribute,
+    VertexFormat,
+    VertexStream,
+)
+from rhi.contract.layout import VectorType
+
+__rhi_internal__ = True
+
+MAX_STREAMS: Final = 16
+MAX_PLANES: Final = 10
+TILE: Final = 64
+GROUP: Final = 16
+RECORD_BYTES: Final = 64
+EXTENT_BYTES: Final = 32
+PART: Final = 16
+
+
+def _fields(text: str, code: str) -> list[tuple[str, str]]:
+    return [(name, code) for name in text.split()]
+
+
+BATCH: Final = np.dtype(
+    [
+        ("surfaces", "u8", (MAX_PLANES,)),
+        *_fields(
+            "draws views rows positions clips varyings records planes boxes counts starts list survivors scratch "
+            "extents bounds counters places",
+            "u8",
+        ),
+        *_fields(
+            "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks tiles_x tiles "
+            "list_size listed samples shades linear width height near_is_less bounded cleared",
+            "i4",
+        ),
+        ("depth_step", "f4"),
+    ],
+    align=True,
+)
+EMPTY_BATCH: Final[dict[str, float]] = dict.fromkeys((BATCH.names or ())[1:], 0)
+"""What of a batch `pack_batch` takes besides its surfaces."""
+_CODES: Final = {"u8": "Q", "i4": "i", "f4": "f"}
+_BATCH_WORDS: Final = Struct(
+    f"={MAX_PLANES}Q" + "".join(_CODES[BATCH[name].str[1:]] for name in EMPTY_BATCH)
+)
+DRAW: Final = np.dtype(
+    [
+        *_fields("indices vertex_indices samples condition box", "u8"),
+        *_fields(
+            "vertex_group primitive_group vertex_groups primitive_groups first_vertex vertices lowest primitives "
+            "primitive index_bytes vertex_index_bytes base_instance number row view inverted",
+            "i4",
+        ),
+    ],
+    align=True,
+)
+VIEW: Final = np.dtype(
+    [
+        ("scale", "f4", 4),
+        ("shift", "f4", 4),
+        ("box", "i4", 4),
+        *_fields("culled front", "i4"),
+        *_fields("bias_units bias_slope bias_clamp bias_step", "f4"),
+        ("state", "u4", STATE_WORDS),
+    ],
+    align=True,
+)
+
+_ROW_WORDS: Final = {
+    BindingKind.UNIFORM: 1,
+    BindingKind.STORAGE: 2,
+    BindingKind.TEXTURE: 2,
+    BindingKind.IMAGE: 2,
+}
+_WORDS: Final = {"f4": 1, "u4": 1, "i4": 1, "f2": 0.5, "u2": 0.5, "i2": 0.5, "u1": 0.25, "i1": 0.25}
+_INTERPOLATION: Final = {
+    Interpolation.SMOOTH: "SMOOTH", Interpolation.FLAT: "FLAT", Interpolation.NO_PERSPECTIVE: "STRAIGHT",
+}  # fmt: skip
+
+
+def pack_batch(surfaces: Sequence[int], batch: Mapping[str, float]) -> bytes:
+    """A batch as kernels read it: the addresses of MAX_PLANES surfaces, and the fields of `EMPTY_BATCH` in their order.
+    Plain Python is several times as fast as NumPy at single fields."""
+    return _BATCH_WORDS.pack(*surfaces, *batch.values())
+
+
+def row_starts(bindings: Sequence[Binding]) -> list[int]:
+    """Where each binding's words begin in a draw's row, and where they end."""
+    starts = [0]
+    for binding in bindings:
+        starts.append(starts[-1] + _ROW_WORDS[binding.kind])
+    return starts
+
+
+def varying_words(descriptor: ProgramDescriptor) -> int:
+    """Words of a vertex's varyings in memory: whole groups of four."""
+    words = max((varying.word + varying.words for varying in descriptor.varyings), default=0)
+    return -(-words // 4) * 4
+
+
+def common_macros() -> str:
+    """What every kernel's text begins with."""
+    return f"#define STATE_WORDS {STATE_WORDS}\n"
+
+
+def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0) -> str:
+    """What kernels/vertex.cl is compiled with; `faults`: where a checked program's go."""
+    starts, words = {}, 0
+    for attribute in sorted(descriptor.attributes, key=lambda each: each.location):
+        starts[attribute.location] = words
+        words += _components(attribute)
+    sizes = {attribute.location: _components(attribute) for attribute in descriptor.attributes}
+    first = row_starts(descriptor.bindings)[-1]
+    fetches = [
+        line
+        for place, stream in enumerate(streams)
+        for attribute in stream.attributes
+        for line in _fetch(
+            stream, attribute, first + place, starts[attribute.location], sizes[attribute.location]
+        )
+    ]
+    vertex_words = sum(
+        ((1 << sizes[attribute.location]) - 1) << starts[attribute.location]
+        for stream in streams
+        for attribute in stream.attributes
+        if not stream.per_instance
+    )
+    return (
+        f"#define INPUT_WORDS {words}\n#define VARYING_WORDS {varying_words(descriptor)}\n"
+        f"#define VERTEX_WORDS 0x{vertex_words:x}ul\n"
+        f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n#define FETCH {' '.join(fetches)}\n"
+    )
+
+
+def raster_macros(descriptor: ProgramDescriptor, key: MergerKey, faults: int = 0) -> str:
+    """What kernels/raster.cl is compiled with, besides the merger's own; `faults`: as of `vertex_macros`."""
+    varyings = " ".join(
+        f"{_INTERPOLATION[varying.interpolation]}({word})"
+        for varying in descriptor.varyings
+        for word in range(varying.word, varying.word + varying.words)
+    )
+    opened = [
+        f"global uchar *{name} = AT(uchar, batch->surfaces[{place}]);" for place, name in enumerate(key.surfaces)
+    ]
+    opened.append("global const ulong *target_places = AT(const ulong, batch->places);")
+    return (
+        f"#define VARYING_WORDS {varying_words(descriptor)}\n"
+        f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n"
+        f"#define VARYINGS(SMOOTH, FLAT, STRAIGHT) {varyings}\n#define OPEN_SURFACES {' '.join(opened)}\n"
+        f"#define GIVES_DEPTH {int(descriptor.writes_depth)}\n"
+        f"#define STAGES_DEPTH {int(key.stages_depth)}\n#define BOUNDS_DEPTH {int(key.bounds_depth)}\n"
+    )
+
+
+def _components(attribute: Attribute) -> int:
+    return attribute.type.size if isinstance(attribute.type, VectorType) else 1
+
+
+def _arguments(bindings: Sequence[Binding], faults: int) -> str:
+    """A row's words as a stage's arguments."""
+    arguments = []
+    for binding, at in zip(bindings, row_starts(bindings), strict=False):
+        match binding.kind:
+            case BindingKind.UNIFORM:
+                arguments.append(f"AT(const uint, row[{at}]),")
+            case BindingKind.STORAGE:
+                arguments.append(f"AT(uint, row[{at}]), (int)row[{at + 1}],")
+            case BindingKind.TEXTURE:
+                arguments.append(f"AT(const uchar, row[{at}]), AT(const int, row[{at + 1}]),")
+            case BindingKind.IMAGE:
+                arguments.append(f"AT(uchar, row[{at}]), AT(const int, row[{at + 1}]),")
+    if faults:
+        arguments.append(f"AT(int, {faults}ul),")
+    return " ".join(arguments)
+
+
+def _fetch(stream: VertexStream, attribute: VertexAttribute, at: int, start: int, size: int) -> Iterator[str]:
+    """The statements that bring an attribute's components to the words of `inputs` from `start` on."""
+    form = attribute.format
+    count = -(-form.components * _WORDS[form.code] // 1)
+    yield "{ uint16 raw[4];"
+    address = f"AT(const uchar, row[{at}]) + {attribute.offset}"
+    if stream.per_instance:
+        yield f"spread({address} + (long)numbered * {stream.stride}, raw);"
+    else:
+        words = f"{stream.stride}, {count:.0f}, raw)"
+        yield f"if (in_row) gather_row({address} + (long)vertices[0] * {stream.stride}, {words};"
+        yield f"else gather({address}, vertices, {words};"
+    for component in range(size):
+        yield f"inputs[{start + component}] = {_component(form, component)};"
+    yield "}"
+
+
+def _component(form: VertexFormat, component: int) -> str:
+    """A component as a word, out of the words in which its format holds it."""
+    bits = 8 * np.dtype(form.code).itemsize
+    if bits == 32:
+        return f"raw[{component}]"
+    word, shift = divmod(component * bits, 32)
+    if form.code == "f2":
+        return f"read_half_bits(raw[{word}], {shift})"
+    kind = "FIELD" if not form.normalized else "UNORM" if form.code[0] == "u" else "SNORM"
+    return f"{kind}(raw[{word}], {shift}, {bits})"

@@ -1,0 +1,66 @@
+"""Render states as a draw's `VIEW`: where clip space lands, what is cut away and culled, how depth is offset; and the
+output merger's words.
+
+Window y counts from the top, so that y's scale is negative and a triangle that is counter-clockwise with +Y up has a
+negative area.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.backends.cl.raster.merger import make_state
+from rhi.backends.cl.raster.tables import VIEW
+from rhi.contract.formats import Format
+from rhi.contract.states import CullMode, DepthBias, FrontFace, PolygonOffset, Scissor, Viewport
+
+__rhi_internal__ = True
+
+_FAR: Final = 1 << 20
+
+
+def make_view(
+    values: Mapping[type, Any], size: tuple[int, int], colors: Sequence[Format], depth: Format | None
+) -> NDArray[Any]:
+    """A `VIEW`, shape ().
+
+    Args:
+        values: the value of each state type; a tuple of `MAX_TARGETS` for those of `PER_TARGET`.
+        size: (width, height) of the pass.
+        colors, depth: the formats of its targets.
+    """
+    view = np.zeros((), VIEW)
+    viewport, scissor = values[Viewport], values[Scissor]
+    x, y, width, height = viewport.x, viewport.y, viewport.width, viewport.height
+    if viewport is Viewport.TARGET:
+        width, height = size
+    view["scale"] = width / 2, -height / 2, viewport.far - viewport.near, 0
+    view["shift"] = x + width / 2, y + height / 2, viewport.near, 0
+    # A texel belongs to the viewport if its centre does.
+    view["box"] = (
+        max(0, scissor.x, _first_centre(x)),
+        max(0, scissor.y, _first_centre(y)),
+        min(size[0], scissor.x + scissor.width, _first_centre(x + width)) - 1,
+        min(size[1], scissor.y + scissor.height, _first_centre(y + height)) - 1,
+    )
+    front = values[FrontFace] is FrontFace.CLOCKWISE
+    view["front"] = front
+    if values[CullMode] is not CullMode.NONE:
+        view["culled"] = 1 if (values[CullMode] is CullMode.FRONT) is front else 2
+    offset = values[PolygonOffset]
+    view["bias_units"], view["bias_slope"] = values[DepthBias].units, offset.slope
+    view["bias_clamp"] = offset.clamp
+    if depth is not None and depth.depth_steps:
+        view["bias_step"] = 1 / depth.depth_steps
+    view["state"] = make_state(values, colors)
+    return view
+
+
+def _first_centre(edge: float) -> int:
+    """The first texel whose centre lies at `edge` or beyond it."""
+    return math.ceil(min(max(edge, -_FAR), _FAR) - 0.5)

@@ -1,0 +1,1 @@
+"""A GPU on a simulated clock: what commands cost, when they finish, and which accesses collide."""

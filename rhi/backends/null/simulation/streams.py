@@ -1,0 +1,103 @@
+"""STREAM buffers, which the CPU writes unordered: who uses which bytes of them, and which vertices draws read there."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from types import CodeType
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+
+__rhi_internal__ = True
+
+Use: TypeAlias = tuple[int, CodeType | None, int, int]
+"""A call as seen by hazards: its number in the order of the calls, its site (code and instruction offset) and
+its op. A plain tuple, for one is made for each draw."""
+
+
+class StreamMemory:
+    """The uses of a buffer that the CPU writes unordered, sorted into pages so that a write looks at few.
+
+    Attributes:
+        written: (begin, end) of the latest write.
+    """
+
+    __slots__ = ("_pages", "_shift", "written")
+
+    def __init__(self, size: int) -> None:
+        self._pages: dict[int, list[tuple[int, int, Use]]] = {}
+        self._shift = max(8, size.bit_length() - 10)
+        self.written = (0, 0)
+
+    def use(self, begin: int, end: int, use: Use, known: int) -> None:
+        """A command uses these bytes; of what came before, uses up to the one numbered `known` are done."""
+        for page in range(begin >> self._shift, (max(end, begin + 1) - 1 >> self._shift) + 1):
+            uses = self._pages.setdefault(page, [])
+            if uses and uses[-1][0] == begin and uses[-1][1] == end:
+                uses[-1] = (begin, end, use)
+                continue
+            if len(uses) >= 64:
+                uses[:] = [each for each in uses if each[2][0] > known]
+            uses.append((begin, end, use))
+
+    def find(self, begin: int, end: int, known: int) -> tuple[int, int, Use] | None:
+        """The latest use after the one numbered `known` that a write of these bytes meets."""
+        found: tuple[int, int, Use] | None = None
+        for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
+            for each in self._pages.get(page, ()):
+                meets = each[0] < end and begin < each[1] and each[2][0] > known
+                if meets and (found is None or each[2][0] > found[2][0]):
+                    found = each
+        return found
+
+
+_STRIPS: Final = frozenset({Primitive.LINE_STRIP, Primitive.TRIANGLE_STRIP, Primitive.TRIANGLE_FAN})
+
+
+def vertex_ranges(
+    array: VertexArrayDescriptor, primitive: Primitive, draws: Sequence[tuple[int, ...]], streamed: Collection[Id],
+    memory: Mapping[Id, NDArray[np.uint8]],
+) -> list[tuple[Id, int, int]]:  # fmt: skip
+    """What draws read of vertices.
+
+    Args:
+        draws: (count, instances, first, base vertex, base instance) of each.
+        streamed: the buffers that count.
+        memory: what buffers hold now, for indices.
+
+    Returns:
+        (buffer, begin, end) in bytes, for each draw and vertex stream.
+    """
+    ranges = []
+    streams = [stream for stream in array.streams if stream.buffer in streamed]
+    for count, instances, first, base_vertex, base_instance in draws:
+        if not count or not instances:
+            continue
+        vertices: tuple[int, int] | None = (first, first + count)
+        if array.index_buffer and any(not stream.per_instance for stream in streams):
+            vertices = _find_named(array, primitive, first, count, base_vertex, memory)
+        for stream in streams:
+            span = (base_instance, base_instance + instances) if stream.per_instance else vertices
+            if span is not None:
+                begin, end = (stream.offset + place * stream.stride for place in span)
+                ranges.append((stream.buffer, begin, end))
+    return ranges
+
+
+def _find_named(
+    array: VertexArrayDescriptor, primitive: Primitive, first: int, count: int, base: int,
+    memory: Mapping[Id, NDArray[np.uint8]],
+) -> tuple[int, int] | None:  # fmt: skip
+    """The first and one past the last vertex that indices name; None if they only restart strips."""
+    form, held = array.index_format, memory.get(array.index_buffer)
+    if held is None:  # destroyed, which is a hazard of its own
+        return None
+    indices = held[first * form.size : (first + count) * form.size].view(form.dtype).astype(np.int64)
+    if primitive in _STRIPS:
+        indices = indices[indices != 256**form.size - 1]
+    if not len(indices):
+        return None
+    return int(indices.min()) + base, int(indices.max()) + base + 1

@@ -1,0 +1,163 @@
+"""How much work is in a command: what the cost model is asked with.
+
+Measured right after the command was executed, from its arguments and what holds then. Covered pixels are the
+samples that someone counted (`NullBackend.count_samples`), else the model's estimate for the draw's viewport.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.null.execution import ExecutionState, Fate
+from rhi.backends.null.programs import Programs
+from rhi.backends.null.resources import IndirectDraws, Resources
+from rhi.backends.null.simulation.cost import CostModel, Work, count_primitives
+from rhi.commands.ops import Op
+from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, Primitive, Region
+from rhi.contract.states import Scissor, StateChange, Viewport
+
+__rhi_internal__ = True
+
+
+class WorkMeter:
+    """One device's. Its methods are the commands that have work of their own, by their names in `Backend`.
+
+    Attributes:
+        samples: that the command just executed passed, None if nobody knows.
+        indirect_draws, indirect_dispatches: what indirect commands came to, the latest last.
+    """
+
+    def __init__(
+        self, cost: CostModel, resources: Resources, programs: Programs, state: ExecutionState
+    ) -> None:
+        self._cost = cost
+        self._resources = resources
+        self._programs = programs
+        self._state = state
+        self._begun: PassDescriptor | None = None
+        self._known_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
+        self.samples: int | None = None
+        self.indirect_draws: Sequence[IndirectDraws] = ()
+        self.indirect_dispatches: Sequence[tuple[int, int, int]] = ()
+
+    def set_states(self, changes: Sequence[StateChange]) -> Work:
+        return Work(Op.SET_STATES, state_changes=len(changes))
+
+    def bind_program(self, program: Id) -> Work:
+        return Work(Op.BIND_PROGRAM, state_changes=1)
+
+    def begin_pass(self, descriptor: PassDescriptor) -> Work:
+        """The clears."""
+        self._begun = descriptor
+        width, height = descriptor.size
+        targets: list[Attachment | DepthAttachment] = [*descriptor.colors]
+        if descriptor.depth is not None:
+            targets.append(descriptor.depth)
+        cleared = sum(target.clear is not None for target in targets)
+        return Work(Op.BEGIN_PASS, pixels=width * height * descriptor.samples * cleared)
+
+    def end_pass(self) -> Work:
+        """The resolves: all samples are read."""
+        begun = self._begun
+        if begun is None:
+            return Work(Op.END_PASS)
+        resolved = [attachment.resolve for attachment in begun.colors if attachment.resolve]
+        bytes = sum(self._level_bytes(texture) * (begun.samples + 1) for texture in resolved)
+        return Work(Op.END_PASS, bytes=bytes)
+
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
+        base_instance: int,
+    ) -> Work:  # fmt: skip
+        if self._state.fate is Fate.DROPPED:
+            return Work(Op.DRAW)
+        pixels = self._pixels(count_primitives(primitive, count) * instances)
+        return Work(Op.DRAW, count * instances, pixels)
+
+    def draw_indirect(self, vertex_array: Id, primitive: Primitive, *others: int) -> Work:
+        draws = self.indirect_draws[-1].draws
+        vertices = int((draws["count"].astype(np.int64) * draws["instances"]).sum())
+        return Work(Op.DRAW_INDIRECT, vertices, self._pixels(count_primitives(primitive, vertices)), 20 * len(draws))
+
+    def dispatch(self, x: int, y: int, z: int) -> Work:
+        return Work(Op.DISPATCH, invocations=x * y * z * self._work_group())
+
+    def dispatch_indirect(self, buffer: Id, offset: int) -> Work:
+        x, y, z = self.indirect_dispatches[-1]
+        return Work(Op.DISPATCH_INDIRECT, bytes=12, invocations=x * y * z * self._work_group())
+
+    def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> Work:
+        return Work(Op.WRITE_BUFFER, bytes=memoryview(data).nbytes)
+
+    def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> Work:
+        return Work(Op.COPY_BUFFER, bytes=2 * size)
+
+    def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> Work:
+        return Work(Op.CLEAR_BUFFER, bytes=size)
+
+    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> Work:
+        return Work(Op.WRITE_TEXTURE, bytes=memoryview(data).nbytes)
+
+    def copy_texture(
+        self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
+        layer: int,
+    ) -> Work:  # fmt: skip
+        region = source_region
+        texel = self._resources.textures[source].descriptor.format.texel_bytes
+        return Work(Op.COPY_TEXTURE, bytes=2 * region.width * region.height * region.layers * texel)
+
+    def resolve_texture(self, source: Id, target: Id) -> Work:
+        samples = self._resources.textures[source].descriptor.samples
+        return Work(Op.RESOLVE_TEXTURE, bytes=self._level_bytes(target) * (samples + 1))
+
+    def generate_mipmaps(self, texture: Id) -> Work:
+        levels = len(self._resources.textures[texture].levels)
+        written = sum(self._level_bytes(texture, level) for level in range(1, levels))
+        return Work(Op.GENERATE_MIPMAPS, bytes=5 * written)  # four texels are read for each
+
+    def meters(self) -> tuple[Callable[..., Work] | None, ...]:
+        """By op, what measures it; None where there is no work but the command itself."""
+        return tuple(getattr(self, op.method, None) for op in Op)
+
+    # -- inside ------------------------------------------------------------------------------------------
+
+    def _level_bytes(self, texture: Id, level: int = 0) -> int:
+        descriptor = self._resources.textures[texture].descriptor
+        width, height = descriptor.level_size(level)
+        return width * height * descriptor.level_layers(level) * descriptor.format.texel_bytes
+
+    def _work_group(self) -> int:
+        program = self._programs.programs.get(self._state.program)
+        x, y, z = program.work_group if program is not None else (1, 1, 1)
+        return x * y * z
+
+    def _pixels(self, primitives: int) -> float:
+        if self.samples is not None:
+            return self.samples
+        return self._cost.covered_pixels(primitives, self._area())
+
+    def _area(self) -> int:
+        """Pixels that a draw can reach: the target, the viewport and the scissor in common."""
+        state = self._state
+        parts = (state.render_pass, state.states[Viewport], state.states[Scissor])
+        known, area = self._known_area
+        if parts[0] is not known[0] or parts[1] is not known[1] or parts[2] is not known[2]:
+            area = _measure_area(*parts)
+            self._known_area = parts, area
+        return area
+
+
+def _measure_area(render_pass: PassDescriptor | None, viewport: Any, scissor: Any) -> int:
+    if render_pass is None:
+        return 0
+    width, height = render_pass.size
+    left, top, right, bottom = 0.0, 0.0, float(width), float(height)
+    for box, unset in ((viewport, Viewport.TARGET), (scissor, Scissor.OFF)):
+        if box != unset:
+            left, top = max(left, box.x), max(top, box.y)
+            right, bottom = min(right, box.x + box.width), min(bottom, box.y + box.height)
+    return int(max(0.0, right - left) * max(0.0, bottom - top))

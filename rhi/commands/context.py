@@ -1,0 +1,120 @@
+"""What holds at a point of a stream: states, labels, program, bindings, resources and pass.
+
+None of it is stored with a command. It is derived by a `Context` that is fed the commands before it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final, TypeAlias
+
+from rhi.commands.ops import Descriptor, Op, States
+from rhi.contract.descriptors import (
+    BindingKind,
+    BufferDescriptor,
+    Id,
+    PassDescriptor,
+    ProgramDescriptor,
+    QueryKind,
+    SamplerDescriptor,
+    TextureDescriptor,
+    VertexArrayDescriptor,
+)
+from rhi.contract.states import STATE_TYPES, StateChange, default_values
+
+__rhi_internal__ = True
+
+
+class Context:
+    """What holds at a point of a stream. Its methods are the commands that change it.
+
+    Attributes:
+        states: the value of every state type, as the backend was told.
+        labels: the open labels, outermost first.
+        program: the bound program, 0 for none.
+        render_pass: the open pass, None outside.
+        resources: what each living resource was made from, by id.
+        slots: what is bound, by kind and slot: the arguments of the binding command after the slot.
+    """
+
+    __slots__ = ("labels", "program", "render_pass", "resources", "slots", "states")
+
+    def __init__(self) -> None:
+        self.states: States = dict(zip(STATE_TYPES, default_values(), strict=True))
+        self.labels: tuple[str, ...] = ()
+        self.program: Id = 0
+        self.render_pass: PassDescriptor | None = None
+        self.resources: dict[Id, Descriptor] = {}
+        self.slots: dict[tuple[BindingKind, int], tuple[int, ...]] = {}
+
+    def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+        self.resources[buffer] = descriptor
+
+    def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
+        self.resources[texture] = descriptor
+
+    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
+        self.resources[sampler] = descriptor
+
+    def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
+        self.resources[program] = descriptor
+
+    def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
+        self.resources[vertex_array] = descriptor
+
+    def create_query(self, query: Id, kind: QueryKind) -> None:
+        self.resources[query] = kind
+
+    def destroy(self, resource: Id) -> None:
+        self.resources.pop(resource, None)
+
+    def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+        self.slots[BindingKind.UNIFORM, slot] = (buffer, offset, size)
+
+    def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
+        self.slots[BindingKind.STORAGE, slot] = (buffer, offset, size)
+
+    def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
+        self.slots[BindingKind.TEXTURE, slot] = (texture, sampler)
+
+    def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
+        self.slots[BindingKind.IMAGE, slot] = (texture, level, layer)
+
+    def set_states(self, changes: Sequence[StateChange]) -> None:
+        self.states.update(changes)
+
+    def bind_program(self, program: Id) -> None:
+        self.program = program
+
+    def begin_pass(self, descriptor: PassDescriptor) -> None:
+        self.render_pass = descriptor
+
+    def end_pass(self) -> None:
+        self.render_pass = None
+
+    def push_label(self, text: str) -> None:
+        self.labels = (*self.labels, text)
+
+    def pop_label(self) -> None:
+        self.labels = self.labels[:-1]
+
+    def copy(self) -> Context:
+        twin = Context()
+        twin.states = self.states.copy()
+        twin.labels, twin.program, twin.render_pass = self.labels, self.program, self.render_pass
+        twin.resources, twin.slots = self.resources.copy(), self.slots.copy()
+        return twin
+
+    def follow(self, op: int, arguments: Sequence[Any]) -> None:
+        """Take a command into account; most change nothing."""
+        change = _CHANGES[op]
+        if change is not None:
+            change(self, *arguments)
+
+
+_Change: TypeAlias = Callable[..., None]
+
+_CHANGES: Final[tuple[_Change | None, ...]] = tuple(getattr(Context, op.method, None) for op in Op)
+
+CONTEXT_OPS: Final = frozenset(op for op in Op if _CHANGES[op] is not None)
+"""Those that a `Context` follows."""

@@ -1,0 +1,400 @@
+"""Commands: the stream of what was called, and how it is looked at.
+
+- A stream is one flat list, `op, arguments…, code, lasti` after one another. A tuple for each command took
+  2.5 times as long: an object per command keeps the garbage collector busy (any tuple that holds an enum
+  stays tracked), and its header is a third of the memory. Where commands begin is found when someone looks.
+- A call site is a code object and an instruction offset, turned into a file and line only when asked for.
+  Code objects are never hashed: their hash reads all of their contents.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from types import CodeType
+from typing import Any, Final, overload
+
+from rhi.commands.context import CONTEXT_OPS, Context
+from rhi.commands.ops import DRAWS, WIDTHS, Descriptor, Op, States
+from rhi.commands.text import describe_call
+from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
+from rhi.errors import CallSite, RhiError, refuse
+from rhi.errors.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
+
+__rhi_internal__ = True
+
+__all__ = ["Command", "CommandStream", "Commands", "Context", "Failure", "Op", "Refusal"]
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Why a call failed: the rule's id, or the exception's type where no rule was named."""
+
+    error: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A call that was refused and so never became a command.
+
+    Attributes:
+        index: how many commands came before it.
+        error: the rule's id.
+        call, given, allowed: what the message says.
+        labels: those it was made in, outermost first.
+    """
+
+    index: int
+    error: str
+    call: str
+    given: str = ""
+    allowed: str = ""
+    site: CallSite | None = None
+    labels: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        given = f": {_on_one_line(self.given)}" if self.given else ""
+        allowed = f" (allowed: {_on_one_line(self.allowed)})" if self.allowed else ""
+        return f"{self.call}{given}{allowed}{f'  {self.site}' if self.site is not None else ''}  REFUSED [{self.error}]"
+
+
+def _on_one_line(text: str) -> str:
+    first, more, _ = text.partition("\n")
+    return first + " …" * bool(more)
+
+
+def find_site(code: CodeType | None, offset: int) -> CallSite | None:
+    """The line of an instruction, by its offset in bytes; None without code."""
+    if code is None:
+        return None
+    position = next(islice(code.co_positions(), offset // 2, None), None)
+    line = position[0] if position is not None else None
+    return CallSite(code.co_filename, line or code.co_firstlineno, code.co_qualname)
+
+
+class Command:
+    """One call, with its arguments: `command.op`, `command["count"]`, `command.site`.
+
+    What is derived from the commands before it (labels, states, program, bindings, resources, render_pass)
+    can be had until the stream is cleared (`command-cleared` after that).
+    """
+
+    __slots__ = ("_code", "_generation", "_stream", "failure", "index", "offset", "op", "values")
+
+    def __init__(self, stream: CommandStream, index: int) -> None:
+        op, values, code, lasti = stream.entry(index)
+        self._stream = stream
+        self._generation = stream.generation
+        self._code: CodeType | None = code
+        self.offset: int = lasti
+        """The calling instruction in the caller's code, in bytes."""
+        self.index = index
+        """Its place in the stream."""
+        self.op = op
+        self.values: tuple[Any, ...] = values
+        """The arguments, in order."""
+        self.failure: Failure | None = stream.failures.get(index)
+        """Why the call failed, None if it didn't."""
+
+    @property
+    def stream(self) -> CommandStream:
+        """The stream that it is in."""
+        return self._stream
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """The arguments by their names in `Backend`."""
+        return dict(zip(self.op.parameters, self.values, strict=True))
+
+    def __getitem__(self, name: str) -> Any:
+        """An argument by its name; `command-argument` if there is no such."""
+        _check_argument(self.op, name)
+        return self.arguments[name]
+
+    @property
+    def site(self) -> CallSite | None:
+        """The user's line, None if the call came from no user code."""
+        return find_site(self._code, self.offset)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels it lies in, outermost first. A push and its pop lie in what is around them."""
+        labels = self._context().labels
+        return labels[:-1] if self.op is Op.POP_LABEL else labels
+
+    @property
+    def states(self) -> States:
+        """The states in effect."""
+        return self._context().states.copy()
+
+    @property
+    def program(self) -> Id:
+        """The bound program, 0 for none."""
+        return self._context().program
+
+    @property
+    def render_pass(self) -> PassDescriptor | None:
+        """The open pass, None outside."""
+        return self._context().render_pass
+
+    def resource(self, resource: Id) -> Descriptor | None:
+        """What a resource that is alive at this command was made from."""
+        return self._context().resources.get(resource)
+
+    @property
+    def bindings(self) -> dict[str, tuple[int, ...]]:
+        """What the bound program reads, by the names of its bindings: (buffer, offset, size) of a uniform or
+        storage range, (texture, sampler) of a texture, (texture, level, layer) of an image."""
+        context = self._context()
+        program = context.resources.get(context.program)
+        bindings = program.bindings if isinstance(program, ProgramDescriptor) else ()
+        slots = context.slots
+        return {b.name: slots[b.kind, b.slot] for b in bindings if (b.kind, b.slot) in slots}
+
+    def _context(self) -> Context:
+        if self._generation != self._stream.generation:
+            refuse(COMMAND_CLEARED, f"command {self.index} ({self.op.method})", "a cleared stream")
+        return self._stream.context(self.index)
+
+    def __str__(self) -> str:
+        call = describe_call(self.op.method, self.arguments)
+        site = f"  {self.site}" if self._code is not None else ""
+        failure = f"  FAILED [{self.failure.error}]" if self.failure is not None else ""
+        return f"{call}{site}{failure}"
+
+    __repr__ = __str__
+
+
+def _check_argument(op: Op, name: str) -> None:
+    if name not in op.parameters:
+        refuse(COMMAND_ARGUMENT, f"{op.method}: {name!r}", name, ", ".join(op.parameters) or "no arguments")
+
+
+class Commands(Sequence[Command]):
+    """Some commands of a stream, in order. It stays as it is while the stream grows."""
+
+    __slots__ = ("_indices", "_stream")
+
+    def __init__(self, stream: CommandStream, indices: Sequence[int]) -> None:
+        self._stream = stream
+        self._indices = indices
+
+    def indices(self) -> Sequence[int]:
+        """Their places in the stream."""
+        return self._indices
+
+    def __len__(self) -> int:
+        return len(self.indices())
+
+    def __iter__(self) -> Iterator[Command]:
+        for index in self.indices():
+            yield Command(self._stream, index)
+
+    @overload
+    def __getitem__(self, index: int) -> Command: ...
+    @overload
+    def __getitem__(self, index: slice) -> Commands: ...
+    def __getitem__(self, index: int | slice) -> Command | Commands:
+        if isinstance(index, slice):
+            return Commands(self._stream, self.indices()[index])
+        return Command(self._stream, self.indices()[index])
+
+    def filter(
+        self,
+        op: Op | Collection[Op] | None = None,
+        *,
+        label: str | None = None,
+        where: Callable[[Command], bool] | None = None,
+        **arguments: object,
+    ) -> Commands:
+        """Those that meet all conditions: one of the ops, inside the label (at any depth), with these
+        arguments (`instances=4`; needs `op`), and for which `where` holds.
+
+        Raises:
+            ValidationError: `command-argument` for an argument that the op doesn't have.
+        """
+        ops = frozenset(Op) if op is None else frozenset((op,)) if isinstance(op, Op) else frozenset(op)
+        for name in arguments:
+            for each in ops if op is not None else ():
+                _check_argument(each, name)
+            if op is None:
+                refuse(COMMAND_ARGUMENT, f"filter({name}=…)", "no op", "an op along with arguments")
+        wanted = arguments.items()
+
+        def meets(command: Command) -> bool:
+            if label is not None and label not in command.labels:
+                return False
+            if wanted:
+                given = command.arguments
+                if any(given[name] != value for name, value in wanted):
+                    return False
+            return where is None or where(command)
+
+        stream = self._stream
+        candidates = [index for index in self.indices() if stream.op(index) in ops]
+        if label is None and where is None and not wanted:
+            return Commands(stream, candidates)
+        return Commands(stream, [index for index in candidates if meets(Command(stream, index))])
+
+    def draws(self) -> Commands:
+        """The draws among them, indirect ones included."""
+        return self.filter(DRAWS)
+
+    @property
+    def refusals(self) -> tuple[Refusal, ...]:
+        """The calls that were refused between the first and the last of them, or of the whole stream."""
+        indices, refused = self.indices(), self._stream._refusals
+        if self._stream is self or not refused:
+            return tuple(refused)
+        first, last = (indices[0], indices[-1]) if indices else (0, -1)
+        return tuple(refusal for refusal in refused if first < refusal.index <= last)
+
+    def format(self, limit: int | None = None, refusals: Sequence[Refusal] | None = None) -> str:
+        """One line each, at most `limit` commands, indented by the labels they lie in, with the refused calls at
+        their places: `refusals`, or those of `refusals` the attribute."""
+        refused = deque(self.refusals if refusals is None else refusals)
+        lines: list[str] = []
+        shown = 0
+        for command in islice(self, limit):
+            while refused and refused[0].index <= command.index:
+                lines.append(_format_refusal(refused.popleft()))
+            lines.append(f"{command.index:>6}  {'  ' * len(command.labels)}{command}")
+            shown += 1
+        if shown < len(self):
+            lines.append(f"… and {len(self) - shown} more")
+        else:
+            lines.extend(map(_format_refusal, refused))
+        return "\n".join(lines)
+
+    def __str__(self) -> str:
+        return self.format(PRINTED)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {len(self)} commands>"
+
+
+def _format_refusal(refusal: Refusal) -> str:
+    return f"     ×  {'  ' * len(refusal.labels)}{refusal}"
+
+
+PRINTED: Final = 1000
+"""Lines of a stream's `str`."""
+
+
+class CommandStream(Commands):
+    """All commands that a `Recorder` wrote down, oldest first.
+
+    It lives and grows: `stream[:]` is what it holds now.
+
+    Attributes:
+        data: the flat list; append whole entries only (`op, *arguments, code, lasti`).
+        failures: by index, those calls that raised.
+        generation: how often the stream was cleared.
+        is_complete: whether all commands since its beginning are in it: never cleared, nothing left out.
+    """
+
+    __slots__ = (
+        "_base", "_cursor", "_gaps", "_refusals", "_starts", "data", "failures", "generation", "is_complete",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        super().__init__(self, ())
+        self.data: list[Any] = []
+        self.failures: dict[int, Failure] = {}
+        self._refusals: list[Refusal] = []
+        self.generation = 0
+        self.is_complete = True
+        self._starts = array("Q")  # where each command begins in data, as far as anyone has looked
+        self._base = Context()  # what holds before the first command
+        self._gaps: list[tuple[int, int, tuple[Any, ...]]] = []  # (index, op, arguments) of what was left out
+        self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context has followed
+
+    def indices(self) -> range:
+        """All places: 0 to the number of commands."""
+        return range(len(self))
+
+    def __len__(self) -> int:
+        starts, data = self._starts, self.data
+        place = starts[-1] + WIDTHS[data[starts[-1]]] if starts else 0
+        while place < len(data):
+            starts.append(place)
+            place += WIDTHS[data[place]]
+        return len(starts)
+
+    def op(self, index: int) -> Op:
+        """The op of a command."""
+        op: int = self.data[self._starts[index]]
+        return _OPS[op]
+
+    def entry(self, index: int) -> tuple[Op, tuple[Any, ...], CodeType | None, int]:
+        """(op, arguments, code, lasti) of a command; the index must have been below `len`."""
+        start = self._starts[index]
+        op = _OPS[self.data[start]]
+        end = start + WIDTHS[op]
+        code, lasti = self.data[end - 2 : end]
+        return op, tuple(self.data[start + 1 : end - 2]), code, lasti
+
+    def context(self, index: int) -> Context:
+        """What holds at a command, itself not included; valid until the next call of this method."""
+        done, gaps, context = self._cursor
+        if index < done:
+            done, gaps, context = 0, 0, self._base.copy()
+        while True:
+            while gaps < len(self._gaps) and self._gaps[gaps][0] <= done:
+                context.follow(*self._gaps[gaps][1:])
+                gaps += 1
+            if done >= index:
+                break
+            if done not in self.failures:
+                op, arguments, _, _ = self.entry(done)
+                context.follow(op, arguments)
+            done += 1
+        self._cursor = (done, gaps, context)
+        return context
+
+    def clear(self) -> None:
+        """Forget all commands. States, labels, program and pass go on holding for those that follow."""
+        self._base = self.context(len(self)).copy()
+        self.data.clear()
+        self.failures.clear()
+        self._refusals.clear()
+        self._gaps.clear()
+        self._starts = array("Q")
+        self._cursor = (0, 0, self._base.copy())
+        self.generation += 1
+        self.is_complete = False
+
+    def assume(self, resource: Id, descriptor: Descriptor) -> None:
+        """Know of a resource that was made before the first command."""
+        self._base.resources[resource] = descriptor
+        self._cursor = (0, 0, self._base.copy())
+
+    def leave_out(self, entry: tuple[Any, ...]) -> None:
+        """In place of `data.extend(entry)`: don't keep the command, but what holds after it."""
+        self.is_complete = False
+        if entry[0] in CONTEXT_OPS:
+            self._gaps.append((len(self), entry[0], entry[1:-2]))
+
+    def note_refusal(self, error: RhiError) -> None:
+        """A call was refused here."""
+        index = len(self)
+        labels = self.context(index).labels
+        self.add_refusal(
+            Refusal(index, error.rule.id, error.call, error.given, error.allowed, error.site, labels)
+        )
+
+    def add_refusal(self, refusal: Refusal) -> None:
+        """Keep a refused call; its index isn't below those before it."""
+        self._refusals.append(refusal)
+
+    def fail(self, error: BaseException) -> None:
+        """Mark the last command as failed."""
+        name = error.rule.id if isinstance(error, RhiError) else type(error).__name__
+        self.failures[len(self) - 1] = Failure(name, str(error))
+
+
+_OPS: Final[tuple[Op, ...]] = tuple(Op)

@@ -1,0 +1,63 @@
+"""Commands as text: one readable line, in the words a user wrote them with.
+
+Arguments are shown as source where they can be (`CullMode.NONE`, `Region(0, 0, 4, 4)`), without the fields
+that hold their defaults; written memory by its size.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Mapping
+
+from rhi.contract.states import StateChange
+
+__rhi_internal__ = True
+
+
+def describe_call(method: str, arguments: Mapping[str, object]) -> str:
+    """`method(name=value, …)`."""
+    return f"{method}({', '.join(f'{name}={describe(value)}' for name, value in arguments.items())})"
+
+
+def describe(value: object) -> str:
+    """A value as source text, shortened."""
+    if isinstance(value, enum.Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if isinstance(value, bytes):
+        return f"<{len(value)} bytes>"
+    if isinstance(value, StateChange):
+        return _describe_change(value)
+    if isinstance(value, tuple):
+        return f"({', '.join(map(describe, value))}{',' if len(value) == 1 else ''})"
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return _describe_dataclass(value)
+    return repr(value)
+
+
+def _describe_change(change: StateChange) -> str:
+    if not isinstance(change.value, tuple):
+        return describe(change.value)
+    first = change.value[0]
+    if all(value == first for value in change.value):  # the same for all targets
+        return describe(first)
+    return f"{change.type.__name__} per target {describe(change.value)}"
+
+
+def _describe_dataclass(value: object) -> str:
+    """By the name its class gives it (`Scissor.OFF`), or without the fields that hold their default."""
+    name = type(value).__name__
+    for constant, known in vars(type(value)).items():
+        if type(known) is type(value) and known == value:
+            return f"{name}.{constant}"
+    if hasattr(value, "emit"):  # a program's parts fill pages
+        return f"{name}({getattr(value, 'name', '')!r})"
+    parts: list[str] = []
+    gap = False
+    for field in dataclasses.fields(value):  # type: ignore[arg-type]
+        part = getattr(value, field.name)
+        if field.default is not dataclasses.MISSING and part == field.default:
+            gap = True
+        else:
+            parts.append(f"{field.name}={describe(part)}" if gap else describe(part))
+    return f"{name}({', '.join(parts)})"

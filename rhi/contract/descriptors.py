@@ -1,0 +1,402 @@
+"""What resources, passes and programs are made from: plain frozen values, checked before a backend sees
+them.
+
+- Resources are named by integers that the device hands out, so a command is plain data: a stream of them
+  can be printed, saved, compared and replayed without translating object references.
+- Defaults are those of most uses: a 2D texture with one level, a linear sampler that repeats.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from rhi.contract.formats import Format, IndexFormat
+from rhi.contract.states import Comparison
+
+__rhi_internal__ = True
+
+Id: TypeAlias = int
+"""A resource's name: handed out by the device, never used twice, 0 means none."""
+
+Vec4: TypeAlias = tuple[float, float, float, float]
+
+WHOLE: Final = -1
+"""As a size: up to the end."""
+
+
+class Primitive(enum.Enum):
+    """How vertices form primitives. QUADS are drawn as two triangles each (0 1 2, 0 2 3)."""
+
+    POINTS = "points"
+    LINES = "lines"
+    LINE_STRIP = "line_strip"
+    TRIANGLES = "triangles"
+    TRIANGLE_STRIP = "triangle_strip"
+    TRIANGLE_FAN = "triangle_fan"
+    QUADS = "quads"
+
+    __hash__ = object.__hash__
+
+
+class Access(enum.Enum):
+    """What a lock allows: READ copies from the device, WRITE doesn't, READ_WRITE does both."""
+
+    READ = "read"
+    WRITE = "write"
+    READ_WRITE = "read_write"
+
+    reads: bool
+    writes: bool
+
+    def __init__(self, name: str) -> None:
+        self.reads = "read" in name
+        self.writes = "write" in name
+
+
+class BufferUsage(enum.Enum):
+    """How a buffer's contents change.
+
+    STATIC: written rarely. STREAM: ring memory, written by the CPU at places the GPU is known to be done
+    with (the ring's fences say so); a backend may map it and write it without ordering.
+    """
+
+    STATIC = "static"
+    STREAM = "stream"
+
+
+@dataclass(frozen=True, slots=True)
+class BufferDescriptor:
+    size: int
+    usage: BufferUsage = BufferUsage.STATIC
+    label: str = ""
+
+
+class TextureKind(enum.Enum):
+    """A texture's shape. A cube has 6 layers: +X −X +Y −Y +Z −Z."""
+
+    D2 = "2d"
+    D2_ARRAY = "2d_array"
+    D3 = "3d"
+    CUBE = "cube"
+
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class TextureDescriptor:
+    """size is (width, height); layers are array layers, cube faces (6) or the depth of a 3D texture."""
+
+    size: tuple[int, int]
+    format: Format
+    kind: TextureKind = TextureKind.D2
+    layers: int = 1
+    levels: int = 1
+    samples: int = 1
+    label: str = ""
+
+    def level_size(self, level: int) -> tuple[int, int]:
+        """(width, height) of a mip level."""
+        return max(1, self.size[0] >> level), max(1, self.size[1] >> level)
+
+    def level_layers(self, level: int) -> int:
+        """Layers of a mip level: a 3D texture's depth shrinks, an array's layers don't."""
+        return max(1, self.layers >> level) if self.kind is TextureKind.D3 else self.layers
+
+
+class Filter(enum.Enum):
+    """One texel, or a weighted mean of the nearest ones."""
+
+    NEAREST = "nearest"
+    LINEAR = "linear"
+
+
+class Wrap(enum.Enum):
+    """What lies outside 0…1: the image again, mirrored at each turn, its edge texels, or the border color."""
+
+    REPEAT = "repeat"
+    MIRROR = "mirror"
+    CLAMP = "clamp"
+    BORDER = "border"
+
+
+@dataclass(frozen=True, slots=True)
+class SamplerDescriptor:
+    """How texels are read.
+
+    `mip` None reads level 0 only (loads of single texels still name their level); `compare` makes a depth
+    comparison sampler that gives 1 where `reference compare texel` holds.
+    """
+
+    minify: Filter = Filter.LINEAR
+    magnify: Filter = Filter.LINEAR
+    mip: Filter | None = Filter.LINEAR
+    wrap_u: Wrap = Wrap.REPEAT
+    wrap_v: Wrap = Wrap.REPEAT
+    wrap_w: Wrap = Wrap.REPEAT
+    border: Vec4 = (0.0, 0.0, 0.0, 0.0)
+    compare: Comparison | None = None
+    max_anisotropy: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Region:
+    """A box of texels: x, y from the top left of the level, in texels; layer is the first of `layers`."""
+
+    x: int
+    y: int
+    width: int
+    height: int
+    layer: int = 0
+    layers: int = 1
+
+
+# -- vertex arrays ---------------------------------------------------------------------------------------
+
+
+class VertexFormat(enum.Enum):
+    """A vertex attribute in memory: (NumPy code, components, normalised, kind seen by the shader)."""
+
+    FLOAT = ("f4", 1, False, "float")
+    FLOAT2 = ("f4", 2, False, "float")
+    FLOAT3 = ("f4", 3, False, "float")
+    FLOAT4 = ("f4", 4, False, "float")
+    HALF2 = ("f2", 2, False, "float")
+    HALF4 = ("f2", 4, False, "float")
+    UINT = ("u4", 1, False, "uint")
+    UINT2 = ("u4", 2, False, "uint")
+    UINT3 = ("u4", 3, False, "uint")
+    UINT4 = ("u4", 4, False, "uint")
+    INT = ("i4", 1, False, "int")
+    INT2 = ("i4", 2, False, "int")
+    INT3 = ("i4", 3, False, "int")
+    INT4 = ("i4", 4, False, "int")
+    UNORM8X4 = ("u1", 4, True, "float")
+    SNORM8X4 = ("i1", 4, True, "float")
+    UNORM16X2 = ("u2", 2, True, "float")
+    SNORM16X2 = ("i2", 2, True, "float")
+    UINT8X4 = ("u1", 4, False, "uint")
+    UINT16X2 = ("u2", 2, False, "uint")
+
+    __hash__ = object.__hash__
+
+    code: str
+    components: int
+    normalized: bool
+    kind: str
+
+    def __init__(self, code: str, components: int, normalized: bool, kind: str) -> None:
+        self.code = code
+        self.components = components
+        self.normalized = normalized
+        self.kind = kind
+
+
+@dataclass(frozen=True, slots=True)
+class VertexAttribute:
+    """Attribute `location` is `format` at `offset` bytes in each element of its stream."""
+
+    location: int
+    format: VertexFormat
+    offset: int
+
+
+@dataclass(frozen=True, slots=True)
+class VertexStream:
+    """One buffer of vertices or, with `per_instance`, of instances. Offset and stride in bytes."""
+
+    buffer: Id
+    offset: int
+    stride: int
+    per_instance: bool
+    attributes: tuple[VertexAttribute, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class VertexArrayDescriptor:
+    """All that a draw reads its vertices from, for one program's inputs."""
+
+    program: Id
+    streams: tuple[VertexStream, ...]
+    index_buffer: Id = 0
+    index_format: IndexFormat = IndexFormat.UINT32
+
+
+# -- passes ----------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Attachment:
+    """A texture's level and layer as a target; `clear` None keeps what is there; `resolve` a texture that
+    gets the resolved samples at the end of the pass (level and layer 0)."""
+
+    texture: Id
+    level: int = 0
+    layer: int = 0
+    clear: Vec4 | None = None
+    resolve: Id = 0
+
+
+@dataclass(frozen=True, slots=True)
+class DepthAttachment:
+    """A depth (and stencil) target; None keeps what is there."""
+
+    texture: Id
+    level: int = 0
+    layer: int = 0
+    clear: float | None = None
+    clear_stencil: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PassDescriptor:
+    """The targets of a render pass. `size` is the (width, height) that all of them have."""
+
+    size: tuple[int, int]
+    colors: tuple[Attachment, ...] = ()
+    depth: DepthAttachment | None = None
+    samples: int = 1
+    label: str = ""
+
+
+# -- queries ---------------------------------------------------------------------------------------------
+
+
+class QueryKind(enum.Enum):
+    """OCCLUSION counts samples between begin and end; COUNTER takes the running samples-passed counter
+    and TIMESTAMP the time in ns, at one point of the stream."""
+
+    OCCLUSION = "occlusion"
+    COUNTER = "counter"
+    TIMESTAMP = "timestamp"
+
+
+# -- programs --------------------------------------------------------------------------------------------
+
+
+class Stage(enum.Enum):
+    """A part of a program."""
+
+    VERTEX = "vertex"
+    FRAGMENT = "fragment"
+    COMPUTE = "compute"
+
+    __hash__ = object.__hash__
+
+
+class BindingKind(enum.Enum):
+    UNIFORM = "uniform"
+    STORAGE = "storage"
+    TEXTURE = "texture"
+    IMAGE = "image"
+
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class Binding:
+    """A program's binding: `slot` counts from 0 within its kind.
+
+    `type` is what must be bound: the host type of a uniform or storage element, the texture or image type of
+    a texture or image. `size` is the bytes of one element.
+    """
+
+    name: str
+    kind: BindingKind
+    slot: int
+    writes: bool = False
+    type: object = None
+    size: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Attribute:
+    """A vertex stage input; `type` is a scalar or vector of `rhi.contract.layout`."""
+
+    name: str
+    location: int
+    type: object
+
+
+@dataclass(frozen=True, slots=True)
+class FragmentOutput:
+    """A fragment stage output; `kind` is "float", "int" or "uint"."""
+
+    name: str
+    location: int
+    kind: str
+    components: int
+
+
+class Interpolation(enum.Enum):
+    """How a varying gets its value in a fragment: in the world, from the first vertex, or in the image."""
+
+    SMOOTH = "smooth"
+    FLAT = "flat"
+    NO_PERSPECTIVE = "no_perspective"
+
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class StageVarying:
+    """A value that flows from the vertex to the fragment stage, in 32-bit words: `words` of them from `word` on, a
+    matrix's row by row. `kind` is "float", "int" or "uint"."""
+
+    name: str
+    word: int
+    words: int
+    kind: str
+    interpolation: Interpolation = Interpolation.SMOOTH
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramDescriptor:
+    """What a backend makes a program from.
+
+    `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30); "opencl" and the lanes of a
+    work-item, 1, 4, 8 or 16 for compute stages, 16 for others ("opencl16", see `rhi.shading.opencl.stages`); or, of
+    compute stages, "numpy", a Python module. `lines` maps each line of a stage's text (from 0), as it was asked for
+    last, to the (file, line) it came from, for a driver's messages. `varyings` are those that the fragment stage
+    reads, in the order of their words. `shared_bytes` is the memory that a work-group shares. `checked`: its stages
+    report faults on OpenCL and NumPy (`rhi.shading.ir.faults`). `flushes_denormals`: numbers below 2^-126 may count
+    as 0, which OpenGL may always do.
+    """
+
+    name: str
+    stages: frozenset[Stage]
+    bindings: tuple[Binding, ...]
+    attributes: tuple[Attribute, ...]
+    outputs: tuple[FragmentOutput, ...]
+    work_group: tuple[int, int, int]
+    emit: Callable[[str, Stage], str]
+    writes_memory: bool = False
+    discards: bool = False
+    early_depth: bool = False
+    writes_depth: bool = False
+    varyings: tuple[StageVarying, ...] = ()
+    shared_bytes: int = 0
+    checked: bool = False
+    flushes_denormals: bool = False
+    lines: Mapping[Stage, tuple[tuple[str, int], ...]] = field(default_factory=dict)
+
+
+DRAW: Final = np.dtype(
+    [
+        ("count", "<u4"),
+        ("instances", "<u4"),
+        ("first", "<u4"),
+        ("base_vertex", "<i4"),
+        ("base_instance", "<u4"),
+    ]
+)
+"""One draw of an indexed mesh, as `draw_many` and indirect draws read it (20 bytes)."""
+
+DRAW_UNINDEXED: Final = np.dtype(
+    [("count", "<u4"), ("instances", "<u4"), ("first", "<u4"), ("base_instance", "<u4"), ("unused", "<u4")]
+)
+"""One draw of a mesh without indices (20 bytes)."""

@@ -1,0 +1,112 @@
+"""Texels: numbers to what a format stores and back, and the box filter of mip levels.
+
+- Conversions are those of the graphics APIs: clamp, scale, round to nearest; NaN becomes 0 where the format
+  has none. They are computed in float64 and rounded once.
+- sRGB formats store gamma-encoded colors and linear alpha (IEC 61966-2-1, the exact piecewise curve).
+- Depth is kept as float32, rounded to the values that the format could store.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.formats import Format, Kind
+
+__rhi_internal__ = True
+
+_Taps: TypeAlias = tuple[NDArray[np.intp], NDArray[np.float64]]
+_STRIP: Final = 256  # rows of a level that are filtered at once, to bound the float64 copies
+
+
+def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
+    """(…, channels) linear values as the format stores them; the channel axis must fit the format."""
+    kind = format.kind
+    if kind is Kind.FLOAT:
+        with np.errstate(over="ignore"):  # what is too large becomes infinite
+            return values.astype(format.dtype)
+    values = np.where(np.isnan(values), 0.0, values)
+    if format.is_depth:
+        depths, steps = np.clip(values, 0.0, 1.0), format.depth_steps
+        return (np.rint(depths * steps) / steps if steps else depths).astype(np.float32)
+    if kind is Kind.SRGB:
+        values = values.copy()
+        values[..., :3] = _to_srgb(np.clip(values[..., :3], 0.0, 1.0))
+    limits = _limits(format)
+    if format.is_integer:
+        scaled = values
+    elif kind is Kind.SNORM:
+        scaled = np.clip(values, -1.0, 1.0) * limits.max
+    else:
+        scaled = np.clip(values, 0.0, 1.0) * limits.max
+    return np.clip(np.rint(scaled), limits.min, limits.max).astype(format.dtype)
+
+
+def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
+    """The linear values of stored texels, as a shader would see them."""
+    values = texels.astype(np.float64)
+    kind = format.kind
+    if kind in (Kind.UNORM, Kind.SRGB):
+        values /= _limits(format).max
+    elif kind is Kind.SNORM:
+        values = np.maximum(values / _limits(format).max, -1.0)
+    if kind is Kind.SRGB:
+        values[..., :3] = from_srgb(values[..., :3])
+    return values
+
+
+def halve(format: Format, level: NDArray[np.generic], layers: int) -> NDArray[np.generic]:
+    """The next mip level of a (layers, height, width, channels) one, with `layers` layers.
+
+    Each texel is the mean of the area it covers: 2×2 texels, or 3 with fractional weights along an odd
+    axis, so that no row or column is lost and the mean of the level stays what it was.
+    """
+    depth, height, width, channels = level.shape
+    shape = (layers, max(1, height // 2), max(1, width // 2), channels)
+    result = np.empty(shape, level.dtype)
+    for layer in range(layers):
+        for start in range(0, shape[1], _STRIP):
+            stop = min(start + _STRIP, shape[1])
+            mean: NDArray[np.float64] | float = 0.0
+            for taps, weights in _taps(layer, layer + 1, depth, layers):
+                for rows, row_weights in _taps(start, stop, height, shape[1]):
+                    values = decode(format, level[taps[0], rows])
+                    weighted = sum(
+                        (values[:, columns] * column_weights[None, :, None]
+                         for columns, column_weights in _taps(0, shape[2], width, shape[2])),
+                        np.float64(0.0),
+                    )  # fmt: skip
+                    mean = mean + weights[0] * row_weights[:, None, None] * weighted
+            result[layer, start:stop] = encode(format, np.asarray(mean))
+    return result
+
+
+def _taps(start: int, stop: int, size: int, target: int) -> list[_Taps]:
+    """The source texels of target texels `start` to `stop` along one axis, and their weights."""
+    index = np.arange(start, stop)
+    if size == target:
+        return [(index, np.ones(len(index)))]
+    if size % 2 == 0:
+        half = np.full(len(index), 0.5)
+        return [(2 * index, half), (2 * index + 1, half)]
+    return [
+        (2 * index, (target - index) / size),
+        (2 * index + 1, np.full(len(index), target / size)),
+        (2 * index + 2, (index + 1) / size),
+    ]
+
+
+def _limits(format: Format) -> np.iinfo[Any]:
+    integer: np.dtype[Any] = format.dtype
+    return np.iinfo(integer)
+
+
+def _to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
+    return np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
+
+
+def from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Linear light of gamma-encoded values, both 0 to 1 (IEC 61966-2-1)."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

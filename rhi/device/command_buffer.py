@@ -1,0 +1,427 @@
+"""Command buffers: commands that are recorded now and carried out later, again and again (thesis 3.7.2).
+
+- A `CommandBuffer` is an encoder with a core of its own: states, bindings and the open pass are its own, so several
+  can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
+- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). To
+  carry it out, the hardware is brought from what it has to the defaults; afterwards the device knows what it has. So
+  state scopes don't reach across, in either direction.
+- What it holds is what to read, not what is there: buffers and textures are read when it is carried out. Only what is
+  handed to the encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives
+  as long as the command buffer.
+- While it is recorded, `rhi.device.recording` stands for the device.
+- It is told of each of its resources that is destroyed (`Timeline.watch`), and refuses to be carried out then, with
+  the lines that recorded and destroyed it.
+- The first time it is carried out, its commands become a list of calls with their arguments, draws and bindings as
+  the backend prepares them. Replaying is going through that list.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from functools import partial
+from operator import length_hint
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.recorder import CommandWriter, Recorder
+from rhi.commands.stream import CommandStream, find_site
+from rhi.contract.descriptors import BufferDescriptor, Id, Region
+from rhi.contract.states import AlphaTest, default_values
+from rhi.device.core.core import Core
+from rhi.device.core.state_cache import StateVector
+from rhi.device.core.timeline import Timeline
+from rhi.device.encoder import Encoder, check_mesh, plain
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
+from rhi.device.queries.sets import QuerySet
+from rhi.device.queries.timers import Timers
+from rhi.device.recording import RecordedProgram, RecordingCore
+from rhi.device.resources.buffers import Buffer, StorageBuffer
+from rhi.device.resources.programs import Program
+from rhi.device.resources.textures import Texture
+from rhi.device.transient import Arena, TransientMemory
+from rhi.errors import RhiError, find_user_frame, refuse
+from rhi.errors.rules import (
+    CONDITION_NESTED,
+    DEVICE_ARGUMENT,
+    DRAW_OUTSIDE_PASS,
+    LOCK_OPEN,
+    QUERY_NESTED,
+    QUERY_STATE,
+    RECORD_OPEN,
+    RECORD_STATE,
+    RESOURCE_DESTROYED,
+    RESOURCE_FOREIGN,
+)
+
+__rhi_internal__ = True
+
+Call = tuple[Callable[..., object], tuple[Any, ...]]
+
+_EMPTY, _RECORDING, _READY, _SPOILED = "not recorded", "being recorded", "recorded", "cut off by an error"
+_DEFAULTS: Final = StateVector(default_values())
+_CLOSES: Final = {
+    Op.BEGIN_PASS: Op.END_PASS,
+    Op.BEGIN_CONDITIONAL: Op.END_CONDITIONAL,
+    Op.BEGIN_QUERY: Op.END_QUERY,
+    Op.PUSH_LABEL: Op.POP_LABEL,
+}
+
+
+class CommandBuffer(Encoder):
+    """Commands to be carried out later; `device.record()` makes it, its `with` block fills it.
+
+    It is an encoder like the device, without what waits or orders (reads, locks, signals, `present`). It gives
+    its memory back when the last reference to it goes.
+    """
+
+    NAME = "commands"
+
+    def __init__(self, device: Core, label: str) -> None:
+        self._writer = CommandWriter(device.capabilities)
+        self._arena = Arena(device.new_id())
+        core = self._recorder = RecordingCore(device, self._writer)
+        super().__init__(core, Timers(core, False), TransientMemory(core, arena=self._arena))
+        self.label = label
+        self._state = _EMPTY
+        self._programs: dict[Program[Any], RecordedProgram] = {}
+        self._calls: list[Call] | None = None
+        self._dead: dict[Id, str] = {}
+        self._draws = self._dispatches = self._queries = 0
+        self._owned: list[Id] = []
+        weakref.finalize(self, _retire, device.timeline, self._owned).atexit = False
+        device.timeline.watch(self)
+
+    @property
+    def stream(self) -> CommandStream:
+        """What was recorded; `rhi.testing` takes it as it takes a device's."""
+        return self._writer.stream
+
+    def __len__(self) -> int:
+        return len(self.stream)
+
+    def __repr__(self) -> str:
+        return f"CommandBuffer({self.label!r}, {len(self)} commands, {self._state})"
+
+    # -- recording ---------------------------------------------------------------------------------------
+
+    def __enter__(self) -> Self:
+        if self._state is not _EMPTY:
+            refuse(RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one")
+        self._state = _RECORDING
+        self._recorder.recording = True
+        if self.label:
+            self._writer.push_label(self.label)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        core = self._recorder
+        core.recording = False
+        self._state = _SPOILED
+        left = self._find_open()
+        self._programs.clear()  # with what they know of meshes
+        if kind is not None:
+            return
+        if left:
+            refuse(RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
+        if self.label:
+            self._writer.pop_label()
+        statistics = core.statistics()
+        self._draws, self._dispatches = statistics.draws, statistics.dispatches
+        self._queries = statistics.queries
+        self._state = _READY
+
+    def _find_open(self) -> list[str]:
+        core = self._recorder
+        depth = core.states.depth
+        return [
+            *(["a query"] if self._desk.open is not None else []),
+            *(["a render pass"] if core.render_pass is not None else []),
+            *([f"{depth} scopes of states"] if depth else []),
+            *([f"{self._timers.depth} events"] if self._timers.depth else []),
+            *(["a condition"] if self._desk.conditional else []),
+        ]
+
+    if not TYPE_CHECKING:
+
+        def draw(self, program, mesh, instances=1, /, **bindings):
+            """Draw `mesh` with `program`; see `Device.draw`."""
+            if self._state is not _RECORDING:
+                self._recorder.check_open()
+            try:
+                own = self._programs[program]
+            except (KeyError, TypeError):
+                own = self._own(program, "commands.draw")
+            check_mesh(mesh, "commands.draw")
+            own.draw_with(mesh, instances, bindings)
+
+    def query(self, query: OcclusionQuery) -> QueryUse:
+        """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is
+        that of the latest submission."""
+        return QueryUse(self._recorder, self._desk, query)
+
+    def _check_query_set(self, queries: QuerySet, call: str) -> None:
+        super()._check_query_set(queries, call)
+        if queries.id in self._recorder.queries:
+            refuse(QUERY_STATE, call, "the same query set twice in a command buffer", "each set once")
+
+    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
+        self._recorder.queries[queries.id] = partial(queries.take_recorded, asked)
+
+    def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
+        """`with commands.conditional(query):` draws that the GPU drops if the query counted nothing.
+
+        The query must be ended before this place, in the buffer or before it is submitted (`query-state`).
+        """
+        return _RecordedConditional(self._recorder, self._desk, query, inverted)
+
+    def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
+        """As `Buffer.clear`."""
+        plain(buffer)._clear(self._recorder, value)
+
+    def copy_buffer(
+        self, source: Buffer | StorageBuffer[Any], target: Buffer | StorageBuffer[Any], *, size: int | None = None,
+        offset: int = 0, target_offset: int = 0,
+    ) -> None:  # fmt: skip
+        """As `Buffer.copy_to`."""
+        plain(source)._copy(self._recorder, plain(target), size, offset, target_offset)
+
+    def copy_texture(
+        self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
+        target_level: int = 0, x: int = 0, y: int = 0, layer: int = 0,
+    ) -> None:  # fmt: skip
+        """As `Texture.copy_to`."""
+        source._copy(self._recorder, target, level, region, target_level, x, y, layer)
+
+    def resolve(self, source: Texture, target: Texture) -> None:
+        """As `Texture.resolve_to`."""
+        source._resolve(self._recorder, target)
+
+    def generate_mipmaps(self, texture: Texture) -> None:
+        """As `Texture.generate_mipmaps`."""
+        texture._generate_mipmaps(self._recorder)
+
+    def _own(self, program: object, call: str) -> Program[Any]:
+        core = self._recorder
+        core.check_open()
+        if not isinstance(program, Program):
+            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+        if program.core is not core.device:
+            refuse(RESOURCE_FOREIGN, call, repr(program))
+        own = self._programs.get(program)
+        if own is None:
+            own = self._programs[program] = RecordedProgram(core, program)
+        return own
+
+    # -- carrying out ------------------------------------------------------------------------------------
+
+    def note_retired(self, resource: Id) -> None:
+        """A resource of the device is gone; for `Timeline`."""
+        if resource in self._recorder.uses and resource not in self._dead:
+            frame = find_user_frame()
+            self._dead[resource] = str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
+
+    def carry_out(self) -> None:
+        """Do what was recorded; for `Device.submit`, which has checked that it can be."""
+        core, device = self._recorder, self._recorder.device
+        if self._calls is None:
+            self._make_resources()
+            self._calls = self._prepare()
+        device.program = None
+        device.send_states(_DEFAULTS)
+        calls = iter(self._calls)
+        try:
+            for call, arguments in calls:
+                call(*arguments)
+        except BaseException:
+            self._clean_up(len(self._calls) - length_hint(calls) - 1)
+            raise
+        device.adopt_states(core.states.hardware.values)
+        device.states.hardware_changes += core.states.hardware_changes
+        device.states.software_changes += core.states.software_changes
+        device.draws += self._draws
+        device.dispatches += self._dispatches
+        device.counters.queries += self._queries
+        if core.queries:
+            fence = device.signal()
+            for take_submission in core.queries.values():
+                take_submission(fence)
+
+    def _make_resources(self) -> None:
+        """What the commands need that could not be made while they were recorded. What can't be made now is tried
+        again at the next submission."""
+        core, device, arena = self._recorder, self._recorder.device, self._arena
+        if arena.data:
+            if arena.buffer not in self._owned:
+                descriptor = BufferDescriptor(len(arena.data), label="command buffer")
+                device.backend.create_buffer(arena.buffer, descriptor)
+                self._owned.append(arena.buffer)
+            device.backend.write_buffer(arena.buffer, 0, bytes(arena.data))
+            device.upload_bytes += len(arena.data)
+        for vertex_array, vertices in core.own_arrays.items():
+            if vertex_array not in self._owned:
+                device.backend.create_vertex_array(vertex_array, vertices)
+                self._owned.append(vertex_array)
+        for key in list(core.vertex_arrays):
+            (program, data), (vertex_array, vertices) = key, core.vertex_arrays[key]
+            device.backend.create_vertex_array(vertex_array, vertices)
+            # Where another buffer, or the device, has made one meanwhile, this one is kept beside it.
+            data.vertex_arrays[vertex_array if program in data.vertex_arrays else program] = vertex_array
+            del core.vertex_arrays[key]
+
+    def _prepare(self) -> list[Call]:
+        """The commands as calls."""
+        device, data = self._recorder.device, self.stream.data
+        backend = device.backend
+        if isinstance(backend, Recorder):
+            stream = self.stream
+            return [(backend.pass_on, stream.entry(index)) for index in range(len(stream))]
+        calls: list[Call] = []
+        tests_alpha, program = False, 0
+        methods: list[Callable[..., object]] = [getattr(backend, op.method) for op in Op]
+        draws: dict[tuple[Any, ...], Callable[[int], object]] = {}
+        uniforms: dict[Id, Callable[[int, int, int], object]] = {}
+        place, end = 0, len(data)
+        while place < end:
+            op = data[place]
+            first, place = place + 1, place + WIDTHS[op]
+            if op == Op.DRAW and not tests_alpha:
+                vertex_array, primitive, start, count, instances, base_vertex, base_instance = data[
+                    first : place - 2
+                ]
+                key = (program, vertex_array, primitive, start, count, base_vertex, base_instance)
+                draw = draws.get(key)
+                if draw is None:
+                    draw = draws[key] = device.prepare_draw(*key)
+                calls.append((draw, (instances,)))
+            elif op == Op.BIND_UNIFORM:
+                slot, buffer, offset, size = data[first : place - 2]
+                bind = uniforms.get(buffer)
+                if bind is None:
+                    bind = uniforms[buffer] = device.prepare_uniform(buffer)
+                calls.append((bind, (slot, offset, size)))
+            else:
+                arguments = tuple(data[first : place - 2])
+                calls.append((methods[op], arguments))
+                if op == Op.BIND_PROGRAM:
+                    program = arguments[0]
+                elif op == Op.SET_STATES:
+                    for state_type, value in arguments[0]:
+                        if state_type is AlphaTest:
+                            tests_alpha = value is AlphaTest.ON
+        return calls
+
+    def _clean_up(self, done: int) -> None:
+        """After a call that failed: close what the `done` ones before it have opened."""
+        device, stream = self._recorder.device, self.stream
+        opened: list[tuple[Op, tuple[Any, ...]]] = []
+        for command in stream[:done]:
+            if command.op in _CLOSES:
+                opened.append((_CLOSES[command.op], command.values))
+            elif opened and command.op is opened[-1][0]:
+                opened.pop()
+        for op, values in reversed(opened):
+            with suppress(RhiError):  # a lost device can't
+                getattr(device.backend, op.method)(*(values if op is Op.END_QUERY else ()))
+        device.adopt_states(tuple(stream.context(done).states.values()))
+
+
+class QueryUse:
+    """`with commands.query(query):`; see there."""
+
+    __slots__ = ("_core", "_desk", "_query")
+
+    def __init__(self, core: RecordingCore, desk: QueryDesk, query: OcclusionQuery) -> None:
+        call = "commands.query"
+        core.check_open()
+        query.check_usable(core.device, call)
+        self._core = core
+        self._desk = desk
+        self._query = query
+
+    def __enter__(self) -> None:
+        core, query, call = self._core, self._query, "commands.query"
+        core.check_open()
+        if self._desk.open is not None:
+            refuse(QUERY_NESTED, call, "a second open query")
+        if core.render_pass is None:
+            refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+        if query.id in core.queries:
+            refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
+        for resource in query.ids:
+            core.note_use(resource, query)
+        query.write_begin(core)
+        self._desk.open = self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._desk.open is self:
+            self._desk.open = None
+            self._query.write_end(self._core)
+            self._core.counters.queries += 1
+            self._core.queries[self._query.id] = self._query.take_submission
+
+    def abandon(self) -> None:
+        """End it, as its pass ends."""
+        self._query.write_end(self._core)
+
+
+class _RecordedConditional(Conditional):
+    """A condition on what a query will have counted."""
+
+    __slots__ = ()
+    _core: RecordingCore
+
+    def _check(self) -> None:
+        self._query.check_usable(self._core.device, "commands.conditional")
+        for resource in self._query.ids:
+            self._core.note_use(resource, self._query)
+        if self._query.id not in self._core.queries:
+            self._core.conditions.append(self._query)
+
+
+def check_submissions(buffers: Iterable[CommandBuffer], device: Core, conditional: bool) -> None:
+    """Refuse command buffers that can't be carried out one after the other, where a condition holds or none does;
+    see `Device.submit`."""
+    call = "device.submit"
+    ended: set[Id] = set()
+    for buffer in buffers:
+        if not isinstance(buffer, CommandBuffer):
+            refuse(DEVICE_ARGUMENT, call, repr(buffer), "command buffers, as device.record() makes them")
+        core = buffer._recorder
+        if core.device is not device:
+            refuse(RESOURCE_FOREIGN, call, repr(buffer))
+        if buffer._state is not _READY:
+            refuse(
+                RECORD_STATE,
+                call,
+                f"a command buffer that is {buffer._state}",
+                "one whose block has ended well",
+            )
+        for resource, site in buffer._dead.items():
+            use = core.uses[resource]
+            given = f"{use.name}, destroyed at {site}, used by what was recorded at {find_site(use.code, use.offset)}"
+            refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
+        for use in core.uses.values() if device.locked else ():
+            if use.owner in device.locked:
+                refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
+        if conditional and buffer._desk.conditions:
+            given = f"{buffer!r} with a condition of its own, inside device.conditional"
+            refuse(CONDITION_NESTED, call, given)
+        for query in core.conditions:
+            if query.id not in ended:
+                query._check_ended(call)
+        ended.update(core.queries)
+
+
+def _retire(timeline: Timeline, resources: list[Id]) -> None:
+    for resource in resources:
+        timeline.retire(resource)

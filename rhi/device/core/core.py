@@ -1,0 +1,253 @@
+"""What everything of one device shares: the backend, ids, time, states, counters, and what is current.
+
+`Device` is what users hold; resources, programs, queries and rings hold this, so that none of them needs
+to know the device.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+
+from rhi.contract.backend import Backend, PreparesDraws
+from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
+from rhi.contract.states import AlphaTest
+from rhi.device.core.state_cache import StateCache, StateVector
+from rhi.device.core.timeline import Timeline
+from rhi.errors import refuse
+from rhi.errors.rules import (
+    DEVICE_CAPABILITY,
+    DEVICE_CLOSED,
+    LOCK_OPEN,
+    RECORD_TRANSIENT,
+    RESOURCE_DESTROYED,
+    RESOURCE_FOREIGN,
+)
+
+if TYPE_CHECKING:
+    from rhi.device.core.ring import Ring
+
+__rhi_internal__ = True
+
+
+@dataclass(slots=True)
+class Statistics:
+    """Counters since creation or the last `reset`.
+
+    draws counts draw calls (an indirect or many-draws call is one), uploads in bytes, creations resources;
+    the state counters are those of the thesis's tables (7.1).
+    """
+
+    draws: int = 0
+    dispatches: int = 0
+    queries: int = 0
+    upload_bytes: int = 0
+    creations: int = 0
+    software_state_changes: int = 0
+    hardware_state_changes: int = 0
+
+
+class Owner(Protocol):
+    """A resource as seen by what is bound to it."""
+
+    @property
+    def core(self) -> Core: ...
+    @property
+    def destroyed(self) -> bool: ...
+    @property
+    def label(self) -> str: ...
+
+
+class Core:
+    """The shared part of one device.
+
+    Attributes:
+        program: whose bindings are in place (a `Program`), None when the next draw must check everything.
+        render_pass: the open pass, if any.
+        targets: ids of the open pass's textures.
+        target_kinds: "float", "int" or "uint" per color target of the open pass.
+        tests_alpha: whether the alpha test is on and prepared draws can't be used.
+        draw_counters: each program's, to be taken from when someone looks at the statistics.
+        locked: resources with an open lock; while there are any, every draw checks everything.
+    """
+
+    __slots__ = (
+        "_ids",
+        "_prepares",
+        "_samplers",
+        "backend",
+        "capabilities",
+        "closed",
+        "counters",
+        "dispatches",
+        "draw_counters",
+        "draws",
+        "frame_rings",
+        "locked",
+        "program",
+        "render_pass",
+        "sampler_descriptors",
+        "states",
+        "target_kinds",
+        "targets",
+        "tests_alpha",
+        "timeline",
+        "upload_bytes",
+    )
+
+    records: ClassVar[bool] = False
+    """Whether this is a command buffer's, whose memory nothing else may use."""
+
+    def __init__(self, backend: Backend, states: StateCache) -> None:
+        self.backend = backend
+        self.capabilities = backend.capabilities
+        self.timeline = Timeline(backend)
+        self.states = states
+        self.counters = Statistics()
+        self.draws = 0
+        self.dispatches = 0
+        self.upload_bytes = 0
+        self.closed = False
+        self.program: object | None = None
+        self.render_pass: PassDescriptor | None = None
+        self.targets: frozenset[Id] = frozenset()
+        self.target_kinds: tuple[str, ...] = ()
+        self.locked: list[Owner] = []
+        self.draw_counters: list[Callable[[], int]] = []
+        self.frame_rings: list[Ring] = []
+        self.tests_alpha = False
+        self._prepares: PreparesDraws | None = None
+        if hasattr(backend, "prepare_draw"):
+            self._prepares = cast("PreparesDraws", backend)
+            self._prepares.on_interruption(self.forget_program)
+        self._ids = itertools.count(1)  # whose next() is one step, also for several threads
+        self._samplers: dict[SamplerDescriptor, Id] = {}
+        self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
+
+    def new_id(self) -> Id:
+        """The next resource id; ids are never used twice."""
+        return next(self._ids)
+
+    def create_id(self) -> Id:
+        """An id for a resource that the user creates, counted as a creation."""
+        self.check_open()
+        self.counters.creations += 1
+        return self.new_id()
+
+    def check_open(self) -> None:
+        if self.closed:
+            refuse(DEVICE_CLOSED, "device", "a closed device")
+
+    def check_usable(self, owner: Owner, call: str) -> None:
+        """Refuse a resource that is destroyed, locked or another device's."""
+        if owner.core is not self:
+            refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe(owner))
+        if owner.destroyed:
+            refuse(RESOURCE_DESTROYED, call, describe(owner))
+        if owner in self.locked:
+            refuse(LOCK_OPEN, call, f"{describe(owner)}, which has an open lock")
+
+    def forget_program(self) -> None:
+        """Nothing that a program has bound is in place any more."""
+        self.program = None
+
+    def flush_states(self) -> None:
+        """Tell the backend of the states that have changed, if any have."""
+        if self.states.wanted is self.states.hardware:
+            return
+        self.backend.set_states(self.states.flush())
+        if self._prepares is not None:
+            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+
+    def send_states(self, vector: StateVector) -> None:
+        """Bring the hardware to a state vector of whatever cache, wanted or not."""
+        if changes := self.states.change_to(vector):
+            self.backend.set_states(changes)
+
+    def adopt_states(self, values: tuple[object, ...]) -> None:
+        """Take note of what the backend was told past the cache: these values hold now."""
+        self.states.adopt(values)
+        if self._prepares is not None:
+            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+
+    def prepare_draw(
+        self,
+        program: Id,
+        vertex_array: Id,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
+        base_instance: int,
+    ) -> Callable[[int], object]:
+        """A draw as a function of its number of instances; the backend's own if it has such."""
+        if self._prepares is not None:
+            return self._prepares.prepare_draw(
+                program, vertex_array, primitive, first, count, base_vertex, base_instance
+            )
+        draw = self.backend.draw
+        return lambda instances: draw(
+            vertex_array, primitive, first, count, instances, base_vertex, base_instance
+        )
+
+    def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
+        """The binding of a buffer's ranges as a function of slot, offset and size."""
+        if self._prepares is not None:
+            return self._prepares.prepare_uniform(buffer)
+        bind = self.backend.bind_uniform
+        return lambda slot, offset, size: bind(slot, buffer, offset, size)
+
+    def sampler(self, descriptor: SamplerDescriptor) -> Id:
+        """The id of a sampler; equal descriptors share one. `device-capability` for more anisotropy than there is."""
+        if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
+            given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
+            refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}")
+        sampler = self._samplers.get(descriptor)
+        if sampler is None:
+            sampler = self.new_id()
+            self.backend.create_sampler(sampler, descriptor)
+            self._samplers[descriptor] = sampler
+            self.sampler_descriptors[sampler] = descriptor
+        return sampler
+
+    def signal(self) -> int:
+        """Signal the fence and give back retired resources that the GPU is done with."""
+        value = self.timeline.signal()
+        self.timeline.collect()
+        return value
+
+    def end_frame(self) -> int:
+        """Signal the fence; what the rings gave out in this frame is free once it has passed."""
+        value = self.timeline.signal()
+        for ring in self.frame_rings:
+            ring.mark(value)
+        self.timeline.collect()
+        return value
+
+    def statistics(self) -> Statistics:
+        """A snapshot of the counters."""
+        self.draws += sum(take() for take in self.draw_counters)
+        return dataclasses.replace(
+            self.counters,
+            draws=self.draws,
+            dispatches=self.dispatches,
+            upload_bytes=self.upload_bytes,
+            software_state_changes=self.states.software_changes,
+            hardware_state_changes=self.states.hardware_changes,
+        )
+
+    def reset_statistics(self) -> None:
+        self.counters = Statistics()
+        for take in self.draw_counters:
+            take()
+        self.draws = self.dispatches = self.upload_bytes = 0
+        self.states.reset_counters()
+
+
+def describe(owner: object) -> str:
+    """A resource in a message: its kind and, where it has one, its label."""
+    label = getattr(owner, "label", "")
+    return f"{type(owner).__name__}({label!r})" if label else f"a {type(owner).__name__}"

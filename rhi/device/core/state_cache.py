@@ -1,0 +1,253 @@
+"""State vectors and scopes: what is wanted, what the hardware has, and the difference (thesis 4.2).
+
+- Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. A scope
+  finds the vector it leads to in a memo (`vector.after[scope]`), pushes the current one on the fixed stack and
+  pops it at its end, always.
+- A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
+  again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
+  per scope.
+- The pool of vectors is bounded: scissors and viewports may take any value. When it is full all memos are
+  dropped; vectors on the stack stay valid, since equality of values is what counts in a difference.
+- Two counters as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
+  values sent.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import TracebackType
+from typing import Final
+
+from rhi.contract.states import (
+    DEFAULTS,
+    MAX_TARGETS,
+    PER_TARGET,
+    STATE_TYPES,
+    BlendFunction,
+    PolygonOffset,
+    State,
+    StateChange,
+    default_values,
+)
+from rhi.device.core.containers import FixedStack
+from rhi.errors import refuse
+from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_NOTHING, STATE_TYPE
+
+__rhi_internal__ = True
+
+STACK_DEPTH: Final = 256
+POOL_ENTRIES: Final = 16_384
+
+
+class StateVector:
+    """One combination of all states; equal combinations are the same object (within one pool generation).
+
+    `values` follows `STATE_TYPES`. It is the key under which a port to an API of pipeline objects finds
+    its pipeline.
+    """
+
+    __slots__ = ("after", "changes", "values")
+
+    def __init__(self, values: tuple[object, ...]) -> None:
+        self.values = values
+        self.after: dict[StateScope, StateVector] = {}
+        self.changes: dict[StateVector, tuple[StateChange, ...]] = {}
+
+    def __getitem__(self, state_type: type) -> object:
+        """The value of a state type; a tuple of 8 for the types that exist per target."""
+        return self.values[_INDEX[state_type]]
+
+    def __repr__(self) -> str:
+        shown = [repr(v) for v, d in zip(self.values, default_values(), strict=True) if v != d]
+        return f"StateVector({', '.join(shown) or 'defaults'})"
+
+
+_INDEX: Final = {state_type: index for index, state_type in enumerate(STATE_TYPES)}
+
+
+class StateCache:
+    """Wanted and hardware states of one device.
+
+    Attributes:
+        wanted: the vector that scopes ask for.
+        hardware: the vector the backend has been told.
+        unsupported: state types that the device lacks, with the names of the missing capabilities.
+        software_changes, hardware_changes: the two counters, in states.
+    """
+
+    __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
+                 "software_changes", "unsupported", "wanted")  # fmt: skip
+
+    def __init__(self, unsupported: dict[type, str] | None = None, pool_entries: int = POOL_ENTRIES) -> None:
+        """`unsupported` maps state types the device lacks to the name of the missing capability."""
+        self.unsupported = unsupported or {}
+        self._limit = pool_entries
+        self._pool: dict[tuple[object, ...], StateVector] = {}
+        self._scopes: dict[tuple[State, ...], StateScope] = {}
+        self._entries = 0
+        self._stack: FixedStack[StateVector] = FixedStack(STACK_DEPTH)
+        self.wanted = self.hardware = self._intern(default_values())
+        self.software_changes = 0
+        self.hardware_changes = 0
+
+    def fresh(self) -> StateCache:
+        """An empty cache with the same rules."""
+        return StateCache(self.unsupported, self._limit)
+
+    @property
+    def depth(self) -> int:
+        """How many scopes are open."""
+        return len(self._stack)
+
+    @property
+    def vector_count(self) -> int:
+        """How many distinct combinations are kept."""
+        return len(self._pool)
+
+    def scope(self, states: tuple[State, ...]) -> StateScope:
+        """The scope of these states; they are checked when it is first entered from a combination."""
+        try:
+            scope = self._scopes.get(states)
+        except TypeError:  # something unhashable, so surely not a state
+            return StateScope(self, states)
+        if scope is None:
+            scope = StateScope(self, states)
+            self._reserve()
+            self._scopes[states] = scope
+        return scope
+
+    def flush(self) -> tuple[StateChange, ...]:
+        """The changes that bring the hardware to what is wanted; it counts as told afterwards."""
+        return self._change(self.wanted)
+
+    def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
+        """The same for a vector that nobody here wants, of this cache or another."""
+        return self._change(self._intern(vector.values))
+
+    def adopt(self, values: tuple[object, ...]) -> None:
+        """The hardware was told these values by somebody else."""
+        self._reserve()
+        self.hardware = self._intern(values)
+
+    def _change(self, wanted: StateVector) -> tuple[StateChange, ...]:
+        hardware = self.hardware
+        if wanted is hardware:
+            return ()
+        changes = hardware.changes.get(wanted)
+        if changes is None:
+            changes = tuple(
+                StateChange(state_type, new)
+                for state_type, new, old in zip(STATE_TYPES, wanted.values, hardware.values, strict=True)
+                if new is not old and new != old
+            )
+            self._reserve()
+            hardware.changes[wanted] = changes
+        self.hardware = wanted
+        self.hardware_changes += len(changes)
+        return changes
+
+    def check_always(self) -> None:
+        """Check each scope every time that it is entered, at any price."""
+        self._limit = 0
+
+    def reset_counters(self) -> None:
+        self.software_changes = self.hardware_changes = 0
+
+    def _derive(self, scope: StateScope) -> StateVector:
+        """The vector after a scope on top of what is wanted; checks it and remembers the answer."""
+        states = scope.states
+        self._validate(states)
+        values = list(self.wanted.values)
+        for state in states:
+            index = _INDEX[type(state)]
+            target = getattr(state, "target", None)
+            if type(state) not in PER_TARGET:
+                values[index] = state
+            elif target is None:
+                values[index] = (state,) * MAX_TARGETS
+            else:
+                per_target = list(values[index])  # type: ignore[call-overload]
+                per_target[target] = _without_target(state)
+                values[index] = tuple(per_target)
+        self._reserve()
+        vector = self._intern(tuple(values))
+        if self._limit:
+            self.wanted.after[scope] = vector
+        return vector
+
+    def _validate(self, states: tuple[State, ...]) -> None:
+        call = "device.states(" + ", ".join(map(repr, states)) + ")"
+        if not states:
+            refuse(STATE_NOTHING, call, "no states", "one state or more")
+        seen: set[tuple[type, int | None]] = set()
+        for state in states:
+            state_type = type(state)
+            if state_type not in _INDEX:
+                allowed = ", ".join(t.__name__ for t in STATE_TYPES)
+                refuse(STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}")
+            key = (state_type, getattr(state, "target", None))
+            if key in seen:
+                refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
+            seen.add(key)
+            if state_type in self.unsupported and _needs_capability(state):
+                refuse(
+                    STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self.unsupported[state_type]}"
+                )
+
+    def _intern(self, values: tuple[object, ...]) -> StateVector:
+        vector = self._pool.get(values)
+        if vector is None:
+            vector = self._pool[values] = StateVector(values)
+        return vector
+
+    def _reserve(self) -> None:
+        """Count one more memo entry; drop them all when there are too many."""
+        self._entries += 1
+        if self._entries <= self._limit:
+            return
+        self._entries = 0
+        for vector in (*self._pool.values(), *self._stack, self.wanted, self.hardware):
+            vector.after.clear()
+            vector.changes.clear()
+        self._pool = {self.wanted.values: self.wanted}
+        self._scopes.clear()
+
+
+def _needs_capability(state: State) -> bool:
+    """Whether a state of a type that some devices lack, or have in part, is more than all devices have."""
+    if isinstance(state, BlendFunction):
+        return state.target is not None
+    if isinstance(state, PolygonOffset):
+        return state.clamp != 0.0
+    return state != DEFAULTS[type(state)]
+
+
+def _without_target(state: State) -> State:
+    return replace(state, target=None)  # type: ignore[type-var]
+
+
+class StateScope:
+    """`with device.states(...)`: sets states on entry and restores what was before on exit, always.
+
+    A scope holds no per-entry data, so one object may be kept and entered again, also inside itself.
+    """
+
+    __slots__ = ("_cache", "states")
+
+    def __init__(self, cache: StateCache, states: tuple[State, ...]) -> None:
+        self._cache = cache
+        self.states = states
+
+    def __enter__(self) -> None:
+        cache = self._cache
+        wanted = cache.wanted
+        target = wanted.after.get(self) or cache._derive(self)
+        cache._stack.push(wanted)
+        cache.wanted = target
+        cache.software_changes += len(self.states)
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        cache = self._cache
+        cache.wanted = cache._stack.pop()

@@ -1,0 +1,101 @@
+"""Device time: one monotonically increasing fence, and what waits for it (thesis 4.1.2, 3.10).
+
+- `signal()` puts the next integer into the command stream; `completed` is the last one the GPU has reached.
+  Locks, rings, queries, deferred destruction and frames in flight all stand on this one mechanism.
+- `completed` asks the backend only while something is outstanding.
+- Resources are destroyed when the GPU is done with them: `retire` notes the fence value after which a
+  resource is free, `collect` destroys what has become so. Whoever keeps a resource's id for later watches.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import Protocol
+from weakref import WeakSet
+
+from rhi.contract.backend import FOREVER, Backend
+from rhi.contract.descriptors import Id
+from rhi.errors import DeviceError, refuse
+from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
+
+__rhi_internal__ = True
+
+
+class Watcher(Protocol):
+    """Somebody who wants to know which resources are gone."""
+
+    def note_retired(self, resource: Id) -> None:
+        """The resource was just given back."""
+
+
+class Timeline:
+    """The fence of one device.
+
+    Attributes:
+        signalled: the value signalled last; 0 before the first.
+    """
+
+    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "signalled")
+
+    def __init__(self, backend: Backend) -> None:
+        self._backend = backend
+        self.signalled = 0
+        self._completed = 0
+        self._retired: deque[tuple[int, Id]] = deque()
+        self._watchers: WeakSet[Watcher] = WeakSet()
+        self._lock = threading.RLock()  # the garbage collector may retire something while it is held
+
+    def signal(self) -> int:
+        """Mark this point of the stream; returns its value."""
+        value = self.signalled + 1
+        self._backend.signal(value)
+        self.signalled = value
+        return value
+
+    @property
+    def completed(self) -> int:
+        """The last fence value that the GPU has reached; never waits."""
+        if self._completed != self.signalled:
+            self._completed = self._backend.completed()
+        return self._completed
+
+    def wait(self, value: int, seconds: float | None = None) -> bool:
+        """Block until the GPU has reached `value`; whether it has, after at most `seconds` (None: no limit).
+
+        Raises:
+            ValidationError: `fence-value` for a value that was never signalled: it would wait forever.
+            DeviceError: `device-lost` if without a limit the GPU hasn't got there in an hour.
+        """
+        if not 0 <= value <= self.signalled:
+            refuse(FENCE_VALUE, f"device.wait({value})", value, f"0 to {self.signalled}")
+        if value <= self._completed or value <= self.completed:
+            return True
+        reached = self._backend.wait(value, FOREVER if seconds is None else seconds)
+        if reached:
+            self._completed = max(self._completed, value)
+        elif seconds is None:
+            raise DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
+        return reached
+
+    def retire(self, resource: Id) -> None:
+        """Destroy `resource` once the GPU has passed what was submitted up to now."""
+        self._retired.append((self.signalled + 1, resource))
+        if self._watchers:
+            with self._lock:
+                watchers = list(self._watchers)
+            for watcher in watchers:
+                watcher.note_retired(resource)
+
+    def watch(self, watcher: Watcher) -> None:
+        """From now on tell `watcher` of each resource that is retired, for as long as it lives. From any thread."""
+        with self._lock:
+            self._watchers.add(watcher)
+
+    def collect(self) -> None:
+        """Destroy the retired resources that the GPU is done with."""
+        if not self._retired:
+            return
+        completed = self.completed
+        while self._retired and self._retired[0][0] <= completed:
+            self._backend.destroy(self._retired.popleft()[1])

@@ -1,0 +1,340 @@
+"""What can be commanded, whoever takes the commands: passes, states, draws, dispatches, labels, conditions.
+
+A `Device` carries them out; a `CommandBuffer` writes them down for later. Both are encoders, so code that renders
+takes either. Whatever is refused is refused here, before a backend hears of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import ParamSpec
+
+from rhi.contract.descriptors import Primitive
+from rhi.contract.states import State
+from rhi.device.core.core import Core
+from rhi.device.core.state_cache import StateScope
+from rhi.device.immediate import Immediate
+from rhi.device.passes import Clear, RenderPass, Target
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
+from rhi.device.queries.sets import QuerySet
+from rhi.device.queries.timers import Event, Timers
+from rhi.device.resources.buffers import Buffer, StorageBuffer
+from rhi.device.resources.meshes import Mesh, check_draws
+from rhi.device.resources.programs import Program
+from rhi.device.resources.textures import Texture
+from rhi.device.transient import TransientMemory
+from rhi.errors import refuse
+from rhi.errors.rules import (
+    DEVICE_ARGUMENT,
+    DEVICE_CAPABILITY,
+    DISPATCH_SIZE,
+    INDIRECT_RANGE,
+    QUERY_NESTED,
+    RESOURCE_FOREIGN,
+)
+
+__rhi_internal__ = True
+
+P = ParamSpec("P")
+
+
+@dataclass(frozen=True, slots=True)
+class IndirectDraws:
+    """Draws whose arguments the GPU reads from a buffer when it executes them.
+
+    Each is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`), `stride` bytes apart from `offset`.
+    With `count`, their number is the uint32 at `count_offset` of that buffer, at most `draws`.
+    """
+
+    buffer: Buffer | StorageBuffer[Any]
+    draws: int
+    offset: int = 0
+    stride: int = 20
+    count: Buffer | StorageBuffer[Any] | None = None
+    count_offset: int = 0
+
+
+class Encoder:
+    """Takes commands; a `Device` or a `CommandBuffer`."""
+
+    NAME = "device"
+    """In messages."""
+
+    def __init__(self, core: Core, timers: Timers, transient: TransientMemory) -> None:
+        self._core = core
+        self._scope = core.states.scope
+        self._desk = QueryDesk()
+        self._timers = timers
+        self._transient = transient
+
+    # -- passes and states -------------------------------------------------------------------------------
+
+    def render_pass(
+        self,
+        color: Target | Sequence[Target] | None = None,
+        depth: Target | None = None,
+        *,
+        clear: Clear = None,
+        clear_depth: float | None = None,
+        clear_stencil: int | None = None,
+        resolve: Texture | Sequence[Texture | None] | None = None,
+        label: str = "",
+    ) -> RenderPass:
+        """`with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):` draws go to these.
+
+        Args:
+            color, depth: textures, or `texture.at(level, layer)`, all of one size and number of samples.
+            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps it).
+            clear_depth: 0 is far and 1 near under reversed depth; None keeps what is there.
+            resolve: single-sampled textures that get the averaged samples at the end.
+        """
+        return RenderPass(
+            self._core, self._desk, color, depth, clear, clear_depth, clear_stencil, resolve, label
+        )  # fmt: skip
+
+    def states(self, *states: State) -> StateScope:
+        """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
+        return self._scope(states)
+
+    def event(self, label: str) -> Event:
+        """`with device.event("shadows"):` a label on the commands inside and, on a device with timing on, a timer."""
+        return Event(self._core, self._timers, label)
+
+    def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
+        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing. One at a time."""
+        return Conditional(self._core, self._desk, query, inverted)
+
+    # -- work --------------------------------------------------------------------------------------------
+
+    if TYPE_CHECKING:
+
+        def draw(
+            self, program: Program[P], mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
+        ) -> None:
+            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
+
+            Raises:
+                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
+                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
+            """
+
+    def draw_many(
+        self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
+    ) -> None:
+        """Draw parts of `mesh`, an array of `rhi.DRAW` (see `mesh.draws`), in one call.
+
+        The array is copied into transient memory; shaders tell the draws apart by `instance_index()` (which
+        counts from `base_instance`) or `draw_index()`.
+        """
+        call = f"{self.NAME}.draw_many"
+        own = self._own(program, call)
+        check_mesh(mesh, call)
+        array = check_draws(mesh, draws, call)
+        if mesh.primitive is Primitive.QUADS:
+            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        vertex_array = self._bind_draws(own, mesh, bindings)
+        if not len(array):
+            return
+        core = self._core
+        core.upload_bytes += array.nbytes
+        arguments = self._transient.arguments
+        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
+        core.backend.draw_indirect(
+            vertex_array, mesh.primitive, arguments.buffer, offset, len(array), array.dtype.itemsize, 0, 0
+        )
+        core.draws += 1
+
+    def draw_counted(
+        self,
+        program: Program[P],
+        mesh: Mesh,
+        draws: NDArray[Any],
+        queries: QuerySet,
+        rows: NDArray[Any] | Sequence[int] | None = None,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Draw parts of `mesh`, each in an occlusion query, in one call.
+
+        Args:
+            draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
+                `draw_index()` is 0.
+            queries: what they are counted by; it forgets all that it was asked before.
+            rows: (n,) integers, the row of `queries` that each draw is counted by: by default the first for the
+                first, and so on. A row may have several draws, one after the other.
+
+        Raises:
+            ValidationError: `query-rows`, `query-nested` inside another query, and what `draw` and `draw_many`
+                raise; nothing was drawn, bound or forgotten then.
+        """
+        call = f"{self.NAME}.draw_counted"
+        own = self._own(program, call)
+        check_mesh(mesh, call)
+        array = check_draws(mesh, draws, call)
+        if not isinstance(queries, QuerySet):
+            refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet, as device.query_set(…) makes it")
+        self._check_query_set(queries, call)
+        each = queries.check_rows(rows, len(array), call)
+        vertex_array = self._bind_draws(own, mesh, bindings)
+        core = self._core
+        asked = queries.draw(core, vertex_array, mesh.primitive, array, each)
+        core.draws += len(array)
+        self._note_asked(queries, asked)
+
+    def _check_query_set(self, queries: QuerySet, call: str) -> None:
+        self._core.check_usable(queries, call)
+        if self._desk.open is not None:
+            refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
+
+    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
+        queries.take_draws(asked)
+
+    def draw_indirect(
+        self,
+        program: Program[P],
+        mesh: Mesh,
+        arguments: IndirectDraws,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Draw with arguments that the GPU reads from a buffer when it gets there."""
+        call = f"{self.NAME}.draw_indirect"
+        own = self._own(program, call)
+        check_mesh(mesh, call)
+        core = self._core
+        buffer = plain(arguments.buffer)
+        count = None if arguments.count is None else plain(arguments.count)
+        core.check_usable(buffer, call)
+        end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
+        if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
+            given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
+            refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
+        if (
+            arguments.stride < 20
+            or arguments.stride % 4
+            or arguments.offset % 4
+            or arguments.count_offset % 4
+        ):
+            refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
+                   "a stride of 20 or more and offsets, all multiples of 4")  # fmt: skip
+        if mesh.primitive is Primitive.QUADS:
+            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        if count is not None:
+            if not core.capabilities.indirect_count:
+                refuse(DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count")
+            core.check_usable(count, call)
+            if not 0 <= arguments.count_offset <= count.size - 4:
+                refuse(
+                    INDIRECT_RANGE,
+                    call,
+                    f"count at byte {arguments.count_offset}",
+                    f"within {count.size} bytes",
+                )
+        vertex_array = self._bind_draws(own, mesh, bindings)
+        core.backend.draw_indirect(
+            vertex_array,
+            mesh.primitive,
+            buffer.id,
+            arguments.offset,
+            arguments.draws,
+            arguments.stride,
+            count.id if count is not None else 0,
+            arguments.count_offset,
+        )
+        core.draws += 1
+
+    def dispatch(
+        self, program: Program[P], groups: int | Sequence[int], /, *args: P.args, **bindings: P.kwargs
+    ) -> None:
+        """Run `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
+
+        What it writes is visible to everything after it; no barrier is needed.
+        """
+        call = f"{self.NAME}.dispatch"
+        own = self._own(program, call)
+        sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
+        sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
+        most = self._core.capabilities.max_dispatch
+        if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
+            refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
+        own.bind(own.ready_to_dispatch, None, bindings)
+        if 0 not in sizes:
+            self._core.backend.dispatch(*sizes)
+            self._core.dispatches += 1
+
+    def dispatch_indirect(
+        self,
+        program: Program[P],
+        buffer: Buffer | StorageBuffer[Any],
+        offset: int = 0,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
+        call = f"{self.NAME}.dispatch_indirect"
+        own = self._own(program, call)
+        source = plain(buffer)
+        self._core.check_usable(source, call)
+        if offset < 0 or offset % 4 or offset + 12 > source.size:
+            refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}")
+        own.bind(own.ready_to_dispatch, None, bindings)
+        self._core.backend.dispatch_indirect(source.id, offset)
+        self._core.dispatches += 1
+
+    def immediate(
+        self, program: Program[P], primitive: Primitive, /, *args: P.args, **bindings: P.kwargs
+    ) -> Immediate[Any]:
+        """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
+        return Immediate(
+            self._transient, self._own(program, f"{self.NAME}.immediate"), primitive, bindings
+        )  # fmt: skip
+
+    @property
+    def transient(self) -> TransientMemory:
+        """Memory for constants and vertices of this frame, or of this command buffer."""
+        return self._transient
+
+    # -- inside ------------------------------------------------------------------------------------------
+
+    def _own(self, program: object, call: str) -> Program[Any]:
+        """The program as this encoder uses it.
+
+        Raises:
+            ValidationError: `device-argument` if it is none, `resource-foreign` if another device's.
+        """
+        if not isinstance(program, Program):
+            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+        if program.core is not self._core:
+            refuse(RESOURCE_FOREIGN, call, repr(program))
+        return program
+
+    def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
+        """Everything a draw needs but the draw itself; returns the vertex array."""
+        program.ready_to_draw(mesh)
+        vertex_array = program.find_vertex_array(mesh)
+        program.bind(_is_ready, mesh, bindings)
+        self._core.flush_states()
+        return vertex_array
+
+
+def _is_ready(mesh: object) -> None:
+    """In place of a check that was done before."""
+
+
+def check_mesh(mesh: object, call: str) -> None:
+    """Refuse what is no mesh."""
+    if not isinstance(mesh, Mesh):
+        refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+
+
+def plain(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
+    """The buffer itself."""
+    return buffer.owner if isinstance(buffer, StorageBuffer) else buffer

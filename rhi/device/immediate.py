@@ -1,0 +1,108 @@
+"""Immediate mode: geometry that is given ad hoc and drawn once (thesis 4.3).
+
+`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at once at the end of its `with`
+block: one upload into transient memory, one draw (Listing 4.9 without the counts in advance).
+"""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Primitive
+from rhi.device.resources.meshes import check_finite
+from rhi.device.resources.programs import Program
+from rhi.device.transient import EMPTY_MESH, TransientMemory, match_vertices, vertex_dtype
+from rhi.errors import refuse
+from rhi.errors.rules import IMMEDIATE_VERTEX
+
+if TYPE_CHECKING:
+    from rhi.shading import Struct
+
+__rhi_internal__ = True
+
+S = TypeVar("S", bound="Struct")
+
+
+class Immediate(Generic[S]):
+    """`with device.immediate(program, Primitive.QUADS, …) as quads: quads.vertex(position=…, color=…)`"""
+
+    __slots__ = ("_arrays", "_bindings", "_dtype", "_memory", "_open", "_primitive", "_program", "_rows")
+
+    def __init__(
+        self, memory: TransientMemory, program: Program[Any], primitive: Primitive, bindings: dict[str, Any]
+    ) -> None:
+        program.check_names(bindings)
+        if not program.descriptor.attributes:
+            refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
+                   "a program with vertex inputs")  # fmt: skip
+        self._memory = memory
+        self._program = program
+        self._primitive = primitive
+        self._bindings = bindings
+        self._dtype = vertex_dtype(program.descriptor.attributes)
+        self._rows: list[tuple[Any, ...]] = []
+        self._arrays: list[NDArray[Any]] = []
+        self._open = False
+
+    def vertex(self, **fields: Any) -> None:
+        """One vertex; a value per attribute of the program's vertex stage.
+
+        Raises:
+            ValidationError: `immediate-vertex` for a missing or unknown attribute.
+        """
+        names = self._dtype.names or ()
+        try:
+            row = tuple(fields[name] for name in names)
+        except KeyError:
+            row = ()
+        if len(row) != len(fields) or not self._open:
+            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", ", ".join(fields) if self._open else "a closed block",
+                   ", ".join(names) + " inside the `with` block")  # fmt: skip
+        self._rows.append(row)
+
+    def vertices(self, array: NDArray[Any]) -> None:
+        """Many vertices: a structured array with the program's vertex fields."""
+        if not self._open:
+            refuse(IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block")
+        matched = np.array(match_vertices(self._program, array))  # what is done to the caller's afterwards is not drawn
+        self._arrays += [self._collect(), matched]
+
+    def __enter__(self) -> Self:
+        self._program.core.check_open()
+        self._open = True
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._open = False
+        try:
+            if kind is not None:
+                return
+            array = np.concatenate([*self._arrays, self._collect()])
+        finally:
+            self._rows.clear()
+            self._arrays.clear()
+        if not len(array):
+            return
+        # Everything is checked before the vertices go into the ring.
+        program, core = self._program, self._program.core
+        program.bind(program.ready_to_draw, EMPTY_MESH, self._bindings)
+        mesh = self._memory.place_mesh(program, array, None, self._primitive)
+        core.flush_states()
+        program.draw_unprepared(mesh, 1)
+        core.draws += 1
+
+    def _collect(self) -> NDArray[Any]:
+        """The single vertices since the latest array; they stay where they are if one is refused."""
+        try:
+            array = np.array(self._rows, self._dtype)
+        except (TypeError, ValueError) as error:
+            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
+        check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
+        self._rows.clear()
+        return array

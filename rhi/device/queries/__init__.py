@@ -1,0 +1,1 @@
+"""Occlusion queries, sets of them, and the tree of GPU timers."""

@@ -1,0 +1,141 @@
+"""What stands for the device while a command buffer is recorded: a core and programs whose commands are written down.
+
+- A `RecordingCore` has states, bindings and a pass of its own, and the device's resources. It keeps in mind which of
+  them are used, and where.
+- A `RecordedProgram` is one of the device's programs with draw functions of its own (`draw_code`).
+- Nothing here calls the device's backend, so it may run on any thread.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import CodeType
+from typing import Any, NamedTuple
+
+from rhi.commands.recorder import CommandWriter
+from rhi.contract.descriptors import Id, VertexArrayDescriptor
+from rhi.device.core.core import Core, Owner, describe
+from rhi.device.queries.occlusion import OcclusionQuery
+from rhi.device.resources.draw_code import write
+from rhi.device.resources.meshes import Mesh, MeshData
+from rhi.device.resources.programs import Program
+from rhi.device.transient import TransientOwner
+from rhi.errors import find_user_frame, refuse
+from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
+
+__rhi_internal__ = True
+
+
+class Use(NamedTuple):
+    """A resource that a command buffer uses: what it is, and where it was used first."""
+
+    owner: Owner
+    name: str
+    code: CodeType | None
+    offset: int
+
+
+class RecordingCore(Core):
+    """What a command buffer's resources and programs ask in place of the device's core.
+
+    Attributes:
+        device: the device's own.
+        recording: whether commands can be given now.
+        uses: by id, the resources in use.
+        stream: what is written.
+        vertex_arrays: those of meshes that haven't any for a program yet, to be made before the first submission.
+        own_arrays: those on the arena.
+        conditions: queries that must have been ended when the buffer is carried out.
+        queries: those that it begins and ends, and query sets that it asks: what to tell the fence to, by id.
+    """
+
+    __slots__ = (
+        "conditions", "device", "own_arrays", "queries", "recording", "stream", "uses", "vertex_arrays",
+    )  # fmt: skip
+    records = True
+
+    def __init__(self, device: Core, writer: CommandWriter) -> None:
+        super().__init__(writer, device.states.fresh())
+        self.device = device
+        self.timeline = device.timeline
+        self.locked = device.locked
+        self.sampler_descriptors = device.sampler_descriptors
+        self.recording = False
+        self.stream = writer.stream
+        self.uses: dict[Id, Use] = {}
+        self.vertex_arrays: dict[tuple[Program[Any], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
+        self.own_arrays = writer.vertex_arrays
+        self.conditions: list[OcclusionQuery] = []
+        self.queries: dict[Id, Callable[[int], None]] = {}
+
+    def new_id(self) -> Id:
+        return self.device.new_id()
+
+    def check_open(self) -> None:
+        if self.device.closed:
+            refuse(DEVICE_CLOSED, "device", "a closed device")
+        if not self.recording:
+            refuse(
+                RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it"
+            )
+
+    def check_usable(self, owner: Owner, call: str) -> None:
+        """As for the device, and keep in mind that it is used."""
+        if isinstance(owner, TransientOwner):
+            if owner.core is not self:
+                refuse(RECORD_TRANSIENT, call, describe(owner))
+            return
+        used = owner.origin if isinstance(owner, RecordedProgram) else owner
+        self.device.check_usable(used, call)
+        self.note_use(used.id, used)  # type: ignore[attr-defined]
+
+    def note_use(self, resource: Id, owner: Owner, name: str = "") -> None:
+        """Keep in mind that a resource is used, and where; `name` stands for it in messages."""
+        if resource not in self.uses:
+            frame = find_user_frame()
+            site = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
+            self.uses[resource] = Use(owner, name or describe(owner), *site)
+            descriptor = getattr(owner, "descriptor", None)
+            if descriptor is not None and not name:
+                self.stream.assume(resource, descriptor)
+
+
+class RecordedProgram(Program[Any]):
+    """A program as one command buffer uses it: with draws and bindings that are written down.
+
+    Attributes:
+        origin: the device's program.
+        calls: the draws of meshes, as functions of the number of instances.
+    """
+
+    __slots__ = ("calls", "origin")
+
+    def __init__(self, core: RecordingCore, origin: Program[Any]) -> None:
+        self.core = core
+        self.origin = origin
+        self.id = origin.id
+        self.descriptor = origin.descriptor
+        self.name = origin.name
+        self.destroyed = False
+        self.calls: dict[Mesh, Callable[[int], object]] = {}
+        if origin.recorded_code is None:
+            origin.recorded_code = write(origin.name, origin.descriptor.bindings, recorded=True)
+        self._take_code(origin.recorded_code)
+
+    def attach(self, mesh: Mesh) -> Callable[[int], object]:
+        call = self.calls[mesh] = self.prepare(mesh)
+        return call
+
+    def find_vertex_array(self, mesh: Mesh) -> Id:
+        core, data = self.core, mesh.data
+        assert isinstance(core, RecordingCore)
+        known = data.vertex_arrays.get(self.origin) or data.vertex_arrays.get(self)
+        if known is None:
+            key = (self.origin, data)
+            if key not in core.vertex_arrays:
+                descriptor = data.describe(self.id, self.name, self.descriptor.attributes)
+                core.vertex_arrays[key] = core.new_id(), descriptor
+            known = core.vertex_arrays[key][0]
+        if isinstance(data, MeshData):  # given back with the mesh, even if its buffers stay
+            core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
+        return known

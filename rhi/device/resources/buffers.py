@@ -1,0 +1,337 @@
+"""Buffers: untyped memory on the device, seen as arrays of a NumPy dtype, and what shaders call it.
+
+- A lock gives a NumPy array for a range of elements (`rhi.device.resources.locks`).
+- `UniformBuffer`, `UniformArray` and `StorageBuffer` give buffers the type that a shader declares; they are
+  the ranges that typed bindings take.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
+from rhi.contract.layout import accepts, compare_layouts
+from rhi.device.core.core import Core
+from rhi.device.resources.lifetime import Resource, kept_if_filled
+from rhi.device.resources.locks import Lock
+from rhi.errors import refuse
+from rhi.errors.rules import (
+    BUFFER_ALIGNMENT,
+    BUFFER_DTYPE,
+    BUFFER_OVERLAP,
+    BUFFER_RANGE,
+    BUFFER_SIZE,
+    LAYOUT_MISMATCH,
+)
+from rhi.shading.language.bindings import StorageRange, UniformRange
+
+__rhi_internal__ = True
+
+T = TypeVar("T")
+MAX_BYTES = 1 << 40
+
+
+class Buffer(Resource):
+    """Memory on the device: `count` elements of `dtype`.
+
+    Attributes:
+        id: its name in the command stream.
+        size: bytes.
+        bind_uniform: what binds a range of it, as a function of slot, offset and size.
+        dependents: what to call when it is destroyed.
+    """
+
+    __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
+
+    def __init__(
+        self,
+        core: Core,
+        count: int,
+        dtype: np.dtype[Any],
+        usage: BufferUsage = BufferUsage.STATIC,
+        label: str = "",
+    ) -> None:
+        if dtype.hasobject or dtype.itemsize == 0:
+            refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
+        size = count * dtype.itemsize
+        if not 0 < size < MAX_BYTES:
+            refuse(
+                BUFFER_SIZE,
+                "device.buffer",
+                f"{count} elements of {dtype.itemsize} bytes",
+                f"1 to {MAX_BYTES - 1} bytes",
+            )
+        self.core = core
+        self.dtype = dtype
+        self.count = count
+        self.size = size
+        self.label = label
+        self.destroyed = False
+        self.dependents: list[Callable[[], None]] = []
+        self.id = core.create_id()
+        core.backend.create_buffer(self.id, BufferDescriptor(size, usage, label))
+        self.bind_uniform = core.prepare_uniform(self.id)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __repr__(self) -> str:
+        return f"Buffer({self.label!r}, {self.count} × {self.dtype})"
+
+    def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it. A second call does nothing."""
+        if not self.destroyed:
+            self.destroyed = True
+            self.core.program = None
+            for forget in self.dependents:  # what was built on it can't be drawn any more
+                forget()
+            self.dependents.clear()
+            self.core.timeline.retire(self.id)
+
+    def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
+        """A copy of `count` elements from `first`; waits for the work that may write them."""
+        first, count = self._range("Buffer.read", first, count)
+        return self._download(first, count)
+
+    def write(self, data: NDArray[Any], first: int = 0) -> None:
+        """Replace elements from `first` on; ordered after the work submitted before.
+
+        Raises:
+            ValidationError: `buffer-dtype` for another dtype, `buffer-range` beyond the end.
+        """
+        array = self._match(data, "Buffer.write")
+        self._range("Buffer.write", first, len(array))
+        self._upload(array, first)
+
+    def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
+        """`with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
+        first, count = self._range("Buffer.lock", first, count)
+        return Lock(
+            self,
+            access,
+            read=lambda: self._download(first, count),
+            make=lambda: self._array(None, count),
+            write=lambda array: self._upload(array, first),
+        )
+
+    def clear(self, value: int = 0) -> None:
+        """Fill with a 32-bit pattern; the size must be a multiple of 4 bytes."""
+        self._clear(self.core, value)
+
+    def copy_to(
+        self, target: Buffer, *, size: int | None = None, offset: int = 0, target_offset: int = 0
+    ) -> None:
+        """Copy `size` bytes (None: all from `offset`) on the device; offsets in bytes."""
+        self._copy(self.core, target, size, offset, target_offset)
+
+    def _clear(self, core: Core, value: int) -> None:
+        """`clear`, commanded to `core`: the buffer's own, or a command buffer's."""
+        core.check_open()
+        core.check_usable(self, "Buffer.clear")
+        if self.size % 4:
+            refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
+        core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
+
+    def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
+        """`copy_to`, commanded to `core`."""
+        call = "Buffer.copy_to"
+        core.check_open()
+        core.check_usable(self, call)
+        core.check_usable(target, call)
+        size = self.size - offset if size is None else size
+        for buffer, start in ((self, offset), (target, target_offset)):
+            if start < 0 or size <= 0 or start + size > buffer.size:
+                refuse(
+                    BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
+                )
+        if target is self and abs(offset - target_offset) < size:
+            refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
+        core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
+
+    def _check(self, call: str) -> None:
+        self.core.check_open()
+        self.core.check_usable(self, call)
+
+    def _match(self, data: NDArray[Any], call: str) -> NDArray[Any]:
+        array = np.asarray(data)
+        base, shape = self.dtype.subdtype or (self.dtype, ())
+        if array.dtype != base or (shape and array.shape[-len(shape) :] != shape):
+            given = f"shape {array.shape} of {array.dtype}"
+            if base.names:
+                given = compare_layouts(base, array.dtype)
+            refuse(BUFFER_DTYPE, call, given, str(self.dtype))
+        return np.ascontiguousarray(array).reshape(-1, *shape)
+
+    def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
+        self._check(call)
+        count = self.count - first if count is None else count
+        if first < 0 or count < 0 or first + count > self.count:
+            refuse(BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
+        return first, count
+
+    def _upload(self, array: NDArray[Any], first: int) -> None:
+        if array.size:
+            self._upload_bytes(array.reshape(-1).view(np.uint8).data, first * self.dtype.itemsize)
+
+    def _upload_bytes(self, data: bytes | memoryview, offset: int) -> None:
+        self.core.upload_bytes += len(data)
+        self.core.backend.write_buffer(self.id, offset, data)
+
+    def _download(self, first: int, count: int) -> NDArray[Any]:
+        size = self.dtype.itemsize
+        data = self.core.backend.read_buffer(self.id, first * size, count * size) if count else b""
+        return self._array(data, count)
+
+    def _array(self, data: bytes | None, count: int) -> NDArray[Any]:
+        """`count` elements as an array of the dtype, or of its base type with its shape behind."""
+        base, shape = self.dtype.subdtype or (self.dtype, ())
+        if data is None:
+            return np.zeros((count, *shape), base)
+        return np.frombuffer(bytearray(data), base).reshape(count, *shape)
+
+
+class UniformBuffer(UniformRange[T], Resource):
+    """One struct of constants, bound as `Uniform[T]`."""
+
+    __slots__ = ()
+    owner: Buffer
+
+    def __init__(self, core: Core, value: Any, label: str = "") -> None:
+        layout = type(value)
+        data = value.to_bytes()
+        owner = Buffer(core, 1, layout.uniform_dtype, label=label or layout.__name__)
+        super().__init__(owner.id, 0, owner.size, layout, owner)
+        with kept_if_filled(owner):
+            owner._upload_bytes(data, 0)
+
+    def write(self, value: T) -> None:
+        """Replace the constants; ordered after the draws before."""
+        check_struct(value, self.type, "UniformBuffer.write")
+        self.owner._check("UniformBuffer.write")
+        self.owner._upload_bytes(value.to_bytes(), 0)  # type: ignore[attr-defined]
+
+    def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it."""
+        self.owner.destroy()
+
+
+class UniformArray(Resource, Generic[T]):
+    """Constants of many objects in one buffer: written as one array, bound one by one.
+
+    `array[i]` is the range of element i, made once. `dtype` has the struct's std140 fields and the device's
+    offset alignment as item size, so columns can be written at once:
+    `rows = np.zeros(len(objects), objects.dtype); rows["model"] = models; objects.write(rows)`.
+    """
+
+    __slots__ = ("_ranges", "buffer", "dtype", "type")
+
+    def __init__(self, core: Core, struct: Any, count: int, label: str = "") -> None:
+        self.type = struct
+        self.dtype = aligned_dtype(struct.uniform_dtype, core.capabilities.uniform_alignment)
+        self.buffer = Buffer(core, count, self.dtype, label=label or f"{struct.__name__}[]")
+        stride, size = self.dtype.itemsize, struct.uniform_dtype.itemsize
+        self._ranges: list[UniformRange[T]] = [
+            UniformRange(self.buffer.id, offset, size, struct, self.buffer)
+            for offset in range(0, count * stride, stride)
+        ]
+
+    def __len__(self) -> int:
+        return len(self._ranges)
+
+    def __getitem__(self, index: int) -> UniformRange[T]:
+        return self._ranges[index]
+
+    def write(self, rows: NDArray[Any], first: int = 0) -> None:
+        """Replace elements from `first` on.
+
+        Raises:
+            ValidationError: `layout-mismatch` with both layouts when the dtype is not `dtype`.
+        """
+        self.buffer.write(match_layout(rows, self.dtype, "UniformArray.write"), first)
+
+    def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
+        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
+        return self.buffer.lock(access, first, count)
+
+    def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it."""
+        self.buffer.destroy()
+
+
+class StorageBuffer(StorageRange[T], Resource):
+    """An array of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
+
+    __slots__ = ("dtype",)
+    owner: Buffer
+
+    def __init__(self, owner: Buffer, element: Any, dtype: np.dtype[Any]) -> None:
+        count = owner.size // dtype.itemsize
+        super().__init__(owner.id, 0, count * dtype.itemsize, element, count, owner)
+        self.dtype = dtype
+
+    def __len__(self) -> int:
+        return self.count
+
+    def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
+        """A copy of elements; waits for the work that may write them."""
+        return self._typed().read(first, count)
+
+    def write(self, rows: NDArray[Any], first: int = 0) -> None:
+        """Replace elements from `first` on; `layout-mismatch` when the dtype is not `dtype`."""
+        self._typed().write(match_layout(rows, self.dtype, "StorageBuffer.write"), first)
+
+    def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
+        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
+        return self._typed().lock(access, first, count)
+
+    def clear(self, value: int = 0) -> None:
+        """Fill with a 32-bit pattern."""
+        self.owner.clear(value)
+
+    def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it."""
+        self.owner.destroy()
+
+    def _typed(self) -> Buffer:
+        if self.owner.dtype != self.dtype:
+            refuse(
+                BUFFER_DTYPE,
+                "StorageBuffer",
+                str(self.owner.dtype),
+                f"a buffer of {self.dtype}, or its own methods",
+            )
+        return self.owner
+
+
+def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
+    """The same fields with an item size rounded up to `alignment` bytes."""
+    fields: Any = dtype.fields or {}
+    names = list(dtype.names or ())
+    return np.dtype(
+        {
+            "names": names,
+            "formats": [fields[name][0] for name in names],
+            "offsets": [fields[name][1] for name in names],
+            "itemsize": -(-dtype.itemsize // alignment) * alignment,
+        }
+    )
+
+
+def match_layout(array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
+    """The array as one of the layout's dtype; refuses another layout, with both side by side."""
+    given = np.asarray(array)
+    base, shape = expected.subdtype or (expected, ())
+    if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
+        table = compare_layouts(base, given.dtype)
+        refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
+    return given if given.dtype == base else np.ascontiguousarray(given).view(base)
+
+
+def check_struct(value: object, expected: object, call: str) -> None:
+    if type(value) is not expected:
+        name = getattr(expected, "__name__", str(expected))
+        refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")

@@ -1,0 +1,68 @@
+"""Locks: a NumPy array for part of a resource, for as long as a `with` block (thesis 4.1, Listing 4.1).
+
+- READ copies from the device and waits for the work that may write there; WRITE copies to it when the block ends
+  and waits for nothing; READ_WRITE does both. An exception in the block writes nothing.
+- While a resource is locked nothing may use it; every draw checks everything as long as there is a lock.
+- How the array is read, made and written is the resource's business.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Any
+
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Access
+from rhi.device.core.core import Owner, describe
+from rhi.errors import refuse
+from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
+
+__rhi_internal__ = True
+
+
+class Lock:
+    """`with buffer.lock(Access.WRITE) as array:`; the array can't be written after the block, nor if only read."""
+
+    __slots__ = ("_access", "_array", "_make", "_owner", "_read", "_write")
+
+    def __init__(
+        self,
+        owner: Owner,
+        access: Access,
+        read: Callable[[], NDArray[Any]],
+        make: Callable[[], NDArray[Any]],
+        write: Callable[[NDArray[Any]], None],
+    ) -> None:
+        self._owner = owner
+        self._access = access
+        self._read = read
+        self._make = make
+        self._write = write
+        self._array: NDArray[Any] | None = None
+
+    def __enter__(self) -> NDArray[Any]:
+        owner, core = self._owner, self._owner.core
+        core.check_open()
+        if owner.destroyed:
+            refuse(RESOURCE_DESTROYED, "lock", describe(owner))
+        if owner in core.locked:
+            refuse(LOCK_TWICE, "lock", describe(owner))
+        array = self._read() if self._access.reads else self._make()
+        array.flags.writeable = self._access.writes
+        core.locked.append(owner)
+        core.program = None  # from now on every draw checks whether it uses what is locked
+        self._array = array
+        return array
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        array, self._array = self._array, None
+        if array is None:
+            refuse(LOCK_CLOSED, "lock", "a lock that is not open")
+        self._owner.core.locked.remove(self._owner)
+        if kind is None and self._access.writes and not self._owner.destroyed:
+            self._write(array)
+        array.flags.writeable = False

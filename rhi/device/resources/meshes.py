@@ -1,0 +1,420 @@
+"""Meshes: vertex, instance and index arrays, matched by field name to what a program's vertex stage reads.
+
+- A mesh's arrays are structured: one field per attribute. A program takes the fields that it names, in
+  whatever order, type width and padding they lie; a missing one is refused with both lists.
+- `view` gives a part of a mesh (first, count, base vertex, base instance) that shares everything else.
+- What a program reads from a mesh is resolved once per pair, and views share that; each view keeps its own
+  draw per program (`calls`). So a view isn't changed: another part is another view.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, TypeAlias
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import (
+    DRAW,
+    DRAW_UNINDEXED,
+    Attribute,
+    Id,
+    Primitive,
+    VertexArrayDescriptor,
+    VertexAttribute,
+    VertexFormat,
+    VertexStream,
+)
+from rhi.contract.formats import IndexFormat
+from rhi.contract.layout import VectorType
+from rhi.device.core.core import Core
+from rhi.device.resources.buffers import Buffer
+from rhi.device.resources.lifetime import Resource
+from rhi.errors import Rule, refuse
+from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
+
+__rhi_internal__ = True
+
+VertexSource: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer"
+"""Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
+(`device.mesh` also takes a number: so many vertices without attributes.)"""
+
+_FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat}
+
+
+class MeshData:
+    """The buffers of a mesh; shared by its views."""
+
+    __slots__ = ("core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
+                 "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
+
+    def __init__(
+        self, core: Core, vertices: VertexSource | int, indices: NDArray[Any] | Buffer | None,
+        instances: VertexSource | None, label: str,
+    ) -> None:  # fmt: skip
+        call = "device.mesh"
+        core.check_open()
+        # Everything is checked before the first buffer is made, so that a refusal leaves nothing behind.
+        if isinstance(vertices, np.integer):
+            vertices = int(vertices)
+        vertex_array = None if isinstance(vertices, int) else _structured(vertices, call)
+        if isinstance(vertices, int) and vertices < 1:
+            refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
+        self.vertex_count = vertices if isinstance(vertices, int) else _length(vertex_array)
+        instance_array = None if instances is None else _structured(instances, call)
+        index_array = _index_source(indices, self.vertex_count, call)
+        self.core = core
+        self.label = label
+        self.owned: list[Buffer] = []
+        try:
+            self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
+            self.instances = (
+                None if instance_array is None else self._buffer(instance_array, f"{label} instances")
+            )
+            self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
+        except BaseException:
+            for buffer in self.owned:  # out of memory half-way
+                buffer.destroy()
+            raise
+        self.index_format = IndexFormat.UINT32
+        self.index_count: int | None = None
+        if self.index_buffer is not None:
+            self.index_format = (
+                IndexFormat.UINT16 if self.index_buffer.dtype.itemsize == 2 else IndexFormat.UINT32
+            )
+            self.index_count = self.index_buffer.count
+        self.vertex_arrays: dict[object, Id] = {}
+        self.views: WeakSet[Mesh] = WeakSet()
+        for buffer in self.buffers:
+            buffer.dependents.append(self._forget)
+
+    @property
+    def buffers(self) -> tuple[Buffer, ...]:
+        return tuple(b for b in (self.vertices, self.instances, self.index_buffer) if b is not None)
+
+    def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
+        if isinstance(source, Buffer):
+            return source
+        buffer = Buffer(self.core, len(source), source.dtype, label=label.strip())
+        self.owned.append(buffer)
+        buffer.write(source)
+        return buffer
+
+    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
+        """The vertex array of this mesh for a program's inputs; made at the first draw of the pair.
+
+        It is kept under `key`, the `Program`: ids of two devices may be the same, programs can't.
+
+        Raises:
+            ValidationError: `mesh-attribute` when a field is missing or of a type the stage can't read.
+        """
+        descriptor = self.describe(program, name, attributes)
+        vertex_array = self.core.new_id()
+        self.core.backend.create_vertex_array(vertex_array, descriptor)
+        self.vertex_arrays[key] = vertex_array
+        return vertex_array
+
+    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> VertexArrayDescriptor:
+        """How a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
+        streams = []
+        remaining = {attribute.name: attribute for attribute in attributes}
+        for buffer, per_instance in ((self.vertices, False), (self.instances, True)):
+            if buffer is None:
+                continue
+            fields: Any = buffer.dtype.fields or {}
+            found = tuple(
+                VertexAttribute(
+                    remaining[field].location, self._format(remaining[field], dtype, name), offset
+                )
+                for field, (dtype, offset, *_) in fields.items()
+                if field in remaining
+            )
+            for field in fields:
+                remaining.pop(field, None)
+            if found:
+                streams.append(VertexStream(buffer.id, 0, buffer.dtype.itemsize, per_instance, found))
+        if remaining:
+            have = ", ".join(
+                field for b in (self.vertices, self.instances) if b for field in b.dtype.names or ()
+            )
+            need = ", ".join(f"{a.name}: {a.type}" for a in attributes)
+            refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}")
+        return VertexArrayDescriptor(
+            program, tuple(streams), self.index_buffer.id if self.index_buffer else 0, self.index_format
+        )
+
+    def _format(self, attribute: Attribute, dtype: np.dtype[Any], program: str) -> VertexFormat:
+        base, shape = dtype.subdtype or (dtype, ())
+        wanted = attribute.type
+        components = wanted.size if isinstance(wanted, VectorType) else 1
+        scalar = str(wanted.scalar if isinstance(wanted, VectorType) else wanted)
+        given = int(np.prod(shape)) if shape else 1
+        code = base.str[1:]
+        normalized = scalar == "float" and base.kind in "iu"
+        # A vector may be fed with more components than it reads, never with fewer.
+        form = _FORMATS.get((code, given, normalized))
+        if form is None or form.components < components or (form.kind != scalar):
+            refuse(
+                MESH_ATTRIBUTE,
+                f"draw of program {program!r}",
+                f"{attribute.name} as {given}×{code}",
+                f"{attribute.name} as {wanted}: " + ", ".join(_shown(f) for f in VertexFormat
+                                                             if f.kind == scalar and f.components >= components),
+            )  # fmt: skip
+        return form
+
+    def _forget(self) -> None:
+        for view in self.views:
+            view.calls.clear()
+        for vertex_array in self.vertex_arrays.values():
+            self.core.timeline.retire(vertex_array)
+        self.vertex_arrays.clear()
+
+    def destroy(self) -> None:
+        self._forget()
+        for buffer in self.owned:
+            buffer.destroy()
+
+
+def _shown(form: VertexFormat) -> str:
+    return f"{form.components}×{form.code}{' normalised' if form.normalized else ''}"
+
+
+class Mesh(Resource):
+    """What a draw reads its vertices from; made by `device.mesh`.
+
+    Attributes:
+        primitive, first, count, base_vertex, base_instance: what a draw of it draws. `first` and `count`
+            are in indices for an indexed mesh, in vertices otherwise. Not to be changed.
+        calls: the draws that programs have prepared, as functions of the number of instances.
+    """
+
+    __slots__ = (
+        "__weakref__",
+        "base_instance",
+        "base_vertex",
+        "calls",
+        "count",
+        "data",
+        "first",
+        "primitive",
+    )
+
+    def __init__(
+        self,
+        data: MeshData,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int = 0,
+        base_instance: int = 0,
+    ) -> None:
+        self.data = data
+        self.calls: dict[object, Callable[[int], object]] = {}
+        data.views.add(self)
+        self.primitive = primitive
+        self.first = first
+        self.count = count
+        self.base_vertex = base_vertex
+        self.base_instance = base_instance
+
+    @property
+    def vertex_count(self) -> int:
+        """Vertices of the whole mesh."""
+        return self.data.vertex_count
+
+    @property
+    def index_count(self) -> int | None:
+        """How many indices there are, None without indices."""
+        return self.data.index_count
+
+    @property
+    def is_indexed(self) -> bool:
+        """Whether draws go through indices."""
+        return self.data.index_count is not None
+
+    @property
+    def vertices(self) -> Buffer | None:
+        """The vertex buffer, None for vertices without attributes."""
+        return self.data.vertices
+
+    @property
+    def indices(self) -> Buffer | None:
+        """The index buffer, None without indices."""
+        return self.data.index_buffer
+
+    @property
+    def instances(self) -> Buffer | None:
+        """The buffer of per-instance data, None without."""
+        return self.data.instances
+
+    @property
+    def element_count(self) -> int:
+        """Indices or, without them, vertices."""
+        return self.data.vertex_count if self.data.index_count is None else self.data.index_count
+
+    def __repr__(self) -> str:
+        return f"Mesh({self.data.label!r}, {self.primitive.name}, {self.first}+{self.count})"
+
+    def view(
+        self,
+        first: int = 0,
+        count: int | None = None,
+        *,
+        base_vertex: int = 0,
+        base_instance: int = 0,
+        primitive: Primitive | None = None,
+    ) -> Mesh:
+        """A part of the mesh; shares its buffers.
+
+        Raises:
+            ValidationError: `mesh-range` when it reaches beyond the indices or vertices.
+        """
+        total = self.element_count
+        count = total - first if count is None else count
+        if first < 0 or count < 0 or first + count > total or base_instance < 0:
+            given = f"first {first}, count {count}, base instance {base_instance}"
+            refuse(MESH_RANGE, "Mesh.view", given, f"within {total} elements, base instance 0 or more")
+        if not self.is_indexed and base_vertex:
+            refuse(MESH_RANGE, "Mesh.view", f"base vertex {base_vertex}", "0 for a mesh without indices")
+        return Mesh(self.data, primitive or self.primitive, first, count, base_vertex, base_instance)
+
+    def draws(
+        self,
+        first: Any = 0,
+        count: Any = None,
+        *,
+        instances: Any = 1,
+        base_vertex: Any = 0,
+        base_instance: Any = 0,
+    ) -> NDArray[Any]:
+        """An array of draws for `draw_many`: each argument is a number or an array, as for `view`.
+
+        Returns:
+            (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
+        """
+        count = self.element_count if count is None else count
+        parts = np.broadcast_arrays(first, count, instances, base_vertex, base_instance)
+        first, count, instances, base_vertex, base_instance = (np.atleast_1d(part) for part in parts)
+        if len(first) and (first.min() < 0 or count.min() < 0 or (first + count).max() > self.element_count):
+            refuse(
+                MESH_RANGE,
+                "Mesh.draws",
+                "first + count beyond the mesh",
+                f"within {self.element_count} elements",
+            )
+        draws = np.zeros(len(first), DRAW if self.is_indexed else DRAW_UNINDEXED)
+        draws["first"], draws["count"], draws["instances"] = first, count, instances
+        draws["base_instance"] = base_instance
+        if self.is_indexed:
+            draws["base_vertex"] = base_vertex
+        elif np.any(base_vertex):
+            refuse(MESH_RANGE, "Mesh.draws", "a base vertex", "0 for a mesh without indices")
+        return draws
+
+    def destroy(self) -> None:
+        """Give back the buffers that were made for this mesh (not those passed in)."""
+        self.data.destroy()
+        self.data.core.program = None
+
+
+def check_draws(mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
+    """The draws as a contiguous array of the mesh's kind; refuses another dtype or one out of range."""
+    expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
+    array = np.asarray(draws)
+    if array.dtype != expected or array.ndim != 1:
+        refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
+    if len(array):
+        last = int((array["first"].astype(np.int64) + array["count"]).max())
+        if last > mesh.element_count:
+            refuse(MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements")
+    return np.ascontiguousarray(array)
+
+
+def _structured(source: VertexSource, call: str) -> NDArray[Any] | Buffer:
+    if isinstance(source, Buffer):
+        if not source.dtype.names:
+            refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
+        return source
+    array = _interleave(source, call) if isinstance(source, Mapping) else np.asarray(source)
+    if not array.dtype.names:
+        tip = (
+            'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
+        )
+        refuse(MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
+    if array.ndim != 1 or not len(array):
+        refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
+    check_finite(array, MESH_DATA, call)
+    return array
+
+
+def check_finite(vertices: NDArray[Any], rule: Rule, call: str) -> None:
+    """Refuse a structured array with a NaN or infinity in it."""
+    for name in vertices.dtype.names or ():
+        values = vertices[name]
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            bad = int(np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))[0])
+            refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
+
+
+def _interleave(arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:
+    columns = {name: np.asarray(values) for name, values in arrays.items()}
+    lengths = {len(values) if values.ndim else 0 for values in columns.values()}
+    if len(lengths) != 1:
+        shapes = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
+        refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
+    # Doubles are what NumPy makes by default and no vertex stage reads: they become float32.
+    types = [
+        (name, np.float32 if values.dtype == np.float64 else values.dtype, values.shape[1:])
+        for name, values in columns.items()
+    ]
+    rows = np.zeros(lengths.pop(), types)
+    for name, values in columns.items():
+        rows[name] = values
+    return rows
+
+
+def _length(source: NDArray[Any] | Buffer | None) -> int:
+    if source is None:
+        return 0
+    return source.count if isinstance(source, Buffer) else len(source)
+
+
+def _index_source(
+    source: NDArray[Any] | Buffer | None, vertices: int, call: str
+) -> NDArray[Any] | Buffer | None:
+    if source is None:
+        return None
+    if isinstance(source, Buffer):
+        if source.dtype not in (np.dtype("u2"), np.dtype("u4")):
+            refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
+        return source
+    return match_indices(source, vertices, call)
+
+
+def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
+    """Indices of any integer dtype as (n,) uint16 or uint32.
+
+    Raises:
+        ValidationError: `mesh-index` for one that names none of so many vertices and doesn't restart a strip.
+    """
+    array = np.asarray(source)
+    if array.dtype.kind not in "iu" or not array.size:
+        refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
+    array = array.reshape(-1)
+    code = array.dtype if array.dtype in (np.dtype("u2"), np.dtype("u4")) else np.dtype("u4")
+    restart = np.iinfo(code).max
+    inside = (array >= 0) & (array < vertices)
+    if array.dtype == code:
+        inside |= array == restart
+    if not inside.all():
+        bad = int(np.flatnonzero(~inside)[0])
+        refuse(
+            MESH_INDEX,
+            call,
+            f"index {array[bad]} at {bad}",
+            f"0 to {vertices - 1}, or {restart} to restart a strip",
+        )
+    return np.ascontiguousarray(array, code)

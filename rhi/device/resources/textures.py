@@ -1,0 +1,401 @@
+"""Textures, samplers, and the parts of a texture that are bound or rendered to.
+
+- Row 0 of every array is the top row. `read` and `write` use the format's own dtype; nothing is converted
+  silently.
+- A `Texture` is itself what a shader's texture binding takes, with a sampler that suits its format;
+  `sampled(...)` gives it another one, `image(...)` one level for loads and stores, `at(...)` one level and
+  layer as a target.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import (
+    Access,
+    Filter,
+    Id,
+    Region,
+    SamplerDescriptor,
+    TextureDescriptor,
+    TextureKind,
+)
+from rhi.contract.formats import Format
+from rhi.device.core.core import Core
+from rhi.device.resources.lifetime import Resource
+from rhi.device.resources.locks import Lock
+from rhi.errors import refuse
+from rhi.errors.rules import (
+    DEVICE_CAPABILITY,
+    TEXTURE_DATA,
+    TEXTURE_FORMAT,
+    TEXTURE_LEVELS,
+    TEXTURE_REGION,
+    TEXTURE_SAMPLES,
+    TEXTURE_SIZE,
+)
+from rhi.shading.language.bindings import ImageBinding, TextureBinding
+
+__rhi_internal__ = True
+
+_LINEAR = SamplerDescriptor()
+_NEAREST = SamplerDescriptor(minify=Filter.NEAREST, magnify=Filter.NEAREST, mip=Filter.NEAREST)
+
+
+@dataclass(frozen=True, slots=True)
+class Sampler:
+    """How a texture is read; equal descriptors are one sampler."""
+
+    id: Id
+    descriptor: SamplerDescriptor
+
+
+@dataclass(frozen=True, slots=True)
+class TextureTarget:
+    """One level and layer of a texture as a render pass's target."""
+
+    texture: Texture
+    level: int = 0
+    layer: int = 0
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of the level."""
+        return self.texture.descriptor.level_size(self.level)
+
+
+class Texture(TextureBinding, Resource):
+    """Texels on the device.
+
+    Attributes:
+        id: its name in the command stream.
+        descriptor: size, format, kind, layers, levels and samples; also attributes of the texture.
+    """
+
+    __slots__ = ("core", "descriptor", "destroyed", "id")
+
+    def __init__(self, core: Core, descriptor: TextureDescriptor) -> None:
+        _check_descriptor(core, descriptor)
+        self.core = core
+        self.descriptor = descriptor
+        self.destroyed = False
+        integer_or_depth = descriptor.format.is_integer or descriptor.format.is_depth
+        sampler = core.sampler(_NEAREST if integer_or_depth else _LINEAR)
+        self.id = core.create_id()
+        core.backend.create_texture(self.id, descriptor)
+        super().__init__(self.id, sampler, self)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """(width, height) of level 0."""
+        return self.descriptor.size
+
+    @property
+    def format(self) -> Format:
+        """The texel format."""
+        return self.descriptor.format
+
+    @property
+    def kind(self) -> TextureKind:
+        """2D, array, 3D or cube."""
+        return self.descriptor.kind
+
+    @property
+    def layers(self) -> int:
+        """Array layers, 6 for a cube, the depth of a 3D texture."""
+        return self.descriptor.layers
+
+    @property
+    def levels(self) -> int:
+        """Mip levels."""
+        return self.descriptor.levels
+
+    @property
+    def samples(self) -> int:
+        """Samples a texel; 1 unless it is multi-sampled."""
+        return self.descriptor.samples
+
+    @property
+    def label(self) -> str:
+        """Its name in messages and tools."""
+        return self.descriptor.label
+
+    def __repr__(self) -> str:
+        width, height = self.size
+        return f"Texture({self.label!r}, {width}×{height}, {self.format.name})"
+
+    def destroy(self) -> None:
+        """Give the memory back once the GPU is done with it. A second call does nothing."""
+        if not self.destroyed:
+            self.destroyed = True
+            self.core.program = None
+            self.core.timeline.retire(self.id)
+
+    # -- parts -------------------------------------------------------------------------------------------
+
+    def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
+        """One level and layer, as a target of a render pass."""
+        self._check("Texture.at", level, layer)
+        return TextureTarget(self, level, layer)
+
+    def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
+        """This texture read through another sampler."""
+        self._check("Texture.sampled")
+        identity = sampler.id if isinstance(sampler, Sampler) else self.core.sampler(sampler)
+        return TextureBinding(self.id, identity, self)
+
+    def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
+        """One level, all layers or one, for a shader's loads and stores."""
+        self._check("Texture.image", level, layer or 0)
+        return ImageBinding(self.id, level, layer, self)
+
+    # -- memory ------------------------------------------------------------------------------------------
+
+    def read(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[Any]:
+        """One layer: (height, width, channels), or (height, width) for one channel; top row first. Waits.
+
+        Depth reads as float32.
+        """
+        texels = self._read("Texture.read", level, self._region("Texture.read", level, layer, region), False)
+        return texels[0, :, :, 0] if self.format.channels == 1 else texels[0]
+
+    def read_layers(self, level: int = 0) -> NDArray[Any]:
+        """All layers: (layers, height, width, channels). Waits."""
+        width, height = self.descriptor.level_size(level)
+        region = Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
+        return self._read("Texture.read_layers", level, region, False)
+
+    def read_stencil(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[np.uint8]:
+        """One layer's stencil values: (height, width) uint8. Waits."""
+        call = "Texture.read_stencil"
+        if not self.format.has_stencil:
+            refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
+        stencil: NDArray[np.uint8] = self._read(call, level, self._region(call, level, layer, region), True)
+        return stencil[0, :, :, 0]
+
+    def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
+        """Replace texels from (x, y) on: (height, width, channels), (height, width) for one channel, or
+        (layers, height, width, channels) for several layers from `layer` on.
+
+        Raises:
+            ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
+                `texture-format` for depth, `texture-samples` for multi-sampled textures.
+        """
+        call = "Texture.write"
+        self._check(call, level, layer)
+        if self.format.is_depth:
+            refuse(
+                TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
+            )
+        self._check_single_sample(call)
+        array = np.asarray(texels)
+        channels = self.format.channels
+        if array.ndim == 2 and channels == 1:
+            array = array[None, :, :, None]
+        elif array.ndim == 3:
+            array = array[None]
+        if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != channels:
+            allowed = f"(height, width, {channels}) of {self.format.dtype}"
+            refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
+        layers, height, width = array.shape[:3]
+        region = Region(x, y, width, height, layer, layers)
+        self._check_region(call, level, region)
+        self.core.upload_bytes += array.nbytes
+        self.core.backend.write_texture(
+            self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data
+        )
+
+    def generate_mipmaps(self) -> None:
+        """Fill levels 1… from level 0 (a 2×2 box, sRGB in linear light)."""
+        self._generate_mipmaps(self.core)
+
+    def _generate_mipmaps(self, core: Core) -> None:
+        """`generate_mipmaps`, commanded to `core`: the texture's own, or a command buffer's."""
+        call = "Texture.generate_mipmaps"
+        self._check(call, core=core)
+        if self.format.is_depth or self.format.is_integer:
+            refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
+        if self.levels > 1:
+            core.backend.generate_mipmaps(self.id)
+
+    def copy_to(
+        self,
+        target: Texture,
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        target_level: int = 0,
+        x: int = 0,
+        y: int = 0,
+        layer: int = 0,
+    ) -> None:
+        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; equal formats."""
+        self._copy(self.core, target, level, region, target_level, x, y, layer)
+
+    def _copy(
+        self, core: Core, target: Texture, level: int, region: Region | None, target_level: int, x: int, y: int,
+        layer: int,
+    ) -> None:  # fmt: skip
+        """`copy_to`, commanded to `core`."""
+        call = "Texture.copy_to"
+        source_region = region or self._whole(level, core)
+        self._check_region(call, level, source_region, core)
+        target._check(call, target_level, layer, core)
+        if target.format is not self.format:
+            refuse(TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats")
+        if target.samples != 1 or self.samples != 1:
+            refuse(
+                TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "1", "use resolve_to"
+            )
+        end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
+        target._check_region(call, target_level, end, core)
+        if target is self and level == target_level and _overlap(source_region, end):
+            refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+        core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
+
+    def resolve_to(self, target: Texture) -> None:
+        """Average this multi-sampled texture's samples into `target`, of equal size and format."""
+        self._resolve(self.core, target)
+
+    def _resolve(self, core: Core, target: Texture) -> None:
+        """`resolve_to`, commanded to `core`."""
+        call = "Texture.resolve_to"
+        self._check(call, core=core)
+        target._check(call, core=core)
+        if self.samples == 1 or target.samples != 1:
+            refuse(
+                TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "several samples to 1"
+            )
+        has_average = not (self.format.is_depth or self.format.is_integer)
+        if self.format is not target.format or self.size != target.size or not has_average:
+            allowed = "a color format that is no integer, equal in both, and equal sizes"
+            refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+        core.backend.resolve_texture(self.id, target.id)
+
+    def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
+        """`with texture.lock(Access.WRITE) as texels:` gives (height, width, channels), top row first."""
+        call = "Texture.lock"
+        if self.format.is_depth and access.writes:
+            refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
+        self._check_single_sample(call)
+        where = self._region(call, level, layer, region)
+        return Lock(
+            self,
+            access,
+            read=lambda: self._read(call, level, where, False)[0].copy(),
+            make=lambda: np.zeros((where.height, where.width, self.format.channels), self.format.dtype),
+            write=lambda texels: self.write(texels, level, where.layer, where.x, where.y),
+        )
+
+    # -- checks ------------------------------------------------------------------------------------------
+
+    def _check(self, call: str, level: int = 0, layer: int = 0, core: Core | None = None) -> None:
+        core = core or self.core
+        core.check_open()
+        core.check_usable(self, call)
+        if not 0 <= level < self.levels:
+            refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
+        layers = self.descriptor.level_layers(level)
+        if not 0 <= layer < layers:
+            refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
+
+    def _check_single_sample(self, call: str) -> None:
+        if self.samples != 1:
+            refuse(
+                TEXTURE_SAMPLES,
+                call,
+                f"{self.samples} samples",
+                "1",
+                "resolve it first: texture.resolve_to(…)",
+            )
+
+    def _check_region(self, call: str, level: int, region: Region, core: Core | None = None) -> None:
+        self._check(call, level, region.layer, core)
+        width, height = self.descriptor.level_size(level)
+        layers = self.descriptor.level_layers(level)
+        inside = (
+            region.x >= 0
+            and region.y >= 0
+            and min(region.width, region.height, region.layers) > 0
+            and region.x + region.width <= width
+            and region.y + region.height <= height
+            and region.layer + region.layers <= layers
+        )
+        if not inside:
+            refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
+
+    def _whole(self, level: int, core: Core) -> Region:
+        self._check("Texture", level, core=core)
+        width, height = self.descriptor.level_size(level)
+        return Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
+
+    def _region(self, call: str, level: int, layer: int, region: Region | None) -> Region:
+        self._check(call, level, layer)
+        if region is None:
+            region = Region(0, 0, *self.descriptor.level_size(level), layer)
+        self._check_region(call, level, region)
+        return region
+
+    def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
+        self._check_region(call, level, region)
+        self._check_single_sample(call)
+        return self.core.backend.read_texture(self.id, level, region, stencil)
+
+
+def full_levels(width: int, height: int, depth: int = 1) -> int:
+    """How many mip levels there are down to 1×1."""
+    return max(width, height, depth).bit_length()
+
+
+def _overlap(a: Region, b: Region) -> bool:
+    return (
+        a.x < b.x + b.width
+        and b.x < a.x + a.width
+        and a.y < b.y + b.height
+        and b.y < a.y + a.height
+        and a.layer < b.layer + b.layers
+        and b.layer < a.layer + a.layers
+    )
+
+
+def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
+    call = "device.texture"
+    core.check_open()
+    limits = core.capabilities
+    width, height = descriptor.size
+    if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
+        refuse(TEXTURE_SIZE, call, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
+    if descriptor.format in limits.unsupported_formats:
+        refuse(DEVICE_CAPABILITY, call, descriptor.format.name, "not among capabilities.unsupported_formats")
+    kind, layers = descriptor.kind, descriptor.layers
+    allowed_layers = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
+        kind, (1, limits.max_texture_layers)
+    )
+    if not allowed_layers[0] <= layers <= allowed_layers[1]:
+        refuse(
+            TEXTURE_SIZE,
+            call,
+            f"{layers} layers of {kind.name}",
+            f"{allowed_layers[0]} to {allowed_layers[1]}",
+        )
+    if kind is TextureKind.CUBE and width != height:
+        refuse(TEXTURE_SIZE, call, f"a cube of {width}×{height}", "square faces")
+    most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
+    if not 1 <= descriptor.levels <= most:
+        refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
+    samples = descriptor.samples
+    if samples not in (1, 2, 4, 8) or samples > limits.max_samples:
+        refuse(TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}")
+    if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
+        refuse(
+            TEXTURE_SAMPLES,
+            call,
+            f"{samples} samples, {descriptor.levels} levels, {kind.name}",
+            "2D, one level",
+        )
+    if descriptor.format.is_depth and kind is TextureKind.D3:
+        refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")

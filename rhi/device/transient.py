@@ -1,0 +1,294 @@
+"""Transient memory: constants, vertices and indices that live for a frame (thesis 4.3).
+
+- `TransientMemory` puts them into rings; what it gives is valid until the frame is presented.
+- Vertices are laid out as the program's vertex stage reads them.
+- A command buffer has transient memory of its own, which lives as long as it does: an `Arena` in place of the rings.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.contract.descriptors import (
+    Attribute,
+    Id,
+    Primitive,
+    VertexArrayDescriptor,
+    VertexAttribute,
+    VertexFormat,
+    VertexStream,
+)
+from rhi.contract.formats import IndexFormat
+from rhi.contract.layout import VectorType
+from rhi.device.core.core import Core
+from rhi.device.core.ring import Ring
+from rhi.device.resources.meshes import Mesh, check_finite, match_indices
+from rhi.device.resources.programs import Program
+from rhi.errors import refuse
+from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE, RESOURCE_DESTROYED
+from rhi.shading.language.bindings import UniformRange
+
+if TYPE_CHECKING:
+    from rhi.shading import Struct
+
+__rhi_internal__ = True
+
+S = TypeVar("S", bound="Struct")
+
+_FLOAT_FORMATS = {f.components: f for f in VertexFormat if f.code == "f4"}
+_INT_FORMATS = {f.components: f for f in VertexFormat if f.code == "i4"}
+_UINT_FORMATS = {f.components: f for f in VertexFormat if f.code == "u4" and not f.normalized}
+_BY_SCALAR = {"float": _FLOAT_FORMATS, "int": _INT_FORMATS, "uint": _UINT_FORMATS}
+
+
+class TransientOwner:
+    """Stands for transient memory where bindings and meshes are asked for their owner.
+
+    That of constants (a `buffer`) is made anew when their ring has grown.
+    """
+
+    __slots__ = ("bind_uniform", "core", "destroyed", "label")
+
+    def __init__(self, core: Core, label: str, buffer: Id = 0) -> None:
+        self.core = core
+        if buffer:
+            self.bind_uniform = core.prepare_uniform(buffer)
+        self.destroyed = False
+        self.label = label
+
+
+class Arena:
+    """Memory that only grows, and is handed to the backend as one buffer when it is first needed there.
+
+    It has the part of a `Ring` that `TransientMemory` uses.
+    """
+
+    __slots__ = ("buffer", "data", "generation")
+
+    def __init__(self, buffer: Id) -> None:
+        self.buffer = buffer
+        self.generation = 0
+        self.data = bytearray()
+
+    @property
+    def capacity(self) -> int:
+        """Bytes that were given out."""
+        return len(self.data)
+
+    def write(self, data: BytesLike, size: int, alignment: int) -> int:
+        """Put `size` bytes behind the others; returns their offset, a multiple of `alignment`."""
+        self.data.extend(bytes(-len(self.data) % alignment))
+        offset = len(self.data)
+        self.data.extend(memoryview(data)[:size])
+        return offset
+
+
+class TransientMemory:
+    """Memory for what is used in one frame, or one command buffer, only.
+
+    Attributes:
+        arguments: the ring that `device.draw_many` puts its arrays of draws into.
+    """
+
+    __slots__ = ("_constants", "_core", "_indices", "_mesh_owner", "_owner", "_owner_generation", "_vertex_arrays",
+                 "_vertices", "arguments")  # fmt: skip
+
+    def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
+        """In rings, which begin with `capacity` bytes each, or all in one arena."""
+        self._core = core
+        memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
+        if arena is None:
+            for label in ("transient constants", "transient vertices", "transient indices", "draw arguments"):
+                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label)
+                core.frame_rings.append(ring)
+                memories.append(ring)
+        self._constants, self._vertices, self._indices, self.arguments = memories
+        self._owner: TransientOwner | None = None
+        self._owner_generation = 0
+        self._mesh_owner = TransientOwner(core, "transient vertices")
+        self._vertex_arrays: dict[tuple[object, ...], Id] = {}
+
+    @property
+    def capacity(self) -> int:
+        """Bytes that there is room for."""
+        memories = {
+            id(each): each for each in (self._constants, self._vertices, self._indices, self.arguments)
+        }
+        return sum(memory.capacity for memory in memories.values() if memory.buffer)
+
+    def uniform(self, value: S) -> UniformRange[S]:
+        """Constants for the draws of this frame."""
+        core = self._core
+        core.check_open()
+        data = value.to_bytes()
+        core.upload_bytes += len(data)
+        offset = self._constants.write(data, len(data), core.capabilities.uniform_alignment)
+        if self._owner is None or self._constants.generation != self._owner_generation:
+            # The ring moved to a larger buffer. Ranges on the old one stay valid for this frame, but a new
+            # owner makes draws look at the new one.
+            self._owner = TransientOwner(core, "transient constants", self._constants.buffer)
+            self._owner_generation = self._constants.generation
+        return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
+
+    def mesh(
+        self,
+        program: Program[Any],
+        vertices: NDArray[Any],
+        indices: NDArray[Any] | None = None,
+        primitive: Primitive = Primitive.TRIANGLES,
+    ) -> Mesh:
+        """A mesh of this frame for one program.
+
+        Args:
+            vertices: (n,), a structured array with the program's vertex fields.
+            indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
+
+        Raises:
+            ValidationError: `immediate-vertex`, `mesh-index`.
+        """
+        self._core.check_open()
+        array = match_vertices(program, vertices)
+        if indices is not None:
+            indices = match_indices(indices, len(array), "transient.mesh")
+        return self.place_mesh(program, array, indices, primitive)
+
+    def place_mesh(
+        self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None, primitive: Primitive
+    ) -> Mesh:  # fmt: skip
+        """`mesh` of what `match_vertices` and `match_indices` gave."""
+        vertex_array, first, base = self._place(program, vertices, indices)
+        count = len(vertices) if indices is None else len(indices)
+        return _TransientMesh(
+            _TransientData({program: vertex_array}, self._mesh_owner), primitive, first, count, base
+        )
+
+    def _place(
+        self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None
+    ) -> tuple[Id, int, int]:
+        """Put vertices and indices into the rings; (vertex array, first, base vertex)."""
+        core = self._core
+        stride = vertices.dtype.itemsize
+        core.upload_bytes += vertices.nbytes
+        start = self._vertices.write(vertices.view(np.uint8).data, vertices.nbytes, stride) // stride
+        first, base, index_buffer, index_format = start, 0, 0, IndexFormat.UINT32
+        if indices is not None:
+            size = indices.dtype.itemsize
+            core.upload_bytes += indices.nbytes
+            first = self._indices.write(indices.view(np.uint8).data, indices.nbytes, size) // size
+            base, index_buffer = start, self._indices.buffer
+            index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
+        key = (program.id, self._vertices.buffer, index_buffer, index_format)
+        vertex_array = self._vertex_arrays.get(key)
+        if vertex_array is None:
+            self._drop_outdated()
+            vertex_array = core.new_id()
+            core.backend.create_vertex_array(
+                vertex_array,
+                VertexArrayDescriptor(
+                    program.id,
+                    (VertexStream(self._vertices.buffer, 0, stride, False,
+                                  vertex_attributes(program.descriptor.attributes)),),
+                    index_buffer,
+                    index_format,
+                ),
+            )  # fmt: skip
+            self._vertex_arrays[key] = vertex_array
+        return vertex_array, first, base
+
+    def _drop_outdated(self) -> None:
+        """Give back the vertex arrays on buffers that a ring has grown out of."""
+        current = (self._vertices.buffer, self._indices.buffer, 0)
+        for key in [k for k in self._vertex_arrays if k[1] != current[0] or k[2] not in current[1:]]:
+            self._core.timeline.retire(self._vertex_arrays.pop(key))
+
+
+class _TransientData:
+    """What a transient mesh has in place of buffers of its own: an owner to check, and a vertex array by program."""
+
+    label = "transient"
+
+    def __init__(self, vertex_arrays: dict[object, Id], *owners: TransientOwner) -> None:
+        self.vertex_arrays = vertex_arrays
+        self.buffers = owners
+
+    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
+        refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", "a transient mesh that was made for another program",
+               "one made for this one")  # fmt: skip
+
+    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
+        self.describe(program, name, attributes)
+
+
+class _TransientMesh(Mesh):
+    """A part of the rings, for one program."""
+
+    __slots__ = ()
+
+    def __init__(self, data: _TransientData, primitive: Primitive, first: int, count: int, base: int) -> None:
+        self.data = data  # type: ignore[assignment]
+        self.calls = {}
+        self.primitive = primitive
+        self.first = first
+        self.count = count
+        self.base_vertex = base
+        self.base_instance = 0
+
+
+EMPTY_MESH = _TransientMesh(_TransientData({}), Primitive.TRIANGLES, 0, 0, 0)
+"""For checks that want a mesh where there is none yet."""
+
+
+def vertex_attributes(attributes: tuple[Attribute, ...]) -> tuple[VertexAttribute, ...]:
+    """Where tightly packed vertices of these attributes have them."""
+    packed, offset = [], 0
+    for attribute in attributes:
+        components, scalar = _shape(attribute)
+        packed.append(VertexAttribute(attribute.location, _BY_SCALAR[scalar][components], offset))
+        offset += 4 * components
+    return tuple(packed)
+
+
+def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
+    """The same as a NumPy dtype."""
+    codes = {"float": "<f4", "int": "<i4", "uint": "<u4"}
+    fields: list[Any] = []
+    for attribute in attributes:
+        components, scalar = _shape(attribute)
+        fields.append((attribute.name, codes[scalar], (components,)) if components > 1
+                      else (attribute.name, codes[scalar]))  # fmt: skip
+    return np.dtype(fields)
+
+
+def match_vertices(program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
+    """The array's fields as tightly packed vertices of the program.
+
+    Raises:
+        ValidationError: `immediate-vertex` when a field is missing or has another shape.
+    """
+    if program.destroyed:
+        refuse(RESOURCE_DESTROYED, "vertices", repr(program))
+    dtype = vertex_dtype(program.descriptor.attributes)
+    given = np.asarray(array)
+    names = dtype.names or ()
+    if given.ndim != 1 or not given.dtype.names or any(
+        name not in given.dtype.names or given.dtype[name].shape != dtype[name].shape for name in names
+    ):  # fmt: skip
+        refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
+    check_finite(given, IMMEDIATE_VERTEX, "vertices")
+    if given.dtype == dtype:
+        return np.ascontiguousarray(given)
+    packed = np.empty(len(given), dtype)
+    for name in names:
+        packed[name] = given[name]
+    return packed
+
+
+def _shape(attribute: Attribute) -> tuple[int, str]:
+    vector = attribute.type
+    if isinstance(vector, VectorType):
+        return vector.size, str(vector.scalar)
+    return 1, str(vector)

@@ -1,0 +1,322 @@
+"""Shading functions and compute shaders on NumPy, in float32 or float64: for tests, and as the reference of accuracy.
+
+`evaluate` calls a `@function` on whole arrays, `run_compute` runs a compute shader over a grid of work-groups.
+"""
+
+from __future__ import annotations
+
+import weakref
+from types import FunctionType
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Stage
+from rhi.contract.layout import ArrayType, HostType, Layout, StructType, dtype_of, element_dtype, shape_of
+from rhi.errors import refuse
+from rhi.shading.compile import compile_shader
+from rhi.shading.ir import tree
+from rhi.shading.ir.lanes import Code, Kind
+from rhi.shading.language import rules
+from rhi.shading.language.function import Function
+from rhi.shading.language.shader import Memory, Shader
+from rhi.shading.language.source import source_of
+from rhi.shading.language.structs import Struct
+from rhi.shading.language.types import ImageType, StorageType, TextureType
+from rhi.shading.lowering.functions import lower_function
+from rhi.shading.lowering.places import all_kinds, words_of
+from rhi.shading.numpy.kernel import NumpyKernel, Run, load_module
+from rhi.shading.numpy.textures import HostTexture
+from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.parser.signatures import Callee
+from rhi.shading.parser.stage import StageParser
+
+__rhi_internal__ = True
+
+Array = NDArray[Any]
+
+_DTYPES: Final = {Kind.INT: np.int32, Kind.UINT: np.uint32, Kind.BOOL: np.bool_}
+_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, Run]] = (
+    weakref.WeakKeyDictionary()
+)
+_shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
+
+
+# -- functions ---------------------------------------------------------------------------------------------
+
+
+def evaluate(
+    function: Function[..., Any],
+    *arguments: Any,
+    dtype: type[np.float32] | type[np.float64] = np.float32,
+    **named: Any,
+) -> Any:
+    """Run a `@function` on whole arrays with NumPy.
+
+    Args:
+        arguments, named: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)` for
+            a `mat3`, a structured array or `Struct` for a struct. What stands for `…` broadcasts.
+        dtype: of floats, and of the result.
+
+    Returns:
+        The results in the same form; a struct's as a structured array.
+
+    Raises:
+        ValidationError `shading-arguments`: an argument is missing, unknown or has the wrong shape.
+        ShaderError: the function breaks a rule of the language.
+    """
+    call = f"evaluate({getattr(function, '__name__', repr(function))}, …)"
+    if not isinstance(function, Function):
+        refuse(rules.WRONG_ARGUMENTS, call, repr(function), "a function decorated with @function")
+    tree_function, _, run = _compiled_function(function.python)
+    given = _by_name(tree_function, arguments, named, call, dtype)
+    scalars = []
+    for parameter, value in zip(tree_function.parameters, given, strict=True):
+        scalars.extend(scalars_of(parameter.type, value, dtype, f"{call}: {parameter.name}"))  # type: ignore[arg-type]
+    shape = np.broadcast_shapes(*(np.shape(scalar) for scalar in scalars))
+    with np.errstate(all="ignore"):
+        results = run(dtype, {}, None, scalars)
+    return assemble(tree_function.result, list(results), shape, dtype)  # type: ignore[arg-type]
+
+
+def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run]:
+    known = _functions.get(function)
+    if known is None:
+        callee = Callee(source_of(function), None, False)
+        parser = StageParser(_Nothing, Stage.COMPUTE)
+        types = tuple(parameter.type for parameter in callee.signature.parameters)
+        for parameter in callee.signature.parameters:
+            if not isinstance(parameter.type, HostType):
+                callee.source.refuse(
+                    rules.ANNOTATION, callee.source.node, f"{parameter.name}: {parameter.type}"
+                )
+        parser._compile(callee, types)  # type: ignore[arg-type]
+        parsed = parser.finished[-1]
+        code = lower_function(parsed)
+        known = _functions[function] = (parsed, code, load_module(write_numpy(code), code.name)["run"])
+    return known
+
+
+class _Nothing(Shader):
+    """Functions have no shader."""
+
+
+def _by_name(
+    function: tree.Function, arguments: tuple[Any, ...], named: dict[str, Any], call: str, dtype: Any
+) -> list[Any]:
+    names = [parameter.name for parameter in function.parameters]
+    given = dict(zip(names, arguments, strict=False)) | named
+    if len(arguments) + len(named) != len(names) or set(given) != set(names):
+        refuse(rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(names))
+    if dtype not in (np.float32, np.float64):
+        refuse(rules.WRONG_ARGUMENTS, call, f"dtype={dtype!r}", "np.float32, np.float64")
+    return [given[name] for name in names]
+
+
+def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
+    """The components of an argument, each an array over the evaluations."""
+    if isinstance(type, StructType):
+        if isinstance(value, Struct):
+            value = {field.name: getattr(value, field.name) for field in type.fields}
+        parts = []
+        for field in type.fields:
+            try:
+                inner = value[field.name]
+            except (KeyError, ValueError, TypeError, IndexError):
+                refuse(
+                    rules.WRONG_ARGUMENTS,
+                    call,
+                    f"no {field.name!r}",
+                    f"a {type.name} or an array with its fields",
+                )
+            parts.extend(scalars_of(field.type, inner, dtype, f"{call}.{field.name}"))
+        return parts
+    kinds, shape = all_kinds(type), shape_of(type)
+    if isinstance(type, ArrayType) and isinstance(type.element, StructType):
+        refuse(rules.WRONG_ARGUMENTS, call, str(type), "arrays of numbers and vectors")
+    array = np.asarray(value, _DTYPES.get(kinds[0], dtype))
+    if array.shape[array.ndim - len(shape) :] != shape or array.ndim < len(shape):
+        refuse(
+            rules.WRONG_ARGUMENTS,
+            call,
+            f"an array of shape {array.shape}",
+            f"(…, {', '.join(map(str, shape))})",
+        )
+    if not shape:
+        return [array[()]]
+    flat = array.reshape(*array.shape[: array.ndim - len(shape)], -1)
+    return [flat[..., i] for i in range(len(kinds))]
+
+
+def assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype: Any) -> Any:
+    """A result's components as one array; a struct's as a structured array."""
+    if isinstance(type, StructType):
+        formats = [(field.name, _field_dtype(field.type, dtype)) for field in type.fields]
+        result = np.zeros(shape, np.dtype(formats))
+        start = 0
+        for field in type.fields:
+            size = words_of(field.type)
+            result[field.name] = assemble(field.type, scalars[start : start + size], shape, dtype)
+            start += size
+        return result
+    arrays = [np.broadcast_to(scalar, shape) for scalar in scalars]
+    if not shape_of(type):
+        return np.array(arrays[0], _DTYPES.get(all_kinds(type)[0], dtype))[()]
+    whole = np.stack(arrays, axis=-1).astype(_DTYPES.get(all_kinds(type)[0], dtype))
+    return whole.reshape(*shape, *shape_of(type))
+
+
+def _field_dtype(type: HostType, dtype: Any) -> Any:
+    if isinstance(type, StructType):
+        return np.dtype([(field.name, _field_dtype(field.type, dtype)) for field in type.fields])
+    return np.dtype((_DTYPES.get(all_kinds(type)[0], dtype), shape_of(type)))
+
+
+# -- compute -----------------------------------------------------------------------------------------------
+
+
+def run_compute(
+    shader: type[Shader],
+    groups: int | tuple[int, ...] = 1,
+    *,
+    dtype: type[np.float32] | type[np.float64] = np.float32,
+    **bindings: Any,
+) -> dict[str, Array]:
+    """Run a compute shader on NumPy.
+
+    Args:
+        groups: work-groups in 1 to 3 dimensions.
+        dtype: of floats in variables and shared memory; buffers hold float32.
+        bindings: a `Struct`, number or array for each `Uniform`; for each `Storage` and `StorageRW` an array of
+            the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of zeros; a
+            `HostTexture` for each texture and image.
+
+    Returns:
+        What each `StorageRW` and image holds afterwards; the arrays given stay as they are.
+
+    Raises:
+        ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
+        ShaderError: the shader breaks a rule.
+    """
+    call = f"run_compute({shader.__name__}, …)"
+    kernel = _compiled_shader(shader)
+    x, y, z = counts = (*((groups,) if isinstance(groups, int) else groups), 1, 1)[:3]
+    if any(count < 0 for count in counts) or dtype not in (np.float32, np.float64):
+        refuse(
+            rules.WRONG_ARGUMENTS,
+            call,
+            f"groups={groups}, dtype={dtype!r}",
+            "counts, np.float32 or np.float64",
+        )
+    memory, results = bound_words(shader, bindings, call)
+    kernel.launch((x, y, z), memory, dtype)
+    return results
+
+
+def bound_words(
+    shader: type[Shader], bindings: dict[str, Any], call: str
+) -> tuple[dict[str, Any], dict[str, Array]]:
+    """What is bound, as words by name; and the arrays among it that the shader writes.
+
+    Raises:
+        ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
+    """
+    names = {binding.name for binding in compile_shader(shader).bindings}
+    if set(bindings) != names:
+        refuse(
+            rules.WRONG_ARGUMENTS,
+            call,
+            ", ".join(bindings) or "nothing",
+            ", ".join(sorted(names)) or "nothing",
+        )
+    memory: dict[str, Any] = {}
+    results: dict[str, Array] = {}
+    for declaration in shader._declared.values():
+        name = declaration.name
+        if declaration.memory is Memory.STORAGE:
+            assert isinstance(declaration.type, StorageType)
+            whole, words = storage_words(declaration.type.element, bindings[name], f"{call}: {name}")
+            memory[name] = words
+            if declaration.type.writable:
+                results[name] = whole
+        elif declaration.memory is Memory.UNIFORM:
+            memory[name] = uniform_words(declaration.type, bindings[name], f"{call}: {name}")  # type: ignore[arg-type]
+        elif declaration.memory in (Memory.TEXTURE, Memory.IMAGE):
+            texture = memory[name] = host_texture(declaration.type, bindings[name], f"{call}: {name}")  # type: ignore[arg-type]
+            if declaration.memory is Memory.IMAGE:
+                results[name] = texture.levels[0]
+    return memory, results
+
+
+def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
+    known = _shaders.get(shader)
+    if known is None:
+        descriptor = compile_shader(shader)
+        if Stage.COMPUTE not in descriptor.stages:
+            refuse(
+                rules.STAGES,
+                f"run_compute({shader.__name__}, …)",
+                "no compute stage",
+                "compute(self) -> None",
+            )
+        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE), descriptor.name)
+    return known
+
+
+def storage_words(element: HostType, value: Any, call: str) -> tuple[Array, Array]:
+    """A copy of a storage buffer's contents, and the same as words.
+
+    Raises:
+        ValidationError `shading-arguments`: not an array of the element's std430 dtype.
+    """
+    wanted = element_dtype(element, Layout.STD430)
+    base, shape = wanted.subdtype if wanted.subdtype is not None else (wanted, ())
+    if isinstance(value, int):
+        whole = np.zeros((value, *shape), base)
+    else:
+        whole = np.array(value, order="C")
+        if whole.dtype != base or whole.shape[1:] != shape or whole.ndim < 1:
+            refuse(
+                rules.WRONG_ARGUMENTS,
+                call,
+                f"{whole.dtype} {whole.shape}",
+                f"{base} (n{', ' + str(shape) if shape else ''})",
+            )
+    return whole, whole.reshape(-1).view(np.uint32)
+
+
+def host_texture(type: TextureType | ImageType, value: Any, call: str) -> HostTexture:
+    """A texture; of an image a copy, since shaders write into it.
+
+    Raises:
+        ValidationError `shading-arguments`: not a `HostTexture` of the binding's shape and format.
+    """
+    if not isinstance(value, HostTexture) or value.kind is not type.kind:
+        refuse(rules.WRONG_ARGUMENTS, call, repr(value), f"a HostTexture for a {type}")
+    if isinstance(type, ImageType):
+        if value.format is not type.format:
+            refuse(rules.WRONG_ARGUMENTS, call, value.format.name, type.format.name)
+        return HostTexture(value.levels[0], value.format, value.kind)
+    return value
+
+
+def uniform_words(type: HostType, value: Any, call: str) -> Array:
+    """A uniform block's contents as words.
+
+    Raises:
+        ValidationError `shading-arguments`: the value doesn't fit.
+    """
+    if isinstance(value, Struct) and value.shading_type == type:
+        return np.frombuffer(value.to_bytes(), np.uint32)
+    dtype = dtype_of(type, Layout.STD140)
+    base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, ())
+    array = np.zeros(shape, base)
+    try:
+        natural = np.asarray(value, base)
+        if natural.shape not in (shape_of(type), array.shape) or isinstance(type, StructType):
+            raise ValueError
+        array[tuple(slice(0, n) for n in natural.shape)] = natural
+    except (ValueError, TypeError):
+        refuse(rules.WRONG_ARGUMENTS, call, repr(value), f"a {type}")
+    return array.reshape(-1).view(np.uint32)

@@ -1,0 +1,252 @@
+"""Vertex and fragment stages on NumPy, in float32 or float64: for tests, and as a rasteriser's reference.
+
+They run from the same lane code as on OpenCL, on arrays of any size: vertices of any shape, fragments in rows and
+columns, whose quads (2 by 2, from the first row and column) give differences between pixels.
+"""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Stage
+from rhi.contract.layout import FLOAT, HostType, StructType
+from rhi.errors import refuse
+from rhi.shading.compile import stage_interface, stage_trees
+from rhi.shading.evaluation.compute import assemble, bound_words, scalars_of
+from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Interface
+from rhi.shading.ir.lanes import StageCode
+from rhi.shading.language import rules
+from rhi.shading.language.shader import Shader
+from rhi.shading.language.types import VEC4
+from rhi.shading.lowering.places import words_of
+from rhi.shading.lowering.stages import lower_stage, takes_differences
+from rhi.shading.numpy.kernel import Run, load_module
+from rhi.shading.numpy.runtime import Invocations
+from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.parser.interface import varyings_read, words_of_varyings
+
+__rhi_internal__ = True
+
+Array = NDArray[Any]
+Dtype = type[np.float32] | type[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class VertexRun:
+    """What a vertex stage gave: clip positions (…, 4), each varying by name, what each `StorageRW` holds."""
+
+    position: Array
+    varyings: dict[str, Array]
+    memory: dict[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class FragmentRun:
+    """What a fragment stage gave: each output by name (…, rows, columns, components), the depth if it writes one, which
+    fragments are covered and not discarded, what each `StorageRW` holds. Others' outputs are undefined."""
+
+    outputs: dict[str, Array]
+    depth: Array | None
+    kept: Array
+    memory: dict[str, Array]
+
+
+@dataclass(frozen=True, slots=True)
+class _Compiled:
+    stage: tree.StageTree
+    interface: Interface
+    code: StageCode
+    run: Run
+
+
+_stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _Compiled]] = weakref.WeakKeyDictionary()
+
+
+def run_vertex(
+    shader: type[Shader],
+    attributes: Mapping[str, Any] | Array | None = None,
+    /,
+    *,
+    vertex_index: Any = None,
+    instance_index: Any = 0,
+    draw_index: Any = 0,
+    dtype: Dtype = np.float32,
+    **bindings: Any,
+) -> VertexRun:
+    """Run a shader's vertex stage on NumPy.
+
+    Args:
+        attributes: an array for each attribute, or a structured one: `(…)` for a number, `(…, 3)` for a `vec3`. All
+            broadcast.
+        vertex_index: of each vertex; counts from 0 by default.
+        instance_index, draw_index: numbers, or one for each vertex.
+        dtype: of floats in variables; buffers hold float32.
+        bindings: as of `run_compute`.
+
+    Raises:
+        ValidationError `shading-arguments`: an attribute or binding is missing, unknown or has another shape.
+        ShaderError: the shader has no vertex stage, or breaks a rule.
+    """
+    call = f"run_vertex({shader.__name__}, …)"
+    compiled = _compiled_stage(shader, Stage.VERTEX, call)
+    values = _inputs(compiled.stage, attributes, None, dtype, call)
+    indices = [np.asarray(index, np.int32) for index in (instance_index, draw_index)]
+    shapes = [np.shape(value) for value in (*values, *indices, 0 if vertex_index is None else vertex_index)]
+    shape = _broadcast(shapes, call)
+    if vertex_index is None:
+        vertex_index = np.arange(np.prod(shape, dtype=int)).reshape(shape)
+    values += [np.asarray(vertex_index, np.int32), *indices, np.ones(shape, np.bool_)]
+    memory, written = bound_words(shader, bindings, call)
+    with np.errstate(all="ignore"):
+        results = list(compiled.run(dtype, memory, Invocations(shape), values))
+    outputs = _fields(compiled.stage.entry.result, compiled.interface.position, results, shape, dtype)
+    return VertexRun(outputs[compiled.interface.position], outputs, written)
+
+
+def run_fragment(
+    shader: type[Shader],
+    varyings: Mapping[str, Any] | Array | None = None,
+    /,
+    *,
+    covered: Any = True,
+    fragment_coordinate: Any = None,
+    front_facing: Any = True,
+    primitive_index: Any = 0,
+    dtype: Dtype = np.float32,
+    **bindings: Any,
+) -> FragmentRun:
+    """Run a shader's fragment stage on NumPy.
+
+    Args:
+        varyings: an array for each varying that the stage reads, or a structured one: `(…, rows, columns)` for a
+            number, `(…, rows, columns, 3)` for a `vec3`. All broadcast with `covered`.
+        covered: which fragments take part, (…, rows, columns). The others of their quads are helpers.
+        fragment_coordinate: (…, rows, columns, 4); by default the centres of pixels from 0, depth 0 and 1 / w = 1.
+        front_facing, primitive_index: of the primitive, or one for each fragment.
+        dtype: of floats in variables; buffers hold float32.
+        bindings: as of `run_compute`.
+
+    Raises:
+        ValidationError `shading-arguments`: a varying or binding is missing, unknown or has another shape; or the stage
+            takes differences, and rows or columns are odd in number.
+        ShaderError: the shader has no fragment stage, or breaks a rule.
+    """
+    call = f"run_fragment({shader.__name__}, …)"
+    compiled = _compiled_stage(shader, Stage.FRAGMENT, call)
+    read = {varying.name for varying in varyings_read(compiled.stage, compiled.interface.varyings)}
+    values = _inputs(compiled.stage, varyings, read, dtype, call)
+    front, primitive = np.asarray(front_facing, np.bool_), np.asarray(primitive_index, np.int32)
+    shapes = [np.shape(value) for value in (*values, front, primitive, covered)]
+    at = (
+        []
+        if fragment_coordinate is None
+        else scalars_of(VEC4, fragment_coordinate, dtype, f"{call}: coordinate")
+    )
+    shape = _broadcast([*shapes, *map(np.shape, at), (1, 1)], call)
+    if takes_differences(compiled.stage) and (shape[-2] % 2 or shape[-1] % 2):
+        refuse(
+            rules.WRONG_ARGUMENTS,
+            call,
+            f"{shape[-2]} by {shape[-1]} fragments",
+            "even numbers, for ddx and ddy",
+        )
+    if not at:
+        rows, columns = np.ogrid[: shape[-2], : shape[-1]]
+        at = [(columns + 0.5).astype(dtype), (rows + 0.5).astype(dtype), dtype(0), dtype(1)]
+    mask = np.array(np.broadcast_to(covered, shape), np.bool_)
+    memory, written = bound_words(shader, bindings, call)
+    with np.errstate(all="ignore"):
+        results = list(
+            compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, mask])
+        )
+    kept = np.array(np.broadcast_to(results.pop(), shape), np.bool_)
+    depth = results.pop() if compiled.code.has_depth else None
+    outputs = {}
+    for output in compiled.interface.outputs:
+        places = range(4 * output.location, 4 * output.location + output.components)
+        parts = [results[compiled.code.words.index(place)] for place in places]
+        outputs[output.name] = assemble(_output_type(compiled.stage, output.name), parts, shape, dtype)
+    return FragmentRun(
+        outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), kept, written
+    )
+
+
+def _output_type(stage: tree.StageTree, name: str) -> HostType:
+    result = stage.entry.result
+    if isinstance(result, StructType):
+        result = next(field.type for field in result.fields if field.name == name)
+    return result  # type: ignore[return-value]
+
+
+def _fields(
+    type: Any, position: str, results: list[Any], shape: tuple[int, ...], dtype: Any
+) -> dict[str, Array]:
+    """The fields of a vertex stage's result by name, a plain position's being ""."""
+    fields = [(field.name, field.type) for field in type.fields] if position else [("", type)]
+    outputs, start = {}, 0
+    for name, part in fields:
+        size = words_of(part)
+        outputs[name] = assemble(part, results[start : start + size], shape, dtype)
+        start += size
+    return outputs
+
+
+def _inputs(
+    stage: tree.StageTree,
+    given: Mapping[str, Any] | Array | None,
+    read: set[str] | None,
+    dtype: Any,
+    call: str,
+) -> list[Any]:
+    """The components of a stage's parameters, of those fields that are read."""
+    if dtype not in (np.float32, np.float64):
+        refuse(rules.WRONG_ARGUMENTS, call, f"dtype={dtype!r}", "np.float32, np.float64")
+    types = [parameter.type for parameter in stage.entry.parameters]
+    fields = [field for type in types if isinstance(type, StructType) for field in type.fields]
+    if isinstance(given, np.ndarray):
+        given = {name: given[name] for name in given.dtype.names or ()}
+    given, names = given or {}, {field.name for field in fields}
+    missing = (names if read is None else names & read) - set(given)
+    if missing or (read is None and set(given) - names):
+        refuse(
+            rules.WRONG_ARGUMENTS, call, ", ".join(given) or "nothing", ", ".join(sorted(names)) or "nothing"
+        )
+    values: list[Any] = []
+    for field in fields:
+        if read is None or field.name in read:
+            values += scalars_of(field.type, given[field.name], dtype, f"{call}: {field.name}")
+    return values
+
+
+def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
+    try:
+        return np.broadcast_shapes(*shapes)
+    except ValueError:
+        refuse(
+            rules.WRONG_ARGUMENTS, call, ", ".join(map(str, dict.fromkeys(shapes))), "shapes that broadcast"
+        )
+
+
+def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _Compiled:
+    known = _stages.setdefault(shader, {})
+    if stage not in known:
+        trees = stage_trees(shader)
+        if stage not in trees:
+            refuse(rules.STAGES, call, f"no {stage.value} stage", f"{stage.value}(self, …)")
+        interface = stage_interface(shader)
+        names = {varying.name for varying in interface.varyings}
+        if stage is Stage.VERTEX:
+            varyings = words_of_varyings(interface.varyings, names)
+        else:
+            varyings = varyings_read(trees[stage], interface.varyings)
+        code = lower_stage(trees[stage], shader.__name__, interface, varyings, 0, shader.checked)
+        run = load_module(f"import numpy as np\n{write_numpy(code.code)}", shader.__name__)["run"]
+        known[stage] = _Compiled(trees[stage], interface, code, run)
+    return known[stage]

@@ -1,0 +1,237 @@
+"""A whole stage as GLSL: declarations of what it uses, its functions, and `main`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from rhi.contract.descriptors import Binding, Stage
+from rhi.contract.formats import Kind
+from rhi.contract.layout import FLOAT, INT, UINT, StructType
+from rhi.shading.glsl.names import Names
+from rhi.shading.glsl.writer import Writer, constant_key
+from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Interface, Varying
+from rhi.shading.ir.text import Lines, StageText
+from rhi.shading.language.annotations import Role
+from rhi.shading.language.builtins import Effect
+from rhi.shading.language.shader import Declaration, Memory
+from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class StageOptions:
+    """What belongs to a shader and not to one of its stages' trees."""
+
+    name: str
+    interface: Interface
+    slots: Mapping[str, Binding]
+    work_group: tuple[int, int, int]
+    early_depth: bool
+
+
+def write_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
+    """The stage's complete GLSL 4.30 source."""
+    return _StageWriter(stage, options).write()
+
+
+class _StageWriter:
+    def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
+        self.stage = stage
+        self.options = options
+        self.names = Names()
+        for declaration in stage.bindings:
+            # Bindings come first: native code uses them by their Python names.
+            self.names.get(("binding", declaration.name), declaration.name)
+        self.writer = Writer(self.names)
+        self.lines = Lines()
+
+    def write(self) -> StageText:
+        stage, writer, add = self.stage, self.writer, self.lines.add
+        # Names of the file level come before those inside functions, which must not hide them.
+        for struct in stage.structs:
+            writer.type(struct)
+        for constant in stage.constants:
+            writer.expression(constant)
+        for function in stage.functions:
+            self.names.get(function, function.name)
+        for function in stage.functions:
+            writer.function(function)
+        add("#version 430 core")
+        add(f"// {self.options.name}, {stage.stage.value} stage")
+        declarations = self._extensions()
+        self._layout_qualifiers()
+        for struct in stage.structs:
+            self._struct(struct)
+        for declaration in stage.bindings:
+            self._binding(declaration)
+        self._constants()
+        for line in declarations:
+            add(line)
+        for text in writer.helpers.values():
+            add(text)
+        inputs = self._inputs()
+        outputs = self._outputs()
+        self.lines.text += writer.lines.text
+        self.lines.origins += writer.lines.origins
+        self._main(inputs, outputs)
+        return StageText("\n".join(self.lines.text) + "\n", tuple(self.lines.origins))
+
+    # -- declarations
+
+    def _extensions(self) -> list[str]:
+        """Write `#extension` lines; give the other lines of native declarations."""
+        found = dict.fromkeys(
+            f"#extension {row.extension} : require"
+            for row in sorted(self.stage.builtins, key=lambda row: row.name)
+            if row.extension
+        )
+        rest: list[str] = []
+        for function in self.stage.functions:
+            native = function.native.get("glsl")
+            for line in native.declarations.splitlines() if native is not None else ():
+                if line.lstrip().startswith("#extension"):
+                    found[line.strip()] = None
+                else:
+                    rest.append(line)
+        for line in found:
+            self.lines.add(line)
+        return rest
+
+    def _layout_qualifiers(self) -> None:
+        if self.stage.stage is Stage.COMPUTE:
+            x, y, z = self.options.work_group
+            self.lines.add(f"layout(local_size_x = {x}, local_size_y = {y}, local_size_z = {z}) in;")
+        if self.stage.stage is Stage.FRAGMENT and self.options.early_depth:
+            self.lines.add("layout(early_fragment_tests) in;")
+
+    def _struct(self, struct: StructType) -> None:
+        with self.lines.braces(f"struct {self.writer.type(struct)}", end="};"):
+            for field in struct.fields:
+                self.lines.add(f"{self.writer.type(field.type)} {self.writer.field(field.name)};")
+
+    def _binding(self, declaration: Declaration) -> None:
+        name = self.names.get(("binding", declaration.name), declaration.name)
+        slot = self.options.slots[declaration.name].slot if declaration.memory is not Memory.SHARED else 0
+        type = declaration.type
+        match declaration.memory:
+            case Memory.SHARED:
+                self.lines.add(f"shared {self.writer.type(type)} {name};")
+            case Memory.UNIFORM:
+                block = self.names.get(("block", name), f"{name}_block")
+                header = f"layout(std140, row_major, binding = {slot}) uniform {block}"
+                self.lines.add(f"{header} {{ {self.writer.type(type)} {name}; }};")
+            case Memory.STORAGE:
+                assert isinstance(type, StorageType)
+                block = self.names.get(("block", name), f"{name}_block")
+                # Other invocations' writes are only seen through `coherent` memory.
+                barriers = any(row.effect is Effect.BARRIER for row in self.stage.builtins)
+                access = ("coherent " if barriers else "") if type.writable else "readonly "
+                header = f"layout(std430, row_major, binding = {slot}) {access}buffer {block}"
+                self.lines.add(f"{header} {{ {self.writer.type(type.element)} {name}[]; }};")
+            case Memory.TEXTURE:
+                self.lines.add(f"layout(binding = {slot}) uniform {self.writer.type(type)} {name};")
+            case Memory.IMAGE:
+                assert isinstance(type, ImageType)
+                stored = declaration.name in self.stage.stored
+                access = "readonly " if not stored else "" if self._loads(declaration) else "writeonly "
+                layout = f"layout({image_format(type)}, binding = {slot})"
+                self.lines.add(f"{layout} {access}uniform {self.writer.type(type)} {name};")
+
+    def _loads(self, declaration: Declaration) -> bool:
+        native = any(function.native for function in self.stage.functions)
+        return native or any(row.name == "load" for row in self.stage.builtins)
+
+    def _constants(self) -> None:
+        done = set()
+        for constant in self.stage.constants:
+            key = constant_key(constant)
+            if key not in done:
+                done.add(key)
+                name = self.names.get(("constant", key), constant.name)
+                type = self.writer.type(constant.type)
+                parts = ", ".join(map(self.writer.expression, constant.elements))
+                self.lines.add(f"const {type} {name} = {type}({parts});")
+
+    # -- inputs, outputs, main
+
+    def _inputs(self) -> dict[str, str]:
+        """Declare the stage's inputs; their GLSL names by field."""
+        names: dict[str, str] = {}
+        if self.stage.stage is Stage.VERTEX:
+            for attribute in self.options.interface.attributes:
+                name = names[attribute.name] = self.names.get(("in", attribute.name), f"in_{attribute.name}")
+                self.lines.add(f"layout(location = {attribute.location}) in {attribute.type} {name};")
+        elif self.stage.stage is Stage.FRAGMENT:
+            wanted = {
+                field.name
+                for parameter in self.stage.entry.parameters
+                if isinstance(parameter.type, StructType)
+                for field in parameter.type.fields
+            }
+            for varying in self.options.interface.varyings:
+                if varying.name in wanted:
+                    name = names[varying.name] = self.names.get(("in", varying.name), f"v_{varying.name}")
+                    self._varying(varying, "in", name)
+        return names
+
+    def _outputs(self) -> dict[str, str]:
+        """Declare the stage's outputs; their GLSL names by field."""
+        names: dict[str, str] = {}
+        interface = self.options.interface
+        if self.stage.stage is Stage.VERTEX:
+            # The same position in two programs is the same depth: what a depth pre-pass relies on.
+            self.lines.add("invariant gl_Position;")
+            for varying in interface.varyings:
+                name = names[varying.name] = self.names.get(("out", varying.name), f"v_{varying.name}")
+                self._varying(varying, "out", name)
+        elif self.stage.stage is Stage.FRAGMENT:
+            for output in interface.outputs:
+                name = names[output.name] = self.names.get(("out", output.name), f"out_{output.name}")
+                scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
+                type = scalar if output.components == 1 else VECTORS[scalar, output.components]
+                self.lines.add(f"layout(location = {output.location}) out {type} {name};")
+        return names
+
+    def _varying(self, varying: Varying, direction: str, name: str) -> None:
+        role = f"{varying.role.value} " if varying.role in (Role.FLAT, Role.NO_PERSPECTIVE) else ""
+        type = self.writer.type(varying.type)
+        self.lines.add(f"layout(location = {varying.location}) {role}{direction} {type} {name};")
+
+    def _main(self, inputs: dict[str, str], outputs: dict[str, str]) -> None:
+        entry, interface = self.stage.entry, self.options.interface
+        arguments = []
+        for parameter in entry.parameters:
+            assert isinstance(parameter.type, StructType)
+            parts = ", ".join(inputs[field.name] for field in parameter.type.fields)
+            arguments.append(f"{self.writer.type(parameter.type)}({parts})")
+        call = f"{self.names.get(entry, entry.name)}({', '.join(arguments)})"
+        with self.lines.braces("void main()"):
+            if entry.result == VOID:
+                self.lines.add(f"{call};")
+                return
+            result = self.names.get("result", "result")
+            self.lines.add(f"{self.writer.type(entry.result)} {result} = {call};")
+            field = (
+                (lambda name: f".{self.writer.field(name)}")
+                if isinstance(entry.result, StructType)
+                else _nothing
+            )
+            if self.stage.stage is Stage.VERTEX:
+                self.lines.add(f"gl_Position = {result}{field(interface.position)};")
+            elif interface.depth:
+                self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
+            for name, text in outputs.items():
+                self.lines.add(f"{text} = {result}{field(name)};")
+
+
+def _nothing(name: str) -> str:
+    return ""
+
+
+def image_format(type: ImageType) -> str:
+    """GLSL's name of an image's texel format."""
+    name = type.format.name.lower()
+    return name.replace("_snorm", "") + ("_snorm" if type.format.kind is Kind.SNORM else "")

@@ -1,0 +1,400 @@
+"""The typed tree as GLSL 4.30: types, expressions, statements, functions.
+
+- The text keeps the shader's names and structure, so that a driver's messages can be read; each line remembers
+  the Python line it came from.
+- Where Python and GLSL differ Python wins: `//` and `%` floor (by helper functions, or by shift and mask for
+  powers of two), bounds of loops are evaluated once, matrices are indexed by row.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from rhi.contract.layout import (
+    BOOL,
+    FLOAT,
+    INT,
+    UINT,
+    ArrayType,
+    HostType,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+)
+from rhi.errors import CallSite, ShaderError
+from rhi.shading.glsl.names import Names, legal
+from rhi.shading.ir import tree
+from rhi.shading.ir.text import Lines, power_steps
+from rhi.shading.ir.tree import Expression, Operator
+from rhi.shading.language import rules
+from rhi.shading.language.source import Place, show
+from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
+
+__rhi_internal__ = True
+
+_SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
+_PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
+_LONGEST_LIST: Final = 32
+"""Arrays of zeros up to this length are written as a list, longer ones as a loop."""
+
+
+class Writer:
+    """Writes functions of one stage. Helper functions that they need collect in `helpers`."""
+
+    def __init__(self, names: Names) -> None:
+        self.globals = names
+        self.names = Names(names)
+        self.helpers: dict[str, str] = {}
+        self.lines = Lines()
+        self.file = ""
+
+    # -- types
+
+    def type(self, type: Type) -> str:
+        """A type's name."""
+        match type:
+            case VoidType():
+                return "void"
+            case StructType(name=name):
+                return self.globals.get(type, name)
+            case ArrayType():
+                lengths = ""
+                element: HostType = type
+                while isinstance(element, ArrayType):
+                    lengths += f"[{element.length}]"
+                    element = element.element
+                return self.type(element) + lengths
+            case TextureType(kind=kind, scalar=scalar, compare=compare):
+                return f"{_PREFIX[scalar]}sampler{_SHAPES[kind.value]}{'Shadow' if compare else ''}"
+            case ImageType(kind=kind):
+                return f"{_PREFIX[type.scalar]}image{_SHAPES[kind.value]}"
+        return str(type)
+
+    def field(self, name: str) -> str:
+        """A struct field's name: a namespace of its own, so only legality matters."""
+        return legal(name)
+
+    def zero(self, type: HostType) -> str:
+        """A value of zeros."""
+        match type:
+            case ScalarType():
+                return {"bool": "false", "int": "0", "uint": "0u", "float": "0.0"}[type.name]
+            case VectorType() | MatrixType():
+                return f"{type}({self.zero(scalar_of(type) or FLOAT)})"
+            case ArrayType(element=element, length=length):
+                return f"{self.type(type)}({', '.join([self.zero(element)] * length)})"
+            case StructType(fields=fields):
+                return f"{self.type(type)}({', '.join(self.zero(field.type) for field in fields)})"
+
+    # -- expressions
+
+    def expression(self, node: Expression) -> str:
+        """An expression as text that needs no parentheses around it."""
+        match node:
+            case tree.Read(local=local):
+                return self.names.get(local, local.name)
+            case tree.Constant():
+                return self.constant(node)
+            case tree.BindingRead(declaration=declaration):
+                return self.globals.get(("binding", declaration.name), declaration.name)
+            case tree.ConstantArray(name=name):
+                return self.globals.get(("constant", constant_key(node)), name)
+            case tree.Member(base=base, name=name):
+                return f"{self.expression(base)}.{self.field(name)}"
+            case tree.Swizzle(base=base, components=components):
+                return f"{self.expression(base)}.{''.join('xyzw'[place] for place in components)}"
+            case tree.Index():
+                return self.index(node)
+            case tree.Length(base=base):
+                return f"int({self.expression(base)}.length())"
+            case tree.Unary(operator=operator, operand=operand):
+                sign = {Operator.NEGATE: "-", Operator.INVERT: "~", Operator.NOT: "!"}[operator]
+                return f"({sign}{self.expression(operand)})"
+            case tree.Binary():
+                return self.binary(node)
+            case tree.Select(condition=condition, then=then, otherwise=otherwise):
+                parts = [self.expression(part) for part in (condition, then, otherwise)]
+                return f"({parts[0]} ? {parts[1]} : {parts[2]})"
+            case tree.Convert(type=type, value=value):
+                return f"{self.type(type)}({self.expression(value)})"
+            case tree.Construct():
+                return self.construct(node)
+            case tree.Zeros(type=type) if isinstance(type, ArrayType):
+                return self.zero(type)
+            case tree.Call(function=function, arguments=arguments):
+                name = self.globals.get(function, function.name)
+                return f"{name}({', '.join(map(self.expression, arguments))})"
+            case tree.BuiltinCall(overload=overload, arguments=arguments):
+                texts = [self.expression(argument) for argument in arguments]
+                if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
+                    return self.columns(arguments[0])
+                if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
+                    return overload.glsl.format(*texts)
+                return f"{overload.glsl}({', '.join(texts)})"
+        raise TypeError(f"no GLSL for {node}")
+
+    def constant(self, node: tree.Constant) -> str:
+        """A scalar literal."""
+        value = node.value
+        if node.type is BOOL:
+            return "true" if value else "false"
+        if node.type is UINT:
+            return f"{int(value)}u"
+        if node.type is INT:
+            if value == -(2**31):
+                return "(-2147483647 - 1)"
+            return str(int(value)) if value >= 0 else f"({int(value)})"
+        number = float(value)
+        if math.isnan(number):
+            return "uintBitsToFloat(0x7FC00000u)"
+        if math.isinf(number) or abs(number) > 3.4028235677973366e38:
+            return f"uintBitsToFloat({'0x7F800000u' if number > 0 else '0xFF800000u'})"
+        text = repr(number)
+        return text if math.copysign(1.0, number) > 0 else f"({text})"
+
+    def index(self, node: tree.Index) -> str:
+        """An element; matrices are columns in GLSL and rows in Python."""
+        base, index = node.base, self.expression(node.index)
+        if isinstance(base, tree.Index) and isinstance(base.base.type, MatrixType):
+            return f"{self.expression(base.base)}[{index}][{self.expression(base.index)}]"
+        if isinstance(base.type, MatrixType):
+            if isinstance(base, tree.BuiltinCall) and base.overload.glsl == "transpose":
+                return f"{self.expression(base.arguments[0])}[{index}]"
+            return f"transpose({self.expression(base)})[{index}]"
+        return f"{self.expression(base)}[{index}]"
+
+    def construct(self, node: tree.Construct) -> str:
+        """A constructor; a matrix's rows are transposed into columns."""
+        type, parts = node.type, node.parts
+        if isinstance(type, MatrixType) and len(parts) > 1:
+            return f"transpose({self.columns(node)})"
+        return f"{self.type(type)}({', '.join(map(self.expression, parts))})"
+
+    def columns(self, node: tree.Construct) -> str:
+        """A matrix constructor's parts taken as columns: the transpose of what the node means."""
+        return f"{self.type(node.type)}({', '.join(map(self.expression, node.parts))})"
+
+    def binary(self, node: tree.Binary) -> str:
+        """An operator, or the helper function that has Python's meaning."""
+        op = node.operator
+        if op is Operator.POWER:
+            return self.power(node)
+        left, right = self.expression(node.left), self.expression(node.right)
+        if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
+            return self.floored(node, left, right)
+        if (
+            op is Operator.MULTIPLY
+            and node.left.type == node.right.type
+            and isinstance(node.type, MatrixType)
+        ):
+            return f"matrixCompMult({left}, {right})"
+        sign = {Operator.AND: "&&", Operator.OR: "||", Operator.MATRIX_MULTIPLY: "*"}.get(op, op.value)
+        return f"({left} {sign} {right})"
+
+    def floored(self, node: tree.Binary, left: str, right: str) -> str:
+        """`//` and `%`, rounding towards minus infinity."""
+        divide = node.operator is Operator.FLOOR_DIVIDE
+        scalar = scalar_of(node.type)
+        if scalar is FLOAT:
+            return f"floor({left} / {right})" if divide else self.float_modulo(node, left, right)
+        if scalar is UINT:
+            return f"({left} {'/' if divide else '%'} {right})"
+        divisor = node.right
+        if isinstance(divisor, tree.Constant) and divisor.value > 0 and int(divisor.value).bit_count() == 1:
+            # Shifts of negative ints are arithmetic, masks of two's complement are floored remainders.
+            shift = int(divisor.value).bit_length() - 1
+            return f"({left} >> {shift})" if divide else f"({left} & {int(divisor.value) - 1})"
+        left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
+        return f"{self.integer_helper(node, divide)}({left}, {right})"
+
+    def widened(self, node: tree.Binary, operand: Expression, text: str) -> str:
+        """A scalar operand as a vector of the result's size."""
+        return text if operand.type == node.type else f"{node.type}({text})"
+
+    def integer_helper(self, node: tree.Binary, divide: bool) -> str:
+        name = "rhi_floor_divide" if divide else "rhi_modulo"
+        type = self.type(node.type)
+        zero = self.zero(node.type)  # type: ignore[arg-type]
+        if isinstance(node.type, ScalarType):
+            # Whichever way `/` rounds for negative operands, r has |r| < |b| and a sign that says what to do.
+            wrong = "r != 0 && (r < 0) != (b < 0)"
+            result = f"{wrong} ? q - 1 : q" if divide else f"{wrong} ? r + b : r"
+        else:
+            wrong = (
+                f"{type}(notEqual(r, {zero})) * {type}(notEqual(lessThan(r, {zero}), lessThan(b, {zero})))"
+            )
+            result = f"q - {wrong}" if divide else f"r + b * {wrong}"
+        body = f"{type} q = a / b; {type} r = a - q * b; return {result};"
+        self.helpers[f"{name}({type})"] = f"{type} {name}({type} a, {type} b) {{ {body} }}"
+        return name
+
+    def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
+        """GLSL's mod is x - y floor(x / y), which has the sign of y as in Python."""
+        if isinstance(node.left.type, ScalarType) and isinstance(node.type, VectorType):
+            left = f"{node.type}({left})"
+        return f"mod({left}, {right})"
+
+    def power(self, node: tree.Binary) -> str:
+        """`**`: a constant whole exponent multiplies, others use pow."""
+        exponent = node.right
+        base = self.expression(node.left)
+        if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
+            return f"pow({base}, {self.widened(node, exponent, self.expression(exponent))})"
+        count, type = int(exponent.value), self.type(node.type)
+        one = {FLOAT: "1.0", INT: "1", UINT: "1u"}[scalar_of(node.type) or FLOAT]
+        if count == 1:
+            return base
+        name = f"rhi_power_{'m' if count < 0 else ''}{abs(count)}"
+        start = "x" if count else f"{type}({one})"
+        result = "r" if count >= 0 else f"{one} / r"
+        body = f"{type} r = {start}; {power_steps(abs(count))} return {result};"
+        self.helpers[f"{name}({type})"] = f"{type} {name}({type} x) {{ {body} }}"
+        return f"{name}({base})"
+
+    # -- statements
+
+    def line(self, text: str, place: Place) -> None:
+        """A line of the current function."""
+        self.lines.add(text, self.file, place.line)
+
+    def block(self, block: tree.Block) -> None:
+        """The statements of a block."""
+        for statement in block:
+            self.statement(statement)
+
+    def statement(self, node: tree.Statement) -> None:
+        """One statement, on one or more lines."""
+        place = node.place
+        match node:
+            case tree.Declare(local=local, value=value):
+                self.declare(local, value, place)
+            case tree.Assign(target=target, value=value):
+                text = self.expression(value)
+                if tree.has_effect(value) and tree.has_effect(target):
+                    # Python evaluates the value first; GLSL promises no order.
+                    name = self.names.get((node, "value"), "value")
+                    self.line(f"{self.type(value.type)} {name} = {text};", place)
+                    text = name
+                self.line(f"{self.expression(target)} = {text};", place)
+            case tree.Evaluate(value=value):
+                self.line(f"{self.expression(value)};", place)
+            case tree.If():
+                self.condition(node, "")
+            case tree.For():
+                self.loop(node)
+            case tree.While(condition=condition, body=body):
+                with self.lines.braces(f"while ({self.expression(condition)})", self.file, place.line):
+                    self.block(body)
+            case tree.Break():
+                self.line("break;", place)
+            case tree.Continue():
+                self.line("continue;", place)
+            case tree.Discard():
+                self.line("discard;", place)
+            case tree.Return(value=value):
+                self.line(f"return {self.expression(value)};" if value is not None else "return;", place)
+
+    def declare(self, local: tree.Local, value: Expression | None, place: Place) -> None:
+        """A local's declaration."""
+        name, type = self.names.get(local, local.name), self.type(local.type)
+        if (
+            isinstance(value, tree.Zeros)
+            and isinstance(local.type, ArrayType)
+            and local.type.length > _LONGEST_LIST
+        ):
+            self.line(f"{type} {name};", place)
+            index = self.names.get((local, "zero"), f"{name}_index")
+            zero = self.zero(local.type.element)
+            loop = f"for (int {index} = 0; {index} < {local.type.length}; {index}++)"
+            self.line(f"{loop} {name}[{index}] = {zero};", place)
+        elif value is None:
+            self.line(f"{type} {name};", place)
+        else:
+            self.line(f"{type} {name} = {self.expression(value)};", place)
+
+    def condition(self, node: tree.If, before: str) -> None:
+        """`if`, `else if`, `else`."""
+        line, otherwise = node.place.line, node.otherwise
+        nested = otherwise[0] if len(otherwise) == 1 and isinstance(otherwise[0], tree.If) else None
+        header = f"{before}if ({self.expression(node.condition)})"
+        with self.lines.braces(header, self.file, line, "}" if not otherwise else ""):
+            self.block(node.then)
+        if otherwise:
+            self.lines.text.pop()
+            self.lines.origins.pop()
+            if nested is not None:
+                self.condition(nested, "} else ")
+            else:
+                with self.lines.braces("} else", self.file, line):
+                    self.block(otherwise)
+
+    def loop(self, node: tree.For) -> None:
+        """`for`; bounds that might change are evaluated before it."""
+        start, step = node.start, node.step
+        start_text = self.once(node, start, "start") if tree.has_effect(start) else self.expression(start)
+        stop = self.once(node, node.stop, "stop")
+        name = self.names.get(node.local, node.local.name)
+        if isinstance(step, tree.Constant):
+            change = int(step.value)
+            test = f"{name} {'<' if change > 0 else '>'} {stop}"
+            increment = f"{name}++" if change == 1 else f"{name} {'+' if change > 0 else '-'}= {abs(change)}"
+        else:
+            text = self.once(node, step, "step")
+            test, increment = f"{text} > 0 ? {name} < {stop} : {name} > {stop}", f"{name} += {text}"
+        header = f"for (int {name} = {start_text}; {test}; {increment})"
+        with self.lines.braces(header, self.file, node.place.line):
+            self.block(node.body)
+
+    def once(self, node: tree.For, value: Expression, what: str) -> str:
+        """A bound's value, kept in a variable unless nothing can change it."""
+        fixed = isinstance(value, tree.Constant) or (
+            isinstance(value, tree.Read) and value.local.writes == (0 if value.local.is_parameter else 1)
+        )
+        text = self.expression(value)
+        if fixed:
+            return text
+        name = self.names.get((node, what), f"{node.local.name}_{what}")
+        self.line(f"int {name} = {text};", node.place)
+        return name
+
+    # -- functions
+
+    def function(self, node: tree.Function) -> None:
+        """A function's definition."""
+        self.file = node.file
+        self.names = Names(self.globals)
+        parameters = ", ".join(
+            f"{self.type(parameter.type)} {self.names.get(parameter, parameter.name)}"
+            for parameter in node.parameters
+        )
+        name = self.globals.get(node, node.name)
+        header = f"{self.type(node.result)} {name}({parameters})"
+        with self.lines.braces(header, node.file, node.place.line):
+            native = node.native.get("glsl")
+            if native is not None:
+                for offset, line in enumerate(native.body.splitlines()):
+                    if line.strip():
+                        self.line(line, Place(native.line + offset if native.line else node.place.line))
+            elif node.native and not node.body:
+                raise ShaderError(
+                    rules.NATIVE,
+                    f"{node.name}\n{show(node.file, node.place)}",
+                    f"no body for GLSL, only for {', '.join(node.native)}",
+                    tip='add @native("glsl", …) or a Python body',
+                    site=CallSite(node.file, node.place.line, node.name),
+                )
+            else:
+                self.block(node.body)
+
+
+def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:
+    """What makes two constant arrays the same: name, type and values."""
+    values = tuple(
+        part.value
+        if isinstance(part, tree.Constant)
+        else tuple(getattr(p, "value", 0) for p in tree.parts_of(part))
+        for part in node.elements
+    )
+    return (node.name, node.type, values)

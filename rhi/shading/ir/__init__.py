@@ -1,0 +1,1 @@
+"""The two intermediate representations: the typed tree, and lane code with explicit masks."""

@@ -1,0 +1,43 @@
+"""What a checked shader found on the device: the error for a fault.
+
+A shader whose `checked` is true tests every index of a buffer, array, vector or matrix, and every `uniform(x)`, where
+it is used. On OpenCL its kernel, or the function of a stage that draws, has one argument more, behind its bindings:
+`global int *`, three words that are zeros before a launch. The first fault of a launch leaves there its line in the
+stage's text (`ProgramDescriptor.lines` leads from it to the Python line), the index, and what it should be below; -1
+stands for values of `uniform` that differ. On NumPy the error is raised at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+from rhi.errors import CallSite, ShaderError
+from rhi.shading.language import rules
+from rhi.shading.language.source import Place, show
+
+__rhi_internal__ = True
+
+FAULT_WORDS: Final = 3
+_DIFFERENT: Final = -1
+
+
+def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderError:
+    """The error for an index that isn't below `limit`, on a Python file's line."""
+    file, number = line
+    call, site = show(file, Place(number)), CallSite(file, number)
+    if limit == _DIFFERENT:
+        return ShaderError(rules.DIFFERENT, call, "different values", "one value", site=site)
+    return ShaderError(
+        rules.INDEX,
+        call,
+        f"index {given}",
+        f"0 to {limit - 1}" if limit else "nothing: it is empty",
+        site=site,
+    )
+
+
+def find_fault(words: Sequence[int], lines: Sequence[tuple[str, int]]) -> ShaderError | None:
+    """The error for what a kernel left in its last argument, None for zeros; `lines` are the text's origins."""
+    number, given, limit = words
+    return make_index_error(lines[number - 1], given, limit) if number else None

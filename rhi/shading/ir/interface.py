@@ -1,0 +1,36 @@
+"""What flows in and out of a shader's stages."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from rhi.contract.descriptors import Attribute, FragmentOutput
+from rhi.contract.layout import HostType
+from rhi.shading.language.annotations import Role
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class Varying:
+    """A value that the vertex stage gives to the fragment stage."""
+
+    name: str
+    type: HostType
+    role: Role | None
+    location: int
+
+
+@dataclass(frozen=True, slots=True)
+class Interface:
+    """All that flows in and out of a shader's graphics stages.
+
+    `position` is the name of the vertex stage's position field, "" where it returns a plain vec4; `depth`
+    that of the fragment stage's depth field, "" if it has none.
+    """
+
+    attributes: tuple[Attribute, ...] = ()
+    varyings: tuple[Varying, ...] = ()
+    position: str = ""
+    outputs: tuple[FragmentOutput, ...] = ()
+    depth: str = ""

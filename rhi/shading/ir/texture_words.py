@@ -1,0 +1,221 @@
+"""What a lane program is told about a bound texture: its memory, format and sampler, as 32-bit words.
+
+All of it is data, so that a program needs no other text when another texture or sampler is bound. The numbers are
+those that `opencl_textures.cl` knows by the same names.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Filter, SamplerDescriptor, TextureKind, Wrap
+from rhi.contract.formats import Format
+from rhi.contract.formats import Kind as FormatKind
+from rhi.contract.states import Comparison
+
+__rhi_internal__ = True
+
+GRAIN: Final = 16
+"""Levels and layers begin at multiples of so many bytes."""
+
+
+class Stored(enum.IntEnum):
+    """What a channel is in memory; from WHOLE8 on it is an integer."""
+
+    UNORM8 = 0
+    SRGB8 = 1
+    SNORM8 = 2
+    UNORM16 = 3
+    HALF = 4
+    SINGLE = 5
+    WHOLE8 = 6
+    WHOLE16 = 7
+    WHOLE32 = 8
+
+
+class Word(enum.IntEnum):
+    """Where each word stands."""
+
+    STORED = 0
+    CHANNELS = 1
+    TEXEL = 2  # bytes
+    SHAPE = 3
+    LEVEL_COUNT = 4
+    MINIFY = 5  # whether linear
+    MAGNIFY = 6
+    MIP = 7
+    ONE_FILTER = 8  # one level with one filter: the level of detail doesn't matter
+    PLAIN8 = 9  # four channels of 8 bits, 2D or an array, no border
+    WRAP_U = 10
+    WRAP_V = 11
+    WRAP_W = 12
+    HAS_BORDER = 13
+    COMPARISON = 14
+    BORDER_COLOR = 15
+    CLAMPED = 19  # references are: depth is in fixed point
+    LEVELS = 20
+
+
+class LevelWord(enum.IntEnum):
+    """The words of a level, one level behind the other; rows and layers are counted in texels."""
+
+    START = 0  # in grains
+    WIDTH = 1
+    HEIGHT = 2
+    DEPTH = 3
+    ROW = 4
+    LAYER = 5
+
+
+LEVEL_WORDS: Final = len(LevelWord)
+
+
+class Shape(enum.IntEnum):
+    """What a texture's third coordinate is: nothing, a layer, a third direction, a face."""
+
+    FLAT = 0
+    LAYERED = 1
+    SOLID = 2
+    CUBE = 3
+
+
+class Mip(enum.IntEnum):
+    """How levels are chosen."""
+
+    NO_MIP = 0
+    NEAREST_MIP = 1
+    LINEAR_MIP = 2
+
+
+class Edge(enum.IntEnum):
+    """What lies beyond an edge; SEAM: the next face of the cube."""
+
+    REPEAT = 0
+    MIRROR = 1
+    CLAMP = 2
+    BORDER = 3
+    SEAM = 4
+
+
+class LevelPlace(NamedTuple):
+    """Where a level lies, in bytes, and its size in texels."""
+
+    start: int
+    width: int
+    height: int
+    layers: int
+    pitch: int
+    layer_bytes: int
+
+
+_STORED: Final = {
+    (FormatKind.UNORM, 1): Stored.UNORM8,
+    (FormatKind.SRGB, 1): Stored.SRGB8,
+    (FormatKind.SNORM, 1): Stored.SNORM8,
+    (FormatKind.UNORM, 2): Stored.UNORM16,
+    (FormatKind.FLOAT, 2): Stored.HALF,
+    (FormatKind.FLOAT, 4): Stored.SINGLE,
+    (FormatKind.DEPTH, 4): Stored.SINGLE,
+    (FormatKind.DEPTH_STENCIL, 4): Stored.SINGLE,
+    (FormatKind.UINT, 1): Stored.WHOLE8,
+    (FormatKind.UINT, 2): Stored.WHOLE16,
+    (FormatKind.UINT, 4): Stored.WHOLE32,
+    (FormatKind.INT, 4): Stored.WHOLE32,
+}
+_SHAPES: Final = {
+    TextureKind.D2: Shape.FLAT,
+    TextureKind.D2_ARRAY: Shape.LAYERED,
+    TextureKind.D3: Shape.SOLID,
+    TextureKind.CUBE: Shape.CUBE,
+}
+_MIPS: Final = {None: Mip.NO_MIP, Filter.NEAREST: Mip.NEAREST_MIP, Filter.LINEAR: Mip.LINEAR_MIP}
+_EDGES: Final = {wrap: Edge[wrap.name] for wrap in Wrap}
+_COMPARISONS: Final = {comparison: number for number, comparison in enumerate(Comparison, 1)}
+_LOADS: Final = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
+
+
+def describe_texture(
+    format: Format, kind: TextureKind, levels: Sequence[LevelPlace], sampler: SamplerDescriptor = _LOADS
+) -> NDArray[np.int32]:
+    """The words of a texture read through a sampler, or of one level as an image.
+
+    Integers are never filtered, and a cube's edges are always seams.
+    """
+    words = np.zeros(Word.LEVELS + LEVEL_WORDS * len(levels), np.int32)
+    stored = _STORED[format.kind, format.dtype.itemsize]
+    texel = format.channels * format.dtype.itemsize
+    linear = [
+        filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)
+    ]
+    mip = Mip.NO_MIP if len(levels) == 1 else _MIPS[sampler.mip]
+    if format.is_integer and mip is Mip.LINEAR_MIP:
+        mip = Mip.NEAREST_MIP
+    edges = [_EDGES[wrap] for wrap in (sampler.wrap_u, sampler.wrap_v, sampler.wrap_w)]
+    if kind is TextureKind.CUBE:
+        edges = [Edge.SEAM] * 3
+    used = edges if kind is TextureKind.D3 else edges[:2]
+    words[Word.STORED] = stored
+    words[Word.CHANNELS] = format.channels
+    words[Word.TEXEL] = texel
+    words[Word.SHAPE] = _SHAPES[kind]
+    words[Word.LEVEL_COUNT] = len(levels)
+    words[Word.MINIFY], words[Word.MAGNIFY] = linear
+    words[Word.MIP] = mip
+    words[Word.ONE_FILTER] = mip is Mip.NO_MIP and linear[0] == linear[1] and kind is not TextureKind.CUBE
+    words[Word.PLAIN8] = (
+        texel == 4
+        and stored in (Stored.UNORM8, Stored.SRGB8)
+        and kind in (TextureKind.D2, TextureKind.D2_ARRAY)
+        and Edge.BORDER not in used
+    )
+    words[Word.WRAP_U : Word.WRAP_W + 1] = edges
+    words[Word.HAS_BORDER] = Edge.BORDER in used
+    words[Word.COMPARISON] = _COMPARISONS[sampler.compare] if sampler.compare is not None else 0
+    words[Word.CLAMPED] = has_fixed_depth(format)
+    border = border_color(format, sampler)
+    words[Word.BORDER_COLOR : Word.BORDER_COLOR + 4] = (
+        border.astype(np.int64).astype(np.int32)
+        if format.is_integer
+        else border.astype(np.float32).view(np.int32)
+    )
+    for number, level in enumerate(levels):
+        at = Word.LEVELS + LEVEL_WORDS * number
+        words[at + LevelWord.START] = np.uint32(level.start // GRAIN).astype(np.int32)
+        words[at + LevelWord.WIDTH] = level.width
+        words[at + LevelWord.HEIGHT] = level.height
+        words[at + LevelWord.DEPTH] = level.layers
+        words[at + LevelWord.ROW] = level.pitch // texel
+        words[at + LevelWord.LAYER] = level.layer_bytes // texel
+    return words
+
+
+def has_fixed_depth(format: Format) -> bool:
+    """Whether depth is in fixed point, so that references of comparisons are clamped to 0…1."""
+    return format in (Format.D16, Format.D24, Format.D24S8)
+
+
+def border_color(format: Format, sampler: SamplerDescriptor) -> NDArray[np.float64]:
+    """The border as a texel of the format: without the channels that it hasn't got, and within its range."""
+    border = np.array([0.0, 0.0, 0.0, 1.0])
+    given = np.array(sampler.border, np.float64)[: format.channels]
+    if format.kind in (FormatKind.UNORM, FormatKind.SRGB) or has_fixed_depth(format):
+        given = np.clip(given, 0.0, 1.0)
+    elif format.kind is FormatKind.SNORM:
+        given = np.clip(given, -1.0, 1.0)
+    border[: format.channels] = given
+    return border
+
+
+def enumerations() -> str:
+    """The numbers above as OpenCL C: RHI_ and the member's name."""
+    numbers: dict[str, int] = {}
+    for group in (Stored, Word, LevelWord, Shape, Mip, Edge):
+        numbers |= {member.name: member.value for member in group}
+    numbers |= {comparison.name: number for comparison, number in _COMPARISONS.items()}
+    numbers |= {"GRAIN": GRAIN, "LEVEL_WORDS": LEVEL_WORDS}
+    return "enum { " + ", ".join(f"RHI_{name} = {number}" for name, number in numbers.items()) + " };"

@@ -1,0 +1,728 @@
+"""The built-in functions: one table, one row each.
+
+- A row gives a name, its signatures and its spelling in GLSL; typing, the stubs, the emitters and the
+  documentation all read this table. Another language is another spelling in the row.
+- In a signature, letters stand for types of one common size: F float or vec, V vec, I and U int and uint or
+  their vectors, B bool or bvec, M mat, IV/UV/BV vectors only. `F(F,F,float)` is four overloads. `int&` is a
+  place in memory that the function changes.
+- A GLSL spelling is a function's name, or a template with `{0}` for the first argument; OpenCL's and NumPy's are
+  templates for one component. `fast` is OpenCL's spelling with Precision.FAST.
+- Instead of OpenCL's and NumPy's, `lanes` makes a built-in from others: an expression of the arguments a, b, c and d
+  (`rhi.shading.lowering.expansions`). What can't be said so is a function of that module, by its name there.
+- `error` is what `python -m rhi shading accuracy` measures and tests hold.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final, NoReturn
+
+from rhi.contract.descriptors import Stage
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT
+from rhi.errors import refuse
+from rhi.shading.language import rules
+from rhi.shading.language.types import MATRICES, VECTORS, VOID, Type, converts
+
+__rhi_internal__ = True
+
+
+class Precision(enum.Enum):
+    """What a shader asks of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT within a few ulp, or FAST.
+
+    With FAST, numbers below 2^-126 may count as 0 on OpenCL.
+    The errors of both are measured by `python -m rhi shading accuracy`.
+    """
+
+    EXACT = "exact"
+    FAST = "fast"
+
+    __hash__ = object.__hash__
+
+
+class Effect(enum.Enum):
+    """What a built-in does besides giving a value."""
+
+    NONE = "none"
+    WRITE = "write"
+    BARRIER = "barrier"
+    DISCARD = "discard"
+
+
+@dataclass(frozen=True, slots=True)
+class Error:
+    """How far results may lie from the exact ones, in units as `rhi.accuracy.probes` counts them; by default not at
+    all.
+
+    Attributes:
+        glsl, exact, fast, numpy: most units on OpenGL (of Mesa's llvmpipe; OpenGL itself promises less), on OpenCL with
+            either precision (EXACT's are OpenCL's own promise, FAST's are measured), and on NumPy in float32.
+        glsl_absolute: an error that is allowed on OpenGL whatever the units.
+        domain: the range of each float argument, the last one standing for those after it, in which OpenGL and FAST
+            keep that; for EXACT and NumPy it is every number, unless the units are `of_arguments`.
+        of_arguments: the built-in is made from others, and what a unit of an argument makes of the result is a unit.
+        defined: where there is a result at all, in NumPy's terms of the arguments a, b, c and d; everywhere if empty.
+    """
+
+    glsl: float = 0
+    exact: float = 0
+    fast: float = 0
+    numpy: float = 0
+    glsl_absolute: float = 0
+    domain: tuple[tuple[float, float], ...] = ((-1e6, 1e6),)
+    of_arguments: bool = False
+    defined: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of an overload; `memory`: a place in storage or shared memory, changed in place."""
+
+    type: Type
+    name: str = ""
+    memory: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Overload:
+    """One signature with concrete types."""
+
+    parameters: tuple[Parameter, ...]
+    result: Type
+    glsl: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Builtin:
+    """A row of the table; see above."""
+
+    name: str
+    overloads: tuple[Overload, ...]
+    doc: str
+    effect: Effect = Effect.NONE
+    stages: frozenset[Stage] = frozenset(Stage)
+    extension: str = ""
+    opencl: str = ""
+    numpy: str = ""
+    fast: str = ""
+    lanes: str = ""
+    error: Error = Error()
+    form: str = ""
+    _chosen: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
+
+    def choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
+        """The overload for arguments of these types: an exact one, else the first that they convert to."""
+        key = (*types, *literals)
+        if key not in self._chosen:
+            self._chosen[key] = self._choose(types, literals)
+        return self._chosen[key]
+
+    def _choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
+        fitting = [o for o in self.overloads if len(o.parameters) == len(types)]
+        for overload in fitting:
+            if all(p.type == t for p, t in zip(overload.parameters, types, strict=True)):
+                return overload
+        for overload in fitting:
+            if all(
+                p.type == t or (not p.memory and converts(t, p.type, literal))
+                for p, t, literal in zip(overload.parameters, types, literals, strict=True)
+            ):
+                return overload
+        return None
+
+    def signatures(self) -> str:
+        """All overloads as text, a line each."""
+        return "\n".join(
+            f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}"
+            for o in self.overloads
+        )
+
+    def __call__(self, *arguments: object, **named: object) -> NoReturn:
+        refuse(rules.DEVICE_ONLY, f"rhi.shading.{self.name}(…)")
+
+
+def _sizes(scalar: Any, smallest: int) -> dict[int, Type]:
+    all_sizes: dict[int, Type] = {1: scalar} | {size: VECTORS[scalar, size] for size in (2, 3, 4)}
+    return {size: type for size, type in all_sizes.items() if size >= smallest}
+
+
+_LETTERS: Final[dict[str, dict[int, Type]]] = {
+    "F": _sizes(FLOAT, 1),
+    "I": _sizes(INT, 1),
+    "U": _sizes(UINT, 1),
+    "B": _sizes(BOOL, 1),
+    "V": _sizes(FLOAT, 2),
+    "IV": _sizes(INT, 2),
+    "UV": _sizes(UINT, 2),
+    "BV": _sizes(BOOL, 2),
+    "M": {**MATRICES},
+}
+_NAMED: Final[dict[str, Type]] = {
+    "None": VOID,
+    **{str(type): type for type in (BOOL, INT, UINT, FLOAT)},
+    **{str(type): type for type in VECTORS.values()},
+    **{str(type): type for type in MATRICES.values()},
+}
+
+
+def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> Iterator[Overload]:
+    """The overloads of `signatures`, separated by semicolons; `names` adds type names of its own."""
+    known = _NAMED | (names or {})
+    for signature in signatures.split(";"):
+        result, _, rest = signature.strip().partition("(")
+        parameters = []
+        for part in filter(None, (text.strip() for text in rest.rstrip(")").split(","))):
+            name, _, type_name = part.rpartition(":")
+            parameters.append((name.strip(), type_name.strip().rstrip("&"), part.endswith("&")))
+        used = [_LETTERS[n] for n in (result, *(p[1] for p in parameters)) if n in _LETTERS]
+        for size in (1, 2, 3, 4) if used else (0,):
+            if all(size in letter for letter in used):
+                sized: dict[str, Type] = {n: letter[size] for n, letter in _LETTERS.items() if size in letter}
+                scope = known | sized
+                concrete = tuple(Parameter(scope[type], name, memory) for name, type, memory in parameters)
+                yield Overload(concrete, scope[result], glsl)
+
+
+def _row(name: str, signatures: str, glsl: str = "", doc: str = "", **more: Any) -> Builtin:
+    overloads = tuple(dict.fromkeys(expand(signatures, glsl or name)))
+    return Builtin(name, overloads, doc, form=signatures, **more)
+
+
+_VERTEX: Final = frozenset({Stage.VERTEX})
+_FRAGMENT: Final = frozenset({Stage.FRAGMENT})
+_COMPUTE: Final = frozenset({Stage.COMPUTE})
+_DRAW_PARAMETERS: Final = "GL_ARB_shader_draw_parameters"
+_F: Final = "F(F)"
+_ROUNDED: Final = Error(0.5, 0.5, 0.5, 0.5)
+# Not nearly singular; of matrices of three.
+_REGULAR: Final = "abs(np.linalg.det(a.reshape(-1, 3, 3))) > 1e-3 * abs(a).max(axis=-1) ** 3"
+_NUMBERS: Final = Error(defined="(a == a) & (b == b)")
+_WHOLE: Final = Error(defined="(a == a).all(axis=-1)")
+
+
+def _composed(units: float, most: float = 1e6, defined: str = "") -> Error:
+    """Made from other built-ins in the same way everywhere."""
+    return Error(units, units, units, units, 0, ((-most, most),), True, defined)
+
+
+_ATOMIC: Final = "int(int&,int);uint(uint&,uint)"
+_WRITE: Final = Effect.WRITE
+
+_ROWS: Final = (
+    # angles
+    _row("radians", _F, doc="degrees to radians", error=Error(1, 1, 1, 1), lanes="a * 0.017453292519943295"),
+    _row("degrees", _F, doc="radians to degrees", error=Error(1, 1, 1, 1), lanes="a * 57.29577951308232"),
+    _row(
+        "sin",
+        _F,
+        doc="sine",
+        opencl="rhi_sin({0})",
+        numpy="np.sin({0})",
+        fast="rhi_fast_sin({0})",
+        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+    ),
+    _row(
+        "cos",
+        _F,
+        doc="cosine",
+        opencl="rhi_cos({0})",
+        numpy="np.cos({0})",
+        fast="rhi_fast_cos({0})",
+        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+    ),
+    _row(
+        "tan",
+        _F,
+        doc="tangent",
+        opencl="rhi_tan({0})",
+        numpy="np.tan({0})",
+        error=Error(1000, 5, 5, 4, 1e-6, ((-1e3, 1e3),)),
+    ),
+    _row(
+        "asin",
+        _F,
+        doc="arc sine, -π/2…π/2",
+        opencl="asin({0})",
+        numpy="np.arcsin({0})",
+        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+    ),
+    _row(
+        "acos",
+        _F,
+        doc="arc cosine, 0…π",
+        opencl="acos({0})",
+        numpy="np.arccos({0})",
+        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+    ),
+    _row(
+        "atan",
+        _F,
+        doc="arc tangent, -π/2…π/2",
+        opencl="atan({0})",
+        numpy="np.arctan({0})",
+        error=Error(400, 5, 5, 4),
+    ),
+    _row(
+        "atan2",
+        "F(F,F)",
+        "atan",
+        "angle of (y, x), -π…π; y first",
+        opencl="atan2({0}, {1})",
+        numpy="np.arctan2({0}, {1})",
+        error=Error(400, 6, 6, 4, 0, ((-1e6, 1e6),), defined="(a != 0) | (b != 0)"),
+    ),
+    _row(
+        "sinh",
+        _F,
+        doc="hyperbolic sine",
+        opencl="sinh({0})",
+        numpy="np.sinh({0})",
+        error=Error(100, 4, 4, 4, 2e-7, ((-88, 88),)),
+    ),
+    _row(
+        "cosh",
+        _F,
+        doc="hyperbolic cosine",
+        opencl="cosh({0})",
+        numpy="np.cosh({0})",
+        error=Error(100, 4, 4, 4, 0, ((-88, 88),)),
+    ),
+    _row(
+        "tanh",
+        _F,
+        doc="hyperbolic tangent",
+        opencl="tanh({0})",
+        numpy="np.tanh({0})",
+        error=Error(100, 5, 5, 4, 2e-7),
+    ),
+    _row(
+        "asinh",
+        _F,
+        doc="inverse hyperbolic sine",
+        opencl="asinh({0})",
+        numpy="np.arcsinh({0})",
+        error=Error(4, 4, 4, 4, 5e-7),
+    ),
+    _row(
+        "acosh",
+        _F,
+        doc="inverse hyperbolic cosine",
+        opencl="acosh({0})",
+        numpy="np.arccosh({0})",
+        error=Error(4, 4, 4, 4, 5e-4, ((1, 1e6),), defined="a >= 1"),
+    ),
+    _row(
+        "atanh",
+        _F,
+        doc="inverse hyperbolic tangent",
+        opencl="atanh({0})",
+        numpy="np.arctanh({0})",
+        error=Error(4, 5, 5, 4, 5e-7, ((-1, 1),), defined="abs(a) < 1"),
+    ),
+    # exponentials
+    _row(
+        "pow",
+        "F(F,F)",
+        doc="x to the power y; undefined for x < 0",
+        opencl="pow({0}, {1})",
+        numpy="np.power({0}, {1})",
+        fast="rhi_fast_pow({0}, {1})",
+        error=Error(128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"),
+    ),
+    _row(
+        "exp",
+        _F,
+        doc="e to the power x",
+        opencl="exp({0})",
+        numpy="np.exp({0})",
+        fast="rhi_fast_exp({0})",
+        error=Error(100, 3, 3, 4, 0, ((-87, 88),)),
+    ),
+    _row(
+        "log",
+        _F,
+        doc="natural logarithm",
+        opencl="log({0})",
+        numpy="np.log({0})",
+        fast="(rhi_fast_log2({0}) * 0.69314718f)",
+        error=Error(4, 3, 6, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
+    ),
+    _row(
+        "exp2",
+        _F,
+        doc="2 to the power x",
+        opencl="exp2({0})",
+        numpy="np.exp2({0})",
+        fast="rhi_fast_exp2({0})",
+        error=Error(4, 3, 4, 4, 0, ((-126, 127.5),)),
+    ),
+    _row(
+        "log2",
+        _F,
+        doc="logarithm to base 2",
+        opencl="log2({0})",
+        numpy="np.log2({0})",
+        fast="rhi_fast_log2({0})",
+        error=Error(4, 3, 5, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
+    ),
+    _row(
+        "sqrt",
+        _F,
+        doc="square root",
+        opencl="sqrt({0})",
+        numpy="np.sqrt({0})",
+        fast="native_sqrt({0})",
+        error=Error(0.5, 3, 3, 0.5, 0, ((0, 1e38),), defined="a >= 0"),
+    ),
+    _row(
+        "inversesqrt",
+        _F,
+        doc="1 / sqrt(x)",
+        opencl="(1.0f / sqrt({0}))",
+        numpy="(F(1) / np.sqrt({0}))",
+        fast="rhi_fast_inversesqrt({0})",
+        error=Error(1.5, 4, 2, 1.5, 0, ((2.0**-126, 1e38),), defined="a >= 0"),
+    ),
+    # common
+    _row("abs", "I(I);F(F)", doc="absolute value", opencl="rhi_abs({0})", numpy="np.abs({0})"),
+    _row("sign", "I(I);F(F)", doc="-1, 0 or 1", lanes="-1 if a < 0 else 1 if a > 0 else 0"),
+    _row("floor", _F, doc="largest whole number not above x", opencl="floor({0})", numpy="np.floor({0})"),
+    _row("ceil", _F, doc="smallest whole number not below x", opencl="ceil({0})", numpy="np.ceil({0})"),
+    _row("trunc", _F, doc="whole number towards zero", opencl="trunc({0})", numpy="np.trunc({0})"),
+    _row(
+        "round",
+        _F,
+        "roundEven",
+        "nearest whole number, halves to even, as in Python",
+        opencl="rint({0})",
+        numpy="np.rint({0})",
+    ),
+    _row("fract", _F, doc="x - floor(x)", error=_ROUNDED, lanes="a - floor(a)"),
+    _row(
+        "min",
+        "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
+        doc="the smaller, by component",
+        opencl="rhi_min({0}, {1})",
+        numpy="np.minimum({0}, {1})",
+        error=_NUMBERS,
+    ),
+    _row(
+        "max",
+        "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
+        doc="the larger, by component",
+        opencl="rhi_max({0}, {1})",
+        numpy="np.maximum({0}, {1})",
+        error=_NUMBERS,
+    ),
+    _row(
+        "clamp",
+        "I(I,I,I);I(I,int,int);U(U,U,U);U(U,uint,uint);F(F,F,F);F(F,float,float)",
+        doc="min(max(x, low), high)",
+        error=Error(defined="(b <= c) & (a == a)"),
+        lanes="min(max(a, b), c)",
+    ),
+    _row(
+        "saturate",
+        _F,
+        "clamp({0}, 0.0, 1.0)",
+        "clamp(x, 0, 1)",
+        error=Error(defined="a == a"),
+        lanes="min(max(a, 0.0), 1.0)",
+    ),
+    _row(
+        "mix",
+        "F(F,F,F);V(V,V,float);V(V,V,BV)",
+        doc="x (1 - a) + y a; with a bvec, y where it is true",
+        error=_composed(4),
+    ),
+    _row(
+        "step",
+        "F(F,F);V(float,V)",
+        doc="0 where x < edge (the first argument), else 1",
+        error=_NUMBERS,
+        lanes="0.0 if b < a else 1.0",
+    ),
+    _row(
+        "smoothstep",
+        "F(F,F,F);V(float,float,V)",
+        doc="Hermite step from edge0 to edge1, x last",
+        error=_composed(8, 1e6, "a < b"),
+        lanes="(t := saturate((c - a) / (b - a))) * t * (3.0 - 2.0 * t)",
+    ),
+    _row(
+        "fma",
+        "F(F,F,F)",
+        doc="a b + c",
+        opencl="fma({0}, {1}, {2})",
+        numpy="R.fma({0}, {1}, {2}, F)",
+        error=Error(2, 0.5, 0.5, 0.5, of_arguments=True),
+    ),
+    _row("isnan", "B(F)", doc="whether not a number", lanes="a != a"),
+    _row("isinf", "B(F)", doc="whether infinite", lanes="abs(a) == inf"),
+    # geometry
+    _row("length", "float(F)", doc="Euclidean length", error=_composed(2)),
+    _row("distance", "float(F,F)", doc="length(a - b)", error=_composed(2), lanes="length(a - b)"),
+    _row("dot", "float(V,V)", doc="scalar product", error=_composed(2)),
+    _row(
+        "cross",
+        "vec3(vec3,vec3)",
+        doc="vector product",
+        error=_composed(2),
+        lanes="a.yzx * b.zxy - a.zxy * b.yzx",
+    ),
+    _row(
+        "normalize",
+        "V(V)",
+        doc="v / length(v); undefined for a zero vector",
+        error=_composed(4),
+        lanes="a * inversesqrt(dot(a, a))",
+    ),
+    _row(
+        "faceforward",
+        "V(V,V,V)",
+        doc="n where dot(reference, incident) < 0, else -n: (n, incident, reference)",
+        error=_composed(0),
+        lanes="a if dot(c, b) < 0.0 else -a",
+    ),
+    _row(
+        "reflect",
+        "V(V,V)",
+        doc="incident reflected at a plane with unit normal n",
+        error=_composed(4),
+        lanes="a - (2.0 * dot(b, a)) * b",
+    ),
+    _row(
+        "refract",
+        "V(V,V,float)",
+        doc="incident refracted at a plane; eta is the ratio of indices",
+        error=_composed(4, 1),
+    ),
+    # matrices
+    _row("transpose", "M(M)", doc="rows become columns"),
+    _row("determinant", "float(M)", doc="determinant", error=_composed(4, 1e3)),
+    _row(
+        "inverse", "M(M)", doc="inverse; undefined for a singular matrix", error=_composed(100, 1e3, _REGULAR)
+    ),
+    # comparisons by component
+    _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b by component", lanes="a < b"),
+    _row(
+        "less_than_equal",
+        "BV(V,V);BV(IV,IV);BV(UV,UV)",
+        "lessThanEqual",
+        "a <= b by component",
+        lanes="a <= b",
+    ),
+    _row("greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b by component", lanes="a > b"),
+    _row(
+        "greater_than_equal",
+        "BV(V,V);BV(IV,IV);BV(UV,UV)",
+        "greaterThanEqual",
+        "a >= b by component",
+        lanes="a >= b",
+    ),
+    _row("equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "equal", "a == b by component", lanes="a == b"),
+    _row(
+        "not_equal",
+        "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)",
+        "notEqual",
+        "a != b by component",
+        lanes="a != b",
+    ),
+    _row("any", "bool(BV)", doc="whether one component is true"),
+    _row("all", "bool(BV)", doc="whether all components are true"),
+    _row("invert", "BV(BV)", "not", "not, by component", lanes="not a"),
+    # bits
+    _row("float_bits_to_int", "I(F)", "floatBitsToInt", "the same 32 bits as an int", lanes="as_int(a)"),
+    _row("float_bits_to_uint", "U(F)", "floatBitsToUint", "the same 32 bits as a uint", lanes="as_uint(a)"),
+    _row("int_bits_to_float", "F(I)", "intBitsToFloat", "the same 32 bits as a float", lanes="as_float(a)"),
+    _row("uint_bits_to_float", "F(U)", "uintBitsToFloat", "the same 32 bits as a float", lanes="as_float(a)"),
+    _row("bit_count", "I(I);I(U)", "bitCount", "number of bits that are 1", lanes="as_int(bits_set(a))"),
+    _row("find_lsb", "I(I);I(U)", "findLSB", "place of the lowest 1, -1 if none"),
+    _row("find_msb", "I(I);I(U)", "findMSB", "place of the highest significant bit, -1 if none"),
+    _row("bitfield_reverse", "I(I);U(U)", "bitfieldReverse", "bits in reverse order"),
+    _row(
+        "bitfield_extract",
+        "I(I,int,int);U(U,int,int)",
+        "bitfieldExtract",
+        "bits from offset, count of them",
+        error=Error(defined="(b >= 0) & (c >= 0) & (b + c <= 32)"),
+    ),
+    _row(
+        "bitfield_insert",
+        "I(I,I,int,int);U(U,U,int,int)",
+        "bitfieldInsert",
+        "base with count bits at offset replaced",
+        error=Error(defined="(c >= 0) & (d >= 0) & (c + d <= 32)"),
+    ),
+    # packing
+    _row(
+        "pack_half_2x16",
+        "uint(vec2)",
+        "packHalf2x16",
+        "two half floats in a uint, x in the low bits",
+        error=_WHOLE,
+    ),
+    _row("unpack_half_2x16", "vec2(uint)", "unpackHalf2x16", "inverse of pack_half_2x16"),
+    _row(
+        "pack_unorm_2x16",
+        "uint(vec2)",
+        "packUnorm2x16",
+        "0…1 in 16 bits each",
+        error=_WHOLE,
+    ),
+    _row("unpack_unorm_2x16", "vec2(uint)", "unpackUnorm2x16", "inverse of pack_unorm_2x16", error=_ROUNDED),
+    _row(
+        "pack_snorm_2x16",
+        "uint(vec2)",
+        "packSnorm2x16",
+        "-1…1 in 16 bits each",
+        error=_WHOLE,
+    ),
+    _row("unpack_snorm_2x16", "vec2(uint)", "unpackSnorm2x16", "inverse of pack_snorm_2x16", error=_ROUNDED),
+    _row(
+        "pack_unorm_4x8",
+        "uint(vec4)",
+        "packUnorm4x8",
+        "0…1 in 8 bits each",
+        error=_WHOLE,
+    ),
+    _row("unpack_unorm_4x8", "vec4(uint)", "unpackUnorm4x8", "inverse of pack_unorm_4x8", error=_ROUNDED),
+    _row(
+        "pack_snorm_4x8",
+        "uint(vec4)",
+        "packSnorm4x8",
+        "-1…1 in 8 bits each",
+        error=_WHOLE,
+    ),
+    _row("unpack_snorm_4x8", "vec4(uint)", "unpackSnorm4x8", "inverse of pack_snorm_4x8", error=_ROUNDED),
+    # lanes
+    _row(
+        "uniform",
+        "B(B);I(I);U(U);F(F)",
+        "({0})",
+        "x, known to be the same for all invocations that take part, so that what it leads to is computed once for all",
+    ),
+    # fragments
+    _row(
+        "ddx",
+        _F,
+        "dFdx",
+        "change to the next pixel to the right",
+        stages=_FRAGMENT,
+        opencl="rhi_ddx({0})",
+        numpy="R.ddx({0})",
+    ),
+    _row(
+        "ddy",
+        _F,
+        "dFdy",
+        "change to the next pixel below",
+        stages=_FRAGMENT,
+        opencl="rhi_ddy({0})",
+        numpy="R.ddy({0})",
+    ),
+    _row("fwidth", _F, "fwidth", "abs(ddx(x)) + abs(ddy(x))", stages=_FRAGMENT),
+    _row(
+        "discard",
+        "None()",
+        "discard",
+        "ends the fragment: no output",
+        stages=_FRAGMENT,
+        effect=Effect.DISCARD,
+    ),
+    # memory
+    _row("atomic_add", _ATOMIC, "atomicAdd", "adds, gives the old value", effect=_WRITE),
+    _row("atomic_min", _ATOMIC, "atomicMin", "keeps the smaller, gives the old value", effect=_WRITE),
+    _row("atomic_max", _ATOMIC, "atomicMax", "keeps the larger, gives the old value", effect=_WRITE),
+    _row("atomic_and", _ATOMIC, "atomicAnd", "bitwise and, gives the old value", effect=_WRITE),
+    _row("atomic_or", _ATOMIC, "atomicOr", "bitwise or, gives the old value", effect=_WRITE),
+    _row("atomic_xor", _ATOMIC, "atomicXor", "bitwise exclusive or, gives the old value", effect=_WRITE),
+    _row("atomic_exchange", _ATOMIC, "atomicExchange", "stores, gives the old value", effect=_WRITE),
+    _row(
+        "atomic_compare_exchange",
+        "int(int&,int,int);uint(uint&,uint,uint)",
+        "atomicCompSwap",
+        "(place, expected, value): stores where the old value is the expected one; gives the old value",
+        effect=_WRITE,
+    ),
+    _row(
+        "barrier",
+        "None()",
+        "groupMemoryBarrier(); barrier()",
+        "waits for the whole work-group, which then sees all that it wrote",
+        stages=_COMPUTE,
+        effect=Effect.BARRIER,
+    ),
+    _row(
+        "memory_barrier",
+        "None()",
+        "memoryBarrier()",
+        "orders this invocation's writes before what it does next, for all to see",
+        effect=Effect.BARRIER,
+    ),
+    # stage inputs
+    _row("vertex_index", "int()", "gl_VertexID", "index of the vertex, base vertex included", stages=_VERTEX),
+    _row(
+        "instance_index",
+        "int()",
+        "(gl_BaseInstanceARB + gl_InstanceID)",
+        "index of the instance, base instance included",
+        stages=_VERTEX,
+        extension=_DRAW_PARAMETERS,
+    ),
+    _row(
+        "draw_index",
+        "int()",
+        "gl_DrawIDARB",
+        "index of the draw within a multi-draw",
+        stages=_VERTEX,
+        extension=_DRAW_PARAMETERS,
+    ),
+    _row(
+        "fragment_coordinate",
+        "vec4()",
+        "gl_FragCoord",
+        "x, y in pixels (row 0 on top, centres at .5), depth, 1 / clip w",
+        stages=_FRAGMENT,
+    ),
+    _row(
+        "front_facing", "bool()", "gl_FrontFacing", "whether the primitive faces the camera", stages=_FRAGMENT
+    ),
+    _row(
+        "primitive_index", "int()", "gl_PrimitiveID", "index of the primitive in the draw", stages=_FRAGMENT
+    ),
+    _row(
+        "global_id", "ivec3()", "ivec3(gl_GlobalInvocationID)", "place in the whole dispatch", stages=_COMPUTE
+    ),
+    _row("local_id", "ivec3()", "ivec3(gl_LocalInvocationID)", "place in the work-group", stages=_COMPUTE),
+    _row("local_index", "int()", "int(gl_LocalInvocationIndex)", "local_id as one number", stages=_COMPUTE),
+    _row("group_id", "ivec3()", "ivec3(gl_WorkGroupID)", "place of the work-group", stages=_COMPUTE),
+    _row("group_count", "ivec3()", "ivec3(gl_NumWorkGroups)", "number of work-groups", stages=_COMPUTE),
+)
+
+BUILTINS: Final[dict[str, Builtin]] = {row.name: row for row in _ROWS}
+"""Every built-in function by name."""
+
+# Of ints, not by 0 and not the smallest by -1; of floats, not where the quotient underflows or overflows.
+_DIVISIBLE: Final = (
+    "(b != 0) & ((a != -2147483648) | (b != -1))"
+    " & ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
+)
+# x - y floor(x / y) has no digits left where the quotient has as many as a float.
+_NEAR: Final = "((abs(a) < abs(b) * 1e6) | ((a == np.floor(a)) & (b == np.floor(b))))"
+_EXACT: Final = Error()
+_SHIFT: Final = Error(defined="(b >= 0) & (b < 32)")
+OPERATORS: Final[dict[str, Error]] = {
+    **dict.fromkeys(("+", "-", "*"), _ROUNDED),
+    "/": Error(2.5, 2.5, 2.5, 2.5, 0, ((-1e18, 1e18),)),
+    "//": _composed(0.5, 1e6, _DIVISIBLE),
+    "%": _composed(2, 1e6, f"{_DIVISIBLE} & {_NEAR}"),
+    "**": BUILTINS["pow"].error,
+    "@": BUILTINS["dot"].error,
+    **dict.fromkeys(("<<", ">>"), _SHIFT),
+    **dict.fromkeys(
+        ("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT
+    ),
+}
+"""The errors of the operators, by their signs; `neg` is the minus before a number."""

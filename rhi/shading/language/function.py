@@ -1,0 +1,81 @@
+"""Functions outside shader classes, and functions whose body is native code.
+
+- `@function` marks a module-level function as part of the shading language: shaders may call it.
+- `@native("glsl", body)` gives a stage, helper or function a body in one device language, OpenCL C for stages
+  only. Its signature stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared
+  as ever; the Python body, if there is one, serves the other languages.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any, Generic, ParamSpec, TypeVar, cast
+
+from rhi.errors import refuse
+from rhi.shading.language import rules
+from rhi.shading.language.source import locals_of, resolve_annotations
+
+__rhi_internal__ = True
+
+P = ParamSpec("P")
+R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
+
+NATIVE = "_rhi_native"
+
+
+@dataclass(frozen=True, slots=True)
+class Native:
+    """A function's body in a device language, and what must stand at file level before it.
+
+    `line` is that of the text's first line in the Python file, 0 where it isn't written there as it is.
+    """
+
+    body: str
+    declarations: str = ""
+    line: int = 0
+
+
+class Function(Generic[P, R]):
+    """A module-level function of the shading language; shaders call it, `rhi.shading.evaluate` runs it on the CPU."""
+
+    def __init__(self, function: FunctionType) -> None:
+        self.python = function
+        self.__name__ = function.__name__
+        self.__doc__ = function.__doc__
+        self.__wrapped__ = function
+
+    def __call__(self, *arguments: P.args, **named: P.kwargs) -> R:
+        refuse(
+            rules.DEVICE_ONLY,
+            f"{self.__name__}(…)",
+            tip=f"on the CPU: rhi.shading.evaluate({self.__name__}, …) with arrays",
+        )
+
+
+def function(python: Callable[P, R]) -> Function[P, R]:
+    """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
+    plain = cast(FunctionType, python)
+    resolve_annotations(plain, locals_of(sys._getframe(1)))
+    return Function(plain)
+
+
+def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:
+    """Give a function its body in `language`: "glsl"; of a stage also "opencl" and a number of lanes ("opencl16").
+
+    `body` is the text between the braces and may use the parameters, bindings and struct types by their
+    Python names; `declarations` is put at file level before it (`#extension` lines go to the top). In OpenCL C,
+    bindings and parameters are those of the function that `rhi.shading.opencl.stages` describes, or of the kernel
+    (`rhi.shading.opencl.writer`).
+    """
+
+    def attach(python: F) -> F:
+        bodies = dict(getattr(python, NATIVE, {}))
+        bodies[language] = Native(body, declarations)
+        setattr(python, NATIVE, bodies)
+        return python
+
+    return attach

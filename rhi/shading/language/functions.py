@@ -1,0 +1,11 @@
+"""The built-in functions as names to import; `functions.pyi` beside this file has their types."""
+
+from __future__ import annotations
+
+from rhi.shading.language.builtins import BUILTINS
+
+__rhi_internal__ = True
+
+__all__ = list(BUILTINS)
+
+globals().update(BUILTINS)

@@ -1,0 +1,194 @@
+"""Shaders as classes: fields are bindings, methods are stages and helpers.
+
+- The class is never instantiated. Its constructor exists for type checkers only: `dataclass_transform`
+  makes it take one handle for each binding, and `Device.draw` borrows that signature.
+- Bindings are collected when the class is made, bases first, so that a shader that inherits keeps the slots
+  of its base.
+- Un-annotated numbers on the class are constants that shaders read as `self.name`, and that a subclass may
+  override: a variant of a shader is a subclass.
+"""
+
+from __future__ import annotations
+
+import enum
+import inspect
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import FunctionType
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, get_origin, overload
+
+from typing_extensions import dataclass_transform
+
+from rhi.contract.formats import Kind
+from rhi.contract.layout import ArrayType, HostType, is_host_shareable
+from rhi.errors import ShaderError, find_call_site, refuse
+from rhi.shading.language import rules
+from rhi.shading.language.annotations import value_type
+from rhi.shading.language.bindings import Storage, StorageRW, Uniform
+from rhi.shading.language.builtins import Precision
+from rhi.shading.language.source import locals_of, resolve_annotations, suggest_name
+from rhi.shading.language.textures import Image, ImageFormat, Texture, image
+from rhi.shading.language.types import ImageType, StorageType, Type
+from rhi.shading.language.vectors import Array
+
+__rhi_internal__ = True
+
+T = TypeVar("T")
+
+
+class Memory(enum.Enum):
+    """Where what a shader's field names lives."""
+
+    UNIFORM = "uniform"
+    STORAGE = "storage"
+    TEXTURE = "texture"
+    IMAGE = "image"
+    SHARED = "shared"
+
+    __hash__ = object.__hash__
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """A field of a shader. `host` is what the CPU knows the type as: a `Struct` class, `float`, `vec3`…"""
+
+    name: str
+    memory: Memory
+    type: Type
+    host: Any = None
+
+
+class SharedMemory:
+    """What `shared(…)` leaves on a shader."""
+
+    __slots__ = ("element", "length")
+
+    def __init__(self, element: Any, length: int | None) -> None:
+        self.element = element
+        self.length = length
+
+
+@overload
+def shared(element: type[T]) -> T: ...
+@overload
+def shared(element: type[T], length: int) -> Array[T]: ...
+def shared(element: Any, length: int | None = None) -> Any:
+    """Memory that a work-group shares: `partial = shared(float, 256)`, or one value without a length.
+
+    A field of a shader with a `compute` stage. Its contents start undefined.
+    """
+    return SharedMemory(element, length)
+
+
+@dataclass_transform(kw_only_default=True, field_specifiers=(image,))
+class Shader:
+    """Base of shaders.
+
+    Attributes:
+        work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
+        precision: how exact some functions are on OpenCL; other backends have one way of computing them.
+        checked: every index and every `uniform(x)` is tested on the device where it is used, and a fault is an error
+            with its line: on OpenCL after a dispatch or a batch of draws, which then wait, and on NumPy. Free when off.
+            `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders that don't say.
+        early_depth: depth and stencil are tested before the fragment stage, which then can't change them.
+    """
+
+    work_group: ClassVar[tuple[int, ...]] = (1,)
+    early_depth: ClassVar[bool] = False
+    precision: ClassVar[Precision] = Precision.EXACT
+    checked: ClassVar[bool] = os.environ.get("RHI_SHADING_CHECKED") == "1"
+    _declared: ClassVar[Mapping[str, Declaration]] = {}
+
+    def __init_subclass__(cls) -> None:
+        names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
+        module = vars(sys.modules[cls.__module__])
+        declared: dict[str, Declaration] = {}
+        for base in reversed(cls.__mro__[1:]):
+            declared.update(base.__dict__.get("_declared", {}))
+        inherited = dict(declared)
+        for name, annotation in inspect.get_annotations(cls).items():
+            if isinstance(annotation, str):
+                if annotation.startswith(("ClassVar", "typing.ClassVar")):
+                    continue
+                try:
+                    annotation = eval(annotation, module, dict(names))
+                except NameError as error:
+                    _refuse(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
+            origin: Any = get_origin(annotation)
+            if origin is ClassVar:
+                continue
+            if hasattr(Shader, name):
+                _refuse(cls, name, "a name that Shader needs itself", "choose another name")
+            declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
+        for name, value in cls.__dict__.items():
+            if isinstance(value, FunctionType):
+                resolve_annotations(value, names)
+            elif isinstance(value, SharedMemory):
+                declared[name] = Declaration(name, Memory.SHARED, _shared_type(cls, name, value))
+        for name, before in inherited.items():
+            after = declared[name]
+            if (before.memory, before.type) != (after.memory, after.type):
+                _refuse_shadow(cls, before, str(after.type))
+            if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
+                _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
+        cls._declared = declared
+
+    if not TYPE_CHECKING:  # who see the constructor that dataclass_transform makes up
+
+        def __new__(cls, *arguments: Any, **bindings: Any) -> Any:
+            refuse(
+                rules.DEVICE_ONLY,
+                f"{cls.__name__}(…)",
+                tip="a shader stays a class: device.program(TheShader)",
+            )
+
+
+def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> Declaration:
+    origin, arguments = get_origin(annotation), get_args(annotation)
+    if origin in (Uniform, Storage, StorageRW):
+        host = arguments[0]
+        value = value_type(host, default)
+        if value is None or not is_host_shareable(value):
+            tip = "bools have no layout in memory; use a uint" if value is not None else ""
+            _refuse(cls, name, repr(annotation), tip)
+        if origin is Uniform:
+            return Declaration(name, Memory.UNIFORM, value, host)
+        return Declaration(name, Memory.STORAGE, StorageType(value, origin is StorageRW), host)
+    if isinstance(annotation, type) and issubclass(annotation, Texture):
+        return Declaration(name, Memory.TEXTURE, annotation.shading_type)
+    if isinstance(annotation, type) and issubclass(annotation, Image):
+        if not isinstance(default, ImageFormat):
+            tip = f"`{name}: {annotation.__name__} = image(Format.RGBA8)`"
+            _refuse(cls, name, "an image without a format", tip)
+        image_type = ImageType(annotation.kind, default.format)
+        wrong = default.format.kind in (Kind.SRGB, Kind.DEPTH, Kind.DEPTH_STENCIL)
+        if wrong or image_type.scalar is not annotation.scalar:
+            _refuse(cls, name, f"{annotation.__name__} of {default.format}", "")
+        return Declaration(name, Memory.IMAGE, image_type)
+    if value_type(annotation) is not None:
+        made = annotation.__name__
+        _refuse(cls, name, made, f"`{name}: Uniform[{made}]`, or a constant: `{name} = …`")
+    _refuse(cls, name, repr(annotation), "")
+
+
+def _shared_type(cls: type[Shader], name: str, value: SharedMemory) -> HostType:
+    element = value_type(value.element)
+    if element is None:
+        _refuse(cls, name, f"shared({value.element!r})", "")
+    if value.length is None:
+        return element
+    if not isinstance(value.length, int) or value.length < 1:
+        _refuse(cls, name, f"a length of {value.length!r}", "")
+    return ArrayType(element, value.length)
+
+
+def _refuse_shadow(cls: type, before: Declaration, given: str) -> NoReturn:
+    call, allowed = f"class {cls.__name__}: {before.name}", f"{before.type}, as in the base"
+    raise ShaderError(rules.SHADOWED_BINDING, call, given, allowed, site=find_call_site())
+
+
+def _refuse(cls: type, name: str, given: str, tip: str) -> NoReturn:
+    allowed = "Uniform[T], Storage[T], StorageRW[T], textures, images; numbers without annotation; shared(…)"
+    raise ShaderError(rules.BINDING, f"class {cls.__name__}: {name}", given, allowed, tip, find_call_site())

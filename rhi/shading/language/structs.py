@@ -1,0 +1,265 @@
+"""Structs: one class gives a shader its type, memory its layout, and the CPU its values.
+
+- `class Light(Struct)` with annotated fields; `Light.dtype` is its NumPy dtype in storage and vertex buffers
+  (std430), `Light.uniform_dtype` that in uniform blocks (std140), padding included.
+- `Light(position=(0, 1, 0), …)` is a value on the CPU: fields are checked and converted when they are set,
+  `to_bytes` lays them out. Many values are better held as an array of `Light.dtype`.
+- A struct may inherit from another; the base's fields come first.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+import struct
+import sys
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any, ClassVar, Final, NoReturn
+
+import numpy as np
+from typing_extensions import dataclass_transform
+
+from rhi.contract.layout import (
+    BOOL,
+    FLOAT,
+    ArrayType,
+    Field,
+    HostType,
+    Layout,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+    dtype_of,
+    is_host_shareable,
+    place,
+    scalar_places,
+    shape_of,
+)
+from rhi.errors import RhiError, ShaderError, find_call_site, refuse
+from rhi.shading.language import rules
+from rhi.shading.language.annotations import Role, role_of, value_type
+from rhi.shading.language.source import locals_of, suggest, suggest_name
+from rhi.shading.language.types import scalar_of
+from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
+
+__rhi_internal__ = True
+
+_TOO_LARGE: Final = 3.4028235677973366e38
+"""From here on a number rounds to infinity in 32 bits."""
+
+
+class LayoutDtype:
+    """A struct's dtype in one layout, as an attribute of the class."""
+
+    __slots__ = ("layout",)
+
+    def __init__(self, layout: Layout) -> None:
+        self.layout = layout
+
+    def __get__(self, instance: object, owner: type[Struct]) -> np.dtype[Any]:
+        _check_shareable(owner.shading_type, f"{owner.__name__}.dtype")
+        return dtype_of(owner.shading_type, self.layout)
+
+
+class FieldAccess:
+    """Reads and writes one field of a struct's value."""
+
+    __slots__ = ("field",)
+
+    def __init__(self, field: Field) -> None:
+        self.field = field
+
+    def __get__(self, instance: Struct | None, owner: type[Struct]) -> Any:
+        return self if instance is None else instance._values[self.field.name]
+
+    def __set__(self, instance: Struct, value: object) -> None:
+        instance._values[self.field.name] = _convert(type(instance).__name__, self.field, value)
+
+
+@dataclass_transform(kw_only_default=True, field_specifiers=(array,))
+class Struct:
+    """Base of structs. Fields are annotated; all are given by name.
+
+    Raises (constructor):
+        ValidationError `shading-struct-value`: a field is missing, unknown or doesn't fit.
+    """
+
+    shading_type: ClassVar[StructType] = StructType("Struct", ())
+    dtype = LayoutDtype(Layout.STD430)
+    uniform_dtype = LayoutDtype(Layout.STD140)
+    _roles: ClassVar[Mapping[str, Role]] = {}
+    _defaults: ClassVar[Mapping[str, Any]] = {}
+    _classes: ClassVar[dict[StructType, type[Struct]]] = {}
+
+    _values: dict[str, Any]
+
+    def __init_subclass__(cls) -> None:
+        own = inspect.get_annotations(cls)
+        names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
+        module = vars(sys.modules[cls.__module__])
+        fields = {field.name: field for field in cls.shading_type.fields}
+        roles, defaults = dict(cls._roles), dict(cls._defaults)
+        for name, annotation in own.items():
+            if isinstance(annotation, str):
+                try:
+                    annotation = eval(annotation, module, names)
+                except NameError as error:
+                    _refuse_field(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
+            if hasattr(Struct, name) or name.startswith("_"):
+                _refuse_field(cls, name, "a name that Struct needs itself", "choose another name")
+            default = cls.__dict__.get(name)
+            type = value_type(annotation, default)
+            if type is None:
+                tip = "give an array its length: `name: Array[float] = array(float, 4)`"
+                _refuse_field(cls, name, repr(annotation), tip if "Array" in repr(annotation) else "")
+            fields[name] = Field(name, type)
+            role = role_of(annotation)
+            if role is not None:
+                roles[name] = role
+            if default is not None and not isinstance(default, ArrayLength):
+                defaults[name] = _convert(cls.__name__, fields[name], default)
+        cls.shading_type = StructType(cls.__name__, tuple(fields.values()))
+        cls._roles, cls._defaults = roles, defaults
+        for name in own:
+            setattr(cls, name, FieldAccess(fields[name]))
+
+    def __init__(self, **values: Any) -> None:
+        cls = type(self)
+        names = [field.name for field in cls.shading_type.fields]
+        for name in values:
+            if name not in names:
+                refuse(
+                    rules.STRUCT_VALUE,
+                    f"{cls.__name__}({name}=…)",
+                    "a field that the struct doesn't have",
+                    ", ".join(names),
+                    suggest(name, names),
+                )
+        missing = [name for name in names if name not in values and name not in cls._defaults]
+        if missing:
+            given = f"no {', '.join(missing)}"
+            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default")
+        self._values = dict(cls._defaults)
+        for name, value in values.items():
+            setattr(self, name, value)
+
+    def to_bytes(self, layout: Layout = Layout.STD140) -> bytes:
+        """The value as it lies in memory; std140 is what uniform blocks want."""
+        numbers: list[Any] = []
+        _flatten(self.shading_type, self, numbers)
+        return _packer(self.shading_type, layout).pack(*numbers)
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and all(
+            np.array_equal(value, other._values[name]) for name, value in self._values.items()
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        fields = self.shading_type.fields
+        return f"{type(self).__name__}({', '.join(f'{f.name}={self._values[f.name]!r}' for f in fields)})"
+
+
+def _check_shareable(type: StructType, call: str) -> None:
+    if not is_host_shareable(type):
+        tip = "bools have no layout in memory; use a uint"
+        raise ShaderError(rules.STRUCT, call, "a bool field", tip=tip)
+
+
+def _refuse_field(cls: type, name: str, given: str, tip: str) -> NoReturn:
+    allowed = "float, int, uint, bool, vectors, matrices, Struct classes, Array[…] with array(…)"
+    raise ShaderError(rules.STRUCT, f"class {cls.__name__}: {name}", given, allowed, tip, find_call_site())
+
+
+def _convert(owner: str, field: Field, value: Any) -> Any:
+    """A field's value in its natural form, or a refusal."""
+    try:
+        return _natural(field.type, value)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, RhiError):
+            raise
+        refuse(
+            rules.STRUCT_VALUE,
+            f"{owner}({field.name}=…)",
+            f"{type(value).__name__} of shape {np.shape(value)}" if not np.isscalar(value) else repr(value),
+            f"{field.type}, shape {shape_of(field.type)}",
+        )
+
+
+def _natural(type: HostType, value: Any) -> Any:
+    match type:
+        case ScalarType(name=name):
+            if not isinstance(value, int | float) and np.ndim(value):
+                raise ValueError("a scalar is wanted")
+            if name in ("int", "uint"):
+                number = int(value)
+                if number != value:
+                    raise ValueError("a whole number is wanted")
+                np.dtype(type.code).type(number)  # raises when it is out of range
+                return uint(number) if name == "uint" else number
+            if type is BOOL:
+                return bool(value)
+            real = float(value)
+            if math.isfinite(real) and abs(real) >= _TOO_LARGE:
+                raise OverflowError("more than a float of 32 bits holds")
+            return real
+        case VectorType(scalar=scalar, size=size):
+            if len(value) != size:
+                raise ValueError("wrong shape")
+            return CLASSES[scalar, size](*[_natural(scalar, component) for component in value])
+        case MatrixType(size=size):
+            if np.shape(value) != (size, size):
+                raise ValueError("wrong shape")
+            return CLASSES[size](np.asarray(value, "f4"))
+        case StructType():
+            if not isinstance(value, Struct) or value.shading_type != type:
+                raise TypeError(f"a {type.name} is wanted")
+            return value
+        case ArrayType(element=element, length=length):
+            if isinstance(_innermost(type), StructType):
+                if len(value) != length:
+                    raise ValueError("wrong length")
+                return tuple(_natural(element, part) for part in value)
+            given = np.asarray(value)
+            if given.shape != shape_of(type):
+                raise ValueError("wrong shape")
+            inner = _innermost(type)
+            component = FLOAT if isinstance(inner, MatrixType) else scalar_of(inner)
+            return np.array(given, (component.code if component is not None else "") or "?")
+
+
+def _innermost(type: HostType) -> HostType:
+    while isinstance(type, ArrayType):
+        type = type.element
+    return type
+
+
+def _flatten(type: HostType, value: Any, numbers: list[Any]) -> None:
+    """Append a natural value's scalars in order."""
+    match type:
+        case StructType(fields=fields):
+            for field in fields:
+                _flatten(field.type, value._values[field.name], numbers)
+        case VectorType() | MatrixType():
+            numbers.extend(value.components)
+        case ArrayType(element=element) if isinstance(_innermost(type), StructType):
+            for part in value:
+                _flatten(element, part, numbers)
+        case ArrayType():
+            numbers.extend(value.ravel().tolist())
+        case _:
+            numbers.append(value)
+
+
+@lru_cache(maxsize=1024)
+def _packer(type: StructType, layout: Layout) -> struct.Struct:
+    """What packs a struct's scalars, given in order, into its bytes."""
+    _check_shareable(type, f"{type}.to_bytes(…)")
+    text, end = "<", 0
+    for offset, code in scalar_places(type, layout):
+        text += f"{offset - end}x" * (offset > end) + {"f4": "f", "i4": "i", "u4": "I"}[code]
+        end = offset + 4
+    return struct.Struct(text + f"{place(type, layout).size - end}x")

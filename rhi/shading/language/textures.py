@@ -1,0 +1,224 @@
+"""Texture and image types as Python sees them, and their methods: one table, as for built-ins.
+
+- In a method's signature COORD, TEXEL, GRAD, SIZE and VALUE stand for the types that go with the texture's
+  shape and scalar; `{0}` in a spelling is the texture itself.
+- The stub beside this file (`textures.pyi`) is written by `rhi.shading.tools.stubs` from the same table.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final
+
+from rhi.contract.descriptors import Stage, TextureKind
+from rhi.contract.formats import Format
+from rhi.contract.layout import FLOAT, INT, UINT
+from rhi.shading.language.builtins import Builtin, Effect, Overload, Parameter, expand
+from rhi.shading.language.types import VECTORS, ImageType, TextureType, Type
+
+__rhi_internal__ = True
+
+__all__ = [  # noqa: F822 (the texture and image classes are made below)
+    "DepthTexture2D",
+    "DepthTexture2DArray",
+    "DepthTextureCube",
+    "Image2D",
+    "Image2DArray",
+    "Image3D",
+    "IntImage2D",
+    "IntImage2DArray",
+    "IntImage3D",
+    "IntTexture2D",
+    "IntTexture2DArray",
+    "IntTexture3D",
+    "IntTextureCube",
+    "Texture2D",
+    "Texture2DArray",
+    "Texture3D",
+    "TextureCube",
+    "UintImage2D",
+    "UintImage2DArray",
+    "UintImage3D",
+    "UintTexture2D",
+    "UintTexture2DArray",
+    "UintTexture3D",
+    "UintTextureCube",
+    "image",
+]
+
+_D2, _ARRAY, _D3, _CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
+_NOT_3D: Final = frozenset({_D2, _ARRAY, _CUBE})
+_NOT_CUBE: Final = frozenset({_D2, _ARRAY, _D3})
+_FLAT: Final = frozenset({_D2})
+_ALL: Final = frozenset(TextureKind)
+_REFERENCE: Final = {_D2: "vec3({1}, {2})", _ARRAY: "vec4({1}, {2})", _CUBE: "vec4({1}, {2})"}
+
+# (name, kinds, signatures with their spellings, documentation)
+_SAMPLED: Final = (
+    (
+        "sample",
+        _ALL,
+        {"VALUE(at: COORD)": "texture({0}, {1})"},
+        "filtered, level from the derivatives of `at`",
+    ),
+    (
+        "sample_bias",
+        _ALL,
+        {"VALUE(at: COORD, bias: float)": "texture({0}, {1}, {2})"},
+        "as `sample`, `bias` added to the level",
+    ),
+    (
+        "sample_lod",
+        _ALL,
+        {"VALUE(at: COORD, lod: float)": "textureLod({0}, {1}, {2})"},
+        "filtered, at level `lod`",
+    ),
+    (
+        "sample_grad",
+        _ALL,
+        {"VALUE(at: COORD, dx: GRAD, dy: GRAD)": "textureGrad({0}, {1}, {2}, {3})"},
+        "filtered, level from the derivatives given",
+    ),
+    (
+        "gather",
+        _NOT_3D,
+        {
+            "VALUE(at: COORD)": "textureGather({0}, {1})",
+            "VALUE(at: COORD, component: int)": "textureGather({0}, {1}, {2})",
+        },
+        "one component of the four texels that bilinear filtering would read",
+    ),
+    (
+        "load",
+        _NOT_CUBE,
+        {
+            "VALUE(texel: TEXEL)": "texelFetch({0}, {1}, 0)",
+            "VALUE(texel: TEXEL, level: int)": "texelFetch({0}, {1}, {2})",
+        },
+        "one texel, unfiltered",
+    ),
+    (
+        "size",
+        _ALL,
+        {"SIZE()": "textureSize({0}, 0)", "SIZE(level: int)": "textureSize({0}, {1})"},
+        "in texels",
+    ),
+    ("levels", _ALL, {"int()": "textureQueryLevels({0})"}, "number of mip levels"),
+)
+_COMPARED: Final = (
+    (
+        "sample_compare",
+        _NOT_3D,
+        {"float(at: COORD, reference: float)": "texture({0}, REFERENCE)"},
+        "how much of the filtered texels passes `reference compare texel`, 0…1",
+    ),
+    (
+        "sample_compare_lod",
+        _FLAT,
+        {"float(at: COORD, reference: float, lod: float)": "textureLod({0}, REFERENCE, {3})"},
+        "as `sample_compare`, at level `lod`",
+    ),
+    (
+        "gather_compare",
+        _NOT_3D,
+        {"vec4(at: COORD, reference: float)": "textureGather({0}, {1}, {2})"},
+        "the four comparisons before filtering",
+    ),
+    (
+        "size",
+        _ALL,
+        {"SIZE()": "textureSize({0}, 0)", "SIZE(level: int)": "textureSize({0}, {1})"},
+        "in texels",
+    ),
+)
+_STORED: Final = (
+    ("load", _NOT_CUBE, {"VALUE(texel: TEXEL)": "imageLoad({0}, {1})"}, "one texel"),
+    (
+        "store",
+        _NOT_CUBE,
+        {"None(texel: TEXEL, value: VALUE)": "imageStore({0}, {1}, {2})"},
+        "writes one texel",
+    ),
+    ("size", _NOT_CUBE, {"SIZE()": "imageSize({0})"}, "in texels"),
+)
+
+_FRAGMENT_ONLY: Final = frozenset({"sample_bias"})
+
+
+@cache
+def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
+    """The methods of a texture or image type by name; their first parameter is the texture."""
+    rows = _STORED if isinstance(type, ImageType) else _COMPARED if type.compare else _SAMPLED
+    plane = type.kind is _D2
+    names: dict[str, Type] = {
+        "COORD": VECTORS[FLOAT, 2 if plane else 3],
+        "TEXEL": VECTORS[INT, 2 if plane else 3],
+        "GRAD": VECTORS[FLOAT, 2 if type.kind in (_D2, _ARRAY) else 3],
+        "SIZE": VECTORS[INT, 2 if type.kind in (_D2, _CUBE) else 3],
+        "VALUE": VECTORS[type.scalar, 4],
+    }
+    reference = _REFERENCE.get(type.kind, "")
+    methods = {}
+    for name, kinds, signatures, doc in rows:
+        if type.kind in kinds:
+            overloads = tuple(
+                Overload((Parameter(type, "self"), *overload.parameters), overload.result, overload.glsl)
+                for signature, glsl in signatures.items()
+                for overload in expand(signature, glsl.replace("REFERENCE", reference), names)
+            )
+            methods[name] = Builtin(
+                name,
+                overloads,
+                doc,
+                Effect.WRITE if name == "store" else Effect.NONE,
+                frozenset({Stage.FRAGMENT}) if name in _FRAGMENT_ONLY else frozenset(Stage),
+            )
+    return methods
+
+
+class Texture:
+    """Base of texture annotations; `shading_type` says which."""
+
+    shading_type: TextureType
+
+
+class Image:
+    """Base of image annotations; the format comes with `image(Format…)`."""
+
+    kind: TextureKind
+    scalar: Any
+
+
+class ImageFormat:
+    """What `image(format)` leaves on a shader."""
+
+    __slots__ = ("format",)
+
+    def __init__(self, format: Format) -> None:
+        self.format = format
+
+
+def image(format: Format) -> Any:
+    """An image binding's texel format: `target: Image2D = image(Format.RGBA8)`."""
+    return ImageFormat(format)
+
+
+_SHAPES: Final = {_D2: "2D", _ARRAY: "2DArray", _D3: "3D", _CUBE: "Cube"}
+
+for _kind, _shape in _SHAPES.items():
+    for _scalar, _prefix in ((FLOAT, ""), (INT, "Int"), (UINT, "Uint")):
+        _values = {"": "floats", "Int": "ints", "Uint": "uints"}[_prefix]
+        _space: dict[str, Any] = {"__module__": __name__, "shading_type": TextureType(_kind, _scalar)}
+        _space["__doc__"] = f"A {_shape} texture that is read as {_values}, through a sampler."
+        _name = f"{_prefix}Texture{_shape}"
+        globals()[_name] = type(_name, (Texture,), _space)
+        if _kind in _NOT_CUBE:
+            _name = f"{_prefix}Image{_shape}"
+            _space = {"__module__": __name__, "kind": _kind, "scalar": _scalar}
+            _space["__doc__"] = f"One level of a {_shape} texture, loaded and stored as {_values}."
+            globals()[_name] = type(_name, (Image,), _space)
+    if _kind in _NOT_3D:
+        _name = f"DepthTexture{_shape}"
+        _space = {"__module__": __name__, "shading_type": TextureType(_kind, FLOAT, True)}
+        _space["__doc__"] = f"A {_shape} depth texture that is compared with a reference when it is read."
+        globals()[_name] = type(_name, (Texture,), _space)

@@ -1,0 +1,151 @@
+"""Vectors, matrices and `uint` as Python sees them: types in annotations, constructors in shaders, constants.
+
+- The stub beside this file (`vectors.pyi`, written by `rhi.shading.tools.stubs`) says what they can do in a
+  shader: operators, swizzles, conversions. At run time on the CPU they only hold components, so that
+  `SKY = vec3(0.2, 0.4, 0.9)` at module level is a constant that shaders can use; arithmetic on the CPU is
+  NumPy's business (`numpy.asarray(SKY)`).
+- `Array` is the type of arrays; `array` makes one in a shader and gives a struct's field its length.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, ClassVar, Generic, TypeVar
+
+import numpy as np
+
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
+from rhi.shading.language.types import MATRICES, VECTORS
+
+__rhi_internal__ = True
+
+__all__ = [  # noqa: F822 (the vector and matrix classes are made below)
+    "Array",
+    "ReadOnlyArray",
+    "array",
+    "bvec2",
+    "bvec3",
+    "bvec4",
+    "ivec2",
+    "ivec3",
+    "ivec4",
+    "mat2",
+    "mat3",
+    "mat4",
+    "uint",
+    "uvec2",
+    "uvec3",
+    "uvec4",
+    "vec2",
+    "vec3",
+    "vec4",
+]
+
+T = TypeVar("T")
+
+
+class uint(int):  # noqa: N801 (named like int)
+    """An unsigned 32-bit integer; wraps around in shaders."""
+
+    shading_type: ClassVar[HostType] = UINT
+
+
+class Composite:
+    """Base of vectors and matrices: a tuple of numbers with a type."""
+
+    __slots__ = ("components",)
+    shading_type: ClassVar[Any]
+    shape: ClassVar[tuple[int, ...]]
+    convert: ClassVar[Callable[[Any], Any]]
+
+    def __init__(self, *parts: object) -> None:
+        flat: list[Any] = []
+        for part in parts:
+            if isinstance(part, int | float):
+                flat.append(part)
+            else:
+                flat.extend(np.ravel(np.asarray(part)).tolist())
+        size, count = self.shape[0], math.prod(self.shape)
+        if len(flat) == 1:
+            # One number stands for all components, or for a matrix's diagonal.
+            one = flat[0]
+            flat = [one] * size if count == size else [one * (i % (size + 1) == 0) for i in range(count)]
+        if len(flat) != count:
+            raise TypeError(f"{type(self).__name__} has {count} components, not {len(flat)}")
+        self.components = tuple(map(self.convert, flat))
+
+    def __array__(self, dtype: Any = None, copy: Any = None) -> Any:
+        code = getattr(self.shading_type, "scalar", FLOAT).code or "?"
+        return np.array(self.components, dtype or code).reshape(self.shape)
+
+    def __iter__(self) -> Iterator[Any]:
+        return iter(self.components if len(self.shape) == 1 else np.asarray(self))
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, index: int) -> Any:
+        return self.components[index] if len(self.shape) == 1 else np.asarray(self)[index]
+
+    def __getattr__(self, name: str) -> Any:
+        axes = "xyzw" if name and name[0] in "xyzw" else "rgba"
+        places = [axes.find(letter) for letter in name]
+        if len(self.shape) == 2 or len(name) > 4 or min(places) < 0 or max(places) >= len(self.components):
+            raise AttributeError(f"{type(self).__name__} has no component {name!r}")
+        parts = tuple(self.components[place] for place in places)
+        return parts[0] if len(parts) == 1 else CLASSES[self.shading_type.scalar, len(parts)](*parts)
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and self.components == other.components
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.components))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map(repr, self.components))})"
+
+
+CLASSES: dict[Any, Any] = {}
+
+for _key, _type in [*VECTORS.items(), *MATRICES.items()]:
+    _shape = (_key[1],) if isinstance(_key, tuple) else (_key, _key)
+    CLASSES[_key] = globals()[str(_type)] = type(
+        str(_type),
+        (Composite,),
+        {
+            "__slots__": (),
+            "__module__": __name__,
+            "__doc__": f"{'x'.join(map(str, _shape))} components.",
+            "shading_type": _type,
+            "shape": _shape,
+            "convert": {FLOAT: float, INT: int, UINT: int, BOOL: bool}[getattr(_type, "scalar", FLOAT)],
+        },
+    )
+
+
+class ReadOnlyArray(Generic[T]):
+    """Elements of one type that a shader can read: `len(a)`, `a[i]`."""
+
+
+class Array(ReadOnlyArray[T]):
+    """Elements of one type: `len(a)`, `a[i]`, `a[i] = value`."""
+
+
+class ArrayLength:
+    """What `array(element, length)` leaves on a struct: the length of a field."""
+
+    __slots__ = ("element", "length")
+
+    def __init__(self, element: object, length: int) -> None:
+        self.element = element
+        self.length = length
+
+
+def array(element: type[T], length: int) -> Any:
+    """An array of `length` elements.
+
+    In a struct it gives a field its length: `weights: Array[float] = array(float, 4)`. In a shader it makes
+    a local array of zeros: `stack = array(int, 32)`.
+    """
+    return ArrayLength(element, length)

@@ -1,0 +1,204 @@
+"""Bounds of a vertex stage's clip positions, where they are an affine function of its inputs.
+
+- Affine: sums of inputs times what is the same for all vertices of an instance (uniforms, constants, an instance's row
+  of a buffer). Clip positions of vertices whose inputs lie in a box are then convex combinations of those of the box's
+  corners, but for rounding. So corners tell where all vertices are, before any of them is transformed.
+- `bound_positions` makes lane code of its own: only what positions need, so it reads nothing by a corner's inputs, and
+  beside each component a slack, what rounding may add: as far as a vertex may lie outside of the corners' hull, and a
+  sum or difference of two such components be off.
+- Slacks come from a running error analysis. A component's magnitude is what it would be if all terms were positive and
+  as large as they get in the box. Each rounding on a component's way is wrong by at most 2^-24 of that, so after n of
+  them a vertex and a corner are each within n 2^-24 magnitudes of the exact function: 2 n + 1 with a sum of two. The
+  slack is (4 n + 16) 2^-24, twice that and more.
+- Every term counts a thousandth more, so that no vertex overflows where magnitudes don't; where they do, slacks are
+  infinite. It counts at least 2^-64, so that what denormals lose is covered, too. NaN gives NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Final, TypeAlias, TypeGuard
+
+from rhi.shading.ir import lanes
+from rhi.shading.ir.lanes import (
+    Apply,
+    Argument,
+    Bounds,
+    Get,
+    Kind,
+    Let,
+    Level,
+    Literal,
+    Load,
+    Set,
+    Space,
+    StageCode,
+    Value,
+    Variable,
+    apply,
+    literal,
+)
+
+__rhi_internal__ = True
+
+_INPUTS: Final = "inputs_"
+_REACHES: Final = "reaches_"
+_FIXED: Final = (Space.UNIFORM, Space.STORAGE, Space.CONSTANT)
+_MORE: Final = 1.001
+_LEAST: Final = 2.0**-64
+_ROUNDING: Final = 2.0**-22
+
+_Magnitude: TypeAlias = "tuple[Value, int]"
+"""And the most roundings on a component's way."""
+
+
+def bound_positions(stage: StageCode) -> Bounds | None:
+    """Bounds for a vertex stage; None where positions aren't affine, or more is done than to compute outputs."""
+    code = stage.code
+    positions = [value for word, value in zip(stage.words, code.results, strict=False) if word < 4]
+    if len(positions) < 4 or code.checked or any(map(_has_effect, lanes.walk(code.block))):
+        return None
+    analysis = _Analysis()
+    for statement in code.block:
+        analysis.add(statement)
+    found = [analysis.measure(value) for value in positions]
+    slacks = [size * literal((roundings + 4) * _ROUNDING) for size, roundings in filter(None, found)]
+    results = (*positions, *slacks)
+    block = _slice(analysis.block, results)
+    if len(slacks) < 4 or block is None:
+        return None
+    read = [value for statement in block for value in lanes.values_of(statement)]
+    inputs = sorted({number for value in (*read, *results) for number in _inputs_of(value)})
+    if not inputs:
+        return None
+    code = replace(code, block=block, results=results)
+    return Bounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
+
+
+class _Analysis:
+    """Follows magnitudes along the statements.
+
+    Attributes:
+        block: the statements, those that compute magnitudes among them.
+    """
+
+    def __init__(self) -> None:
+        self.block: lanes.Block = []
+        self._known: dict[int, _Magnitude] = {}  # of varying variables, as they are now
+
+    def add(self, statement: lanes.Statement) -> None:
+        """The next statement of the stage."""
+        self.block.append(statement)
+        value = statement.value if _is_assignment(statement) else None
+        magnitude = self.measure(value) if value is not None else None
+        for variable in _written(statement):
+            self._known.pop(id(variable), None)
+            if magnitude is not None and variable.level is Level.VARYING:
+                self._known[id(variable)] = self._name(magnitude, variable.name, statement.line)
+
+    def measure(self, value: Value) -> _Magnitude | None:
+        """A component's magnitude; None if it isn't affine."""
+        if value.kind is not Kind.FLOAT:
+            return None
+        if _is_fixed(value):
+            size = literal(abs(value.value)) if isinstance(value, Literal) else apply("abs", value)
+            return _extend(size), 0
+        match value:
+            case Argument(name=name) if name.startswith(_INPUTS):
+                reach = Argument(Kind.FLOAT, Level.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
+                return _extend(reach), 0
+            case Get(variable=variable):
+                return self._known.get(id(variable))
+            case Apply(operation="negate", arguments=(one,)):
+                return self.measure(one)
+            case Apply(operation="add" | "subtract" | "multiply" as operation, arguments=(a, b)):
+                scales = operation == "multiply"
+                left, right = self.measure(a), self.measure(b)
+                if left is None or right is None or (scales and not (_is_fixed(a) or _is_fixed(b))):
+                    return None
+                size = left[0] * right[0] + literal(_LEAST) if scales else left[0] + right[0]
+                return size, max(left[1], right[1]) + 1
+        return None
+
+    def _name(self, magnitude: _Magnitude, name: str, line: tuple[str, int]) -> _Magnitude:
+        value, roundings = magnitude
+        variable = Variable(f"reach_{len(self.block)}_{name}", Kind.FLOAT, Level.LANES)
+        self.block.append(Let(line, variable, value))
+        return Get(Kind.FLOAT, Level.LANES, variable), roundings
+
+
+def _extend(value: Value) -> Value:
+    if isinstance(value, Literal):
+        return literal(value.value * _MORE + _LEAST)
+    return value * literal(_MORE) + literal(_LEAST)
+
+
+def _inputs_of(value: Value) -> Iterator[int]:
+    """The inputs that a value reads."""
+    if isinstance(value, Argument) and value.name.startswith(_INPUTS):
+        yield int(value.name[len(_INPUTS) :])
+    for part in lanes.parts_of(value):
+        yield from _inputs_of(part)
+
+
+def _is_fixed(value: Value) -> bool:
+    """Whether a value is the same for all vertices of an instance."""
+    if value.level is Level.VARYING or (isinstance(value, Get) and value.variable.level is Level.VARYING):
+        return False
+    if isinstance(value, Load) and value.memory.space not in _FIXED:
+        return False
+    return all(map(_is_fixed, lanes.parts_of(value)))
+
+
+def _has_effect(statement: lanes.Statement) -> bool:
+    """Whether something but variables changes."""
+    match statement:
+        case lanes.Store(memory=memory):
+            return memory.space is not Space.PRIVATE
+        case lanes.TextureAccess(operation=operation):
+            return operation == "store"
+    return isinstance(statement, lanes.Atomic | lanes.Barrier)
+
+
+def _written(statement: lanes.Statement) -> Iterator[Variable]:
+    """The variables that a statement and those inside it give values to."""
+    for one in lanes.walk([statement]):
+        match one:
+            case Let(variable=variable) | Set(variable=variable):
+                yield variable
+            case lanes.TextureAccess(results=results):
+                yield from results
+            case lanes.Atomic(result=Variable() as result):
+                yield result
+
+
+def _is_assignment(statement: lanes.Statement) -> TypeGuard[Let | Set]:
+    """Whether all lanes take a value."""
+    return isinstance(statement, Let) or (isinstance(statement, Set) and statement.mask is None)
+
+
+def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None:
+    """The statements that results need; None if not all of them are plain assignments of what is fixed or affine."""
+    needed = {id(variable) for value in results for variable in lanes.variables_of(value)}
+    kept: lanes.Block = []
+    for statement in reversed(block):
+        if needed.isdisjoint(map(id, _written(statement))):
+            continue
+        if not _is_assignment(statement):
+            return None
+        kept.append(statement)
+        if isinstance(statement, Let):
+            needed.discard(id(statement.variable))
+        if statement.value is not None:
+            if not _is_plain(statement.value):
+                return None
+            needed.update(id(variable) for variable in lanes.variables_of(statement.value))
+    return kept[::-1]
+
+
+def _is_plain(value: Value) -> bool:
+    """Whether no memory is read but by what is fixed."""
+    if isinstance(value, Load) and not _is_fixed(value):
+        return False
+    return all(map(_is_plain, lanes.parts_of(value)))

@@ -1,0 +1,136 @@
+"""Built-in functions as components: those of values by their expansions, and those that know of other invocations:
+places in a dispatch, atomics, barriers, `uniform`."""
+
+from __future__ import annotations
+
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import Get, Kind, Level, Value, apply, number
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import Effect
+from rhi.shading.language.types import ImageType, TextureType
+from rhi.shading.lowering.expansions import expansion_of
+from rhi.shading.lowering.expressions import ExpressionLowering
+from rhi.shading.lowering.places import MemoryPlace, all_kinds
+
+__rhi_internal__ = True
+
+
+class BuiltinLowering(ExpressionLowering):
+    """Lowers calls of `rhi.shading.language.functions`."""
+
+    # -- what textures provide
+
+    def texture(self, node: tree.BuiltinCall) -> list[Value]:
+        """A method of a texture or image, which is the call's first argument."""
+        raise NotImplementedError
+
+    # -- all calls
+
+    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+        """A built-in's scalars; `wanted`: somebody uses them."""
+        name = node.builtin.name
+        if node.arguments and isinstance(node.arguments[0].type, TextureType | ImageType):
+            return self.texture(node)
+        if name.startswith("atomic_"):
+            return self.atomic(node, wanted)
+        if node.builtin.effect is Effect.BARRIER:
+            self.barrier(waits=name == "barrier")
+            return []
+        if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
+            return self.place_in_dispatch(name)
+        if name == "uniform":
+            return [self.uniform(value) for value in self.named(node.arguments[0])]
+        try:
+            expand = expansion_of(node.builtin)
+        except LookupError:
+            self.refuse(rules.STAGE, name, tip="lanes don't have it yet")
+        return expand(self.let, *(self.named(argument) for argument in node.arguments))
+
+    def uniform(self, value: Value) -> Value:
+        """What the first lane has that takes part, for all lanes of a work-item."""
+        if self.width <= 1 or value.level < Level.VARYING:
+            return value
+        if value.kind is Kind.BOOL:
+            return apply("not_equal", self.uniform(self.convert(value, Kind.INT)), number(0))
+        mask = self.effect_mask()
+        taking_part = Get(Kind.BOOL, mask.level, mask) if mask is not None else lanes.TRUE
+        first = self.let(lanes.Apply(value.kind, Level.LANES, "uniform", (value, taking_part)))
+        if self.checked:
+            wrong = self.let(apply("not_equal", value, first), "wrong")
+            self.emit(lanes.Check(self.line, wrong, apply("as_int", value), number(-1), self.effect_mask()))
+        return first
+
+    def atomic(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+        target, *rest = node.arguments
+        values = [self.let(value) for argument in rest for value in self.lower(argument)]
+        at = self.place(target)
+        assert isinstance(at, MemoryPlace)
+        (kind,) = all_kinds(at.type)
+        result = self.variable("old", kind, self.own_level) if wanted else None
+        self.emit(
+            lanes.Atomic(
+                self.line,
+                result,
+                node.builtin.name.removeprefix("atomic_"),
+                kind,
+                at.memory,
+                at.index,
+                at.scale,
+                at.offset,
+                tuple(values),
+                self.effect_mask(),
+            )
+        )
+        return [Get(kind, result.level, result)] if result is not None else []
+
+    def barrier(self, waits: bool) -> None:
+        """The work-group meets: all of it, so no condition that varies within it may lead here."""
+        if waits:
+            conditions = [scope.level for scope in self.scopes_up_to(None) if scope.kind != "function"]
+            level = max([*conditions, self.frame.left])  # returns count from where they stand
+            if level > Level.GROUP:
+                self.refuse(
+                    rules.BARRIER,
+                    "a barrier that part of a work-group may not reach",
+                    "conditions and loop bounds that are the same for the whole work-group",
+                )
+        self.emit(lanes.Barrier(self.line, waits))
+
+    def place_in_dispatch(self, name: str) -> list[Value]:
+        sizes = self.work_group
+        match name:
+            case "local_index":
+                return [self.local_index()]
+            case "group_id" | "group_count":
+                place = lanes.Place(name)
+                level = Level.GROUP if name == "group_id" else Level.DISPATCH
+                return [lanes.Input(Kind.INT, level, place, axis) for axis in range(3)]
+            case "local_id":
+                return [self.local_axis(axis) for axis in range(3)]
+        groups = self.place_in_dispatch("group_id")
+        return [groups[axis] * number(sizes[axis]) + self.local_axis(axis) for axis in range(3)]
+
+    def local_index(self) -> Value:
+        """The invocation's number in its work-group: of W lanes, consecutive ones."""
+        if self.work_group == (1, 1, 1):
+            return number(0)
+        if self.width == 0:
+            return lanes.Input(Kind.INT, Level.VARYING, lanes.Place.LOCAL_INDEX)
+        return self.lanes_from(lanes.Input(Kind.INT, Level.LANES, lanes.Place.ITEM) * number(self.width))
+
+    def lanes_from(self, first: Value) -> Value:
+        return lanes.Affine(Kind.INT, Level.VARYING, first, 1) if self.width > 1 else first
+
+    def local_axis(self, axis: int) -> Value:
+        size, before = self.work_group[axis], 1
+        for inner in self.work_group[:axis]:
+            before *= inner
+        if size == 1:
+            return number(0)
+        if self.work_group[0] % max(self.width, 1) == 0 and self.width:
+            # The lanes of a work-item lie in one row.
+            first = lanes.Input(Kind.INT, Level.LANES, lanes.Place.ITEM) * number(self.width)
+            row = self.floored(False, self.floored(True, first, number(before)), number(size))
+            return self.lanes_from(row) if axis == 0 else row
+        index = self.local_index()
+        return self.floored(False, self.floored(True, index, number(before)), number(size))

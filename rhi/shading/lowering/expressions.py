@@ -1,0 +1,442 @@
+"""From typed expressions to components: places and operators."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.contract.layout import INT, UINT, ArrayType, Layout, MatrixType, StructType, VectorType, stride_of
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import (
+    Get,
+    Kind,
+    Level,
+    Literal,
+    Memory,
+    Space,
+    Value,
+    Variable,
+    apply,
+    literal,
+    number,
+)
+from rhi.shading.ir.tree import Expression, Operator
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import Effect
+from rhi.shading.language.shader import Declaration
+from rhi.shading.language.shader import Memory as Field
+from rhi.shading.language.types import StorageType, scalar_of
+from rhi.shading.lowering.expansions import all_of, any_of, by_component, dot, float_modulo
+from rhi.shading.lowering.places import (
+    KINDS,
+    AnyPlace,
+    Choice,
+    LocalPlace,
+    MemoryPlace,
+    Slot,
+    all_kinds,
+    count_parts,
+    element,
+    member,
+    part,
+    select_by_index,
+    word_offsets,
+    words_of,
+)
+from rhi.shading.lowering.scopes import ScopeLowering
+
+__rhi_internal__ = True
+
+_OPERATIONS: Final = {
+    Operator.ADD: "add",
+    Operator.SUBTRACT: "subtract",
+    Operator.MULTIPLY: "multiply",
+    Operator.DIVIDE: "divide",
+    Operator.BIT_AND: "and",
+    Operator.BIT_OR: "or",
+    Operator.BIT_XOR: "xor",
+    Operator.EQUAL: "equal",
+    Operator.NOT_EQUAL: "not_equal",
+    Operator.LESS: "less",
+    Operator.LESS_EQUAL: "less_equal",
+    Operator.GREATER: "greater",
+    Operator.GREATER_EQUAL: "greater_equal",
+    Operator.NEGATE: "negate",
+    Operator.INVERT: "invert",
+    Operator.NOT: "not",
+}
+
+
+class ExpressionLowering(ScopeLowering):
+    """Lowers the expressions of the current frame; an expression is the list of its scalars."""
+
+    def __init__(self, width: int, work_group: tuple[int, int, int]) -> None:
+        super().__init__(width)
+        self.work_group = work_group
+        self.memories: dict[object, Memory] = {}
+        self.checked = False
+
+    # -- what statements provide
+
+    def call(self, node: tree.Call) -> list[Value]:
+        raise NotImplementedError
+
+    # -- what built-ins provide
+
+    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+        """A built-in's scalars; `wanted`: somebody uses them."""
+        raise NotImplementedError
+
+    # -- what stages decide
+
+    def effect_mask(self) -> Variable | None:
+        """Who writes to memory that others see."""
+        return self.scope.mask
+
+    # -- entry points
+
+    def one(self, node: Expression) -> Value:
+        """A scalar expression."""
+        (value,) = self.lower(node)
+        return value
+
+    def named(self, node: Expression) -> list[Value]:
+        """An expression whose components will be used more than once."""
+        return [self.let(value) for value in self.lower(node)]
+
+    def lower(self, node: Expression) -> list[Value]:
+        """The scalars of an expression, in order."""
+        at = self.place(node)
+        if at is not None:
+            return self.read(at)
+        match node:
+            case tree.Constant(value=value):
+                return [Literal(KINDS[node.type], Level.DISPATCH, value)]  # type: ignore[index]
+            case tree.Member(base=base, name=name):
+                assert isinstance(base.type, StructType)
+                values, start = self.lower(base), 0
+                for field in base.type.fields:
+                    if field.name == name:
+                        return values[start : start + words_of(field.type)]
+                    start += words_of(field.type)
+            case tree.Swizzle(base=base, components=components):
+                whole = self.place(base)
+                if whole is not None:
+                    return [value for c in components for value in self.read(part(whole, c))]
+                values = self.lower(base)
+                return [values[c] for c in components]
+            case tree.Index(base=base, index=index):
+                return self.index_value(self.named(base), words_of(node.type), self.one(index))  # type: ignore[arg-type]
+            case tree.Length(base=base):
+                assert isinstance(base, tree.BindingRead)
+                return [lanes.Count(Kind.INT, Level.DISPATCH, self.memory(base.declaration))]
+            case tree.Unary(operator=operator, operand=operand):
+                return [apply(_OPERATIONS[operator], value) for value in self.lower(operand)]
+            case tree.Binary():
+                return self.binary(node)
+            case tree.Select(condition=condition, then=then, otherwise=otherwise):
+                return self.select(self.one(condition), then, otherwise)
+            case tree.Convert(type=type, value=value):
+                kind = KINDS[scalar_of(type)]  # type: ignore[index]
+                return [self.convert(part, kind) for part in self.lower(value)]
+            case tree.Construct():
+                return self.construct(node)
+            case tree.Zeros(type=type):
+                return [literal(0, kind) for kind in all_kinds(type)]  # type: ignore[arg-type]
+            case tree.Call():
+                return self.call(node)
+            case tree.BuiltinCall():
+                return self.builtin(node, wanted=True)
+        raise TypeError(f"no lane code for {node}")
+
+    def convert(self, value: Value, kind: Kind) -> Value:
+        """A component as another kind."""
+        if value.kind is kind:
+            return value
+        if value.kind is Kind.BOOL:
+            return apply("select", value, literal(1, kind), literal(0, kind))
+        if kind is Kind.BOOL:
+            return apply("not_equal", value, literal(0, value.kind))
+        if isinstance(value, Literal) and kind is Kind.FLOAT:
+            return literal(float(value.value))
+        if Kind.FLOAT in (kind, value.kind):
+            return apply(f"to_{kind.value}", value)
+        return apply(f"as_{kind.value}", value)
+
+    # -- places
+
+    def memory(self, declaration: Declaration) -> Memory:
+        """A binding's memory."""
+        known = self.memories.get(declaration.name)
+        if known is None:
+            type = declaration.type
+            if declaration.memory is Field.STORAGE:
+                assert isinstance(type, StorageType)
+                stride = stride_of(type.element, Layout.STD430) // 4
+                known = Memory(declaration.name, Space.STORAGE, stride, 0, type.writable)
+            elif declaration.memory is Field.UNIFORM:
+                words = stride_of(type, Layout.STD140) // 4  # type: ignore[arg-type]
+                known = Memory(declaration.name, Space.UNIFORM, length=words)
+            elif declaration.memory is Field.SHARED:
+                known = Memory(declaration.name, Space.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
+            else:
+                self.refuse(
+                    rules.NATIVE,
+                    f"{declaration.name}: {type}",
+                    "buffers and values",
+                    "lanes have no textures",
+                )
+            self.memories[declaration.name] = known
+        return known
+
+    def place(self, node: Expression) -> AnyPlace | None:
+        """Where the expression's value lives, or None if it has to be computed."""
+        match node:
+            case tree.Read(local=local):
+                homes = self.frame.slots[local]
+                return LocalPlace(local.type, homes)  # type: ignore[arg-type]
+            case tree.BindingRead(declaration=declaration) if declaration.memory in (
+                Field.UNIFORM,
+                Field.SHARED,
+            ):
+                layout = Layout.STD140 if declaration.memory is Field.UNIFORM else None
+                memory = self.memory(declaration)
+                return MemoryPlace(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
+            case tree.ConstantArray(type=type):
+                return MemoryPlace(type, self.constants(node), None, number(0), 1, 0)  # type: ignore[arg-type]
+            case tree.Member(base=base, name=name):
+                at = self.place(base)
+                return member(at, name) if at is not None else None
+            case tree.Swizzle(base=base, components=(component,)):
+                at = self.place(base)
+                return part(at, component) if at is not None else None
+            case tree.Index(base=tree.BindingRead(declaration=declaration), index=index) if isinstance(
+                declaration.type, StorageType
+            ):
+                memory = self.memory(declaration)
+                row = self.let(self.convert(self.one(index), Kind.INT))
+                row = self.check_index(row, lanes.Count(Kind.INT, Level.DISPATCH, memory))
+                return MemoryPlace(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
+            case tree.Index(base=base, index=index):
+                at = self.place(base)
+                if at is None:
+                    return None
+                row = self.let(self.convert(self.one(index), Kind.INT))
+                row = self.check_index(row, number(count_parts(base.type)))  # type: ignore[arg-type]
+                return part(at, int(row.value)) if isinstance(row, Literal) else element(at, row)
+        return None
+
+    def check_index(self, index: Value, limit: Value) -> Value:
+        """An index, reported where it isn't below `limit` and 0 there; as it is unless the shader is checked."""
+        if not self.checked or (isinstance(index, Literal) and isinstance(limit, Literal)):
+            return index
+        wrong = self.let(apply("greater_equal", apply("as_uint", index), apply("as_uint", limit)), "wrong")
+        self.emit(lanes.Check(self.line, wrong, index, limit, self.effect_mask()))
+        return self.let(apply("select", wrong, number(0), index))
+
+    def constants(self, node: tree.ConstantArray) -> Memory:
+        """The memory of a module's constant."""
+        key = ("constant", id(node))
+        if key not in self.memories:
+            values = [value for one in node.elements for value in self.lower(one)]
+            numbers = tuple(value.value for value in values if isinstance(value, Literal))
+            name = f"constant_{len(self.memories)}"
+            self.memories[key] = Memory(
+                name, Space.CONSTANT, 1, len(values), kind=values[0].kind, values=numbers
+            )
+        return self.memories[key]
+
+    def read(self, at: AnyPlace) -> list[Value]:
+        """The scalars at a place."""
+        match at:
+            case LocalPlace(type=ArrayType(length=length)):
+                return [value for i in range(length) for value in self.read(part(at, i))]
+            case LocalPlace(type=StructType(fields=fields)):
+                return [value for field in fields for value in self.read(member(at, field.name))]
+            case LocalPlace(homes=homes, index=index):
+                return [self.read_home(home, index) for home in homes]
+            case MemoryPlace(type=type, layout=layout, offset=offset):
+                offsets = word_offsets(type, layout)
+                return [
+                    self.load(at.memory, kind, at.index, at.scale, offset + place)
+                    for kind, place in zip(all_kinds(type), offsets, strict=True)
+                ]
+            case Choice(index=index, places=places):
+                choices = [self.read(one) for one in places]
+                return [select_by_index(index, list(values)) for values in zip(*choices, strict=True)]
+
+    def read_home(self, home: Slot | Memory, index: Value | None) -> Value:
+        if isinstance(home, Memory):
+            assert index is not None
+            return self.load(home, home.kind, index, 1, 0)
+        variable = home.variable
+        value: Value = Get(variable.kind, variable.level, variable)
+        return lanes.Affine(variable.kind, Level.VARYING, value, home.stride) if home.stride else value
+
+    def load(self, memory: Memory, kind: Kind, index: Value, scale: int, offset: int) -> Value:
+        """A word of memory; what may be written is read now, and not where its value happens to be used."""
+        level = index.level
+        match memory.space:
+            case Space.PRIVATE:
+                level = max(level, memory.level)
+            case Space.SHARED:
+                level = max(level, Level.GROUP)
+            case Space.STORAGE if memory.writable:
+                level = max(level, Level.GROUP)
+        is_bool = kind is Kind.BOOL and memory.space is not Space.PRIVATE
+        stored = Kind.UINT if is_bool else kind
+        mask = self.scope.mask if index.level > Level.DISPATCH else None
+        value: Value = lanes.Load(stored, level, memory, index, scale, offset, mask)
+        if memory.writable:
+            value = self.let(value, memory.name)
+        return apply("not_equal", value, literal(0, Kind.UINT)) if is_bool else value
+
+    def index_value(self, values: list[Value], size: int, index: Value) -> list[Value]:
+        """Parts of a value that has no place."""
+        rows = [values[start : start + size] for start in range(0, len(values), size)]
+        if isinstance(index, Literal):
+            return rows[int(index.value)]
+        index = self.check_index(self.let(index), number(len(rows)))
+        return [select_by_index(index, list(column)) for column in zip(*rows, strict=True)]
+
+    # -- operators
+
+    def binary(self, node: tree.Binary) -> list[Value]:
+        """An operator, with Python's meaning."""
+        op = node.operator
+        match op:
+            case Operator.AND:
+                return self.short_circuit(node, is_and=True)
+            case Operator.OR:
+                return self.short_circuit(node, is_and=False)
+            case Operator.MATRIX_MULTIPLY:
+                return self.matrix_multiply(node)
+            case Operator.POWER:
+                return self.power(node)
+        left, right = self.operands(node)
+        size = max(len(left), len(right))
+        if size > min(len(left), len(right)):
+            left, right = (
+                [self.let(value) for value in side] if len(side) == 1 else side for side in (left, right)
+            )
+        left, right = ([*side] * (size // len(side)) for side in (left, right))
+        pairs = list(zip(left, right, strict=True))
+        if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
+            return [self.floored(op is Operator.FLOOR_DIVIDE, a, b) for a, b in pairs]
+        if op in (Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT):
+            name = "shift_left" if op is Operator.SHIFT_LEFT else "shift_right"
+            return [apply(name, a, self.convert(b, a.kind)) for a, b in pairs]
+        results = [apply(_OPERATIONS[op], a, b) for a, b in pairs]
+        if op is Operator.EQUAL:
+            return all_of(self.let, results)
+        return any_of(self.let, results) if op is Operator.NOT_EQUAL else results
+
+    def operands(self, node: tree.Binary) -> tuple[list[Value], list[Value]]:
+        """Both sides, the left one first."""
+        left = self.lower(node.left)
+        if node.operator in (Operator.FLOOR_DIVIDE, Operator.MODULO):
+            return [self.let(value) for value in left], self.named(node.right)
+        return left, self.lower(node.right)
+
+    def floored(self, divide: bool, a: Value, b: Value) -> Value:
+        """`//` and `%`."""
+        if a.kind is Kind.FLOAT:
+            return apply("floor", a / b) if divide else float_modulo(a, b)
+        if isinstance(b, Literal) and b.value > 0 and int(b.value).bit_count() == 1:
+            if divide:
+                return apply("shift_right", a, literal(int(b.value).bit_length() - 1, a.kind))
+            return a & literal(int(b.value) - 1, a.kind)
+        return apply("floor_divide" if divide else "modulo", a, b)
+
+    def short_circuit(self, node: tree.Binary, is_and: bool) -> list[Value]:
+        """`and`, `or`: the right side where the left one doesn't decide."""
+        left = self.one(node.left)
+        if is_simple(node.right):
+            return [apply("and" if is_and else "or", left, self.one(node.right))]
+        left = self.let(left)
+        level = max(left.level, self.level_of((self.frame.path, id(node))))
+        result = self.variable("condition", Kind.BOOL, level)
+        self.emit(lanes.Let(self.line, result, left))
+        with self.branch(left if is_and else apply("not", left)):
+            right = self.one(node.right)
+            mask = self.scope.mask if self.scope.owns else None
+            level, _ = self.fact((self.frame.path, id(node)), max(left.level, right.level))
+            self.emit(lanes.Set(self.line, result, right, mask))
+        return [Get(Kind.BOOL, level, result)]
+
+    def select(self, condition: Value, then: Expression, otherwise: Expression) -> list[Value]:
+        """`a if c else b`."""
+        if is_simple(then) and is_simple(otherwise):
+            condition = self.let(condition)
+            pairs = zip(self.lower(then), self.lower(otherwise), strict=True)
+            return [apply("select", condition, a, b) for a, b in pairs]
+        condition, opposite = self.two_branches(condition)
+        kinds, key = all_kinds(then.type), (self.frame.path, id(then))  # type: ignore[arg-type]
+        slots = []
+        for i, kind in enumerate(kinds):
+            slots.append(self.variable("chosen", kind, max(condition.level, self.level_of((key, i)))))
+            self.emit(lanes.Let(self.line, slots[-1], None))
+        for chosen, node in ((condition, then), (opposite, otherwise)):
+            with self.branch(chosen):
+                values = self.lower(node)
+                mask = self.scope.mask if self.scope.owns else None
+                for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
+                    slot.level, _ = self.fact((key, i), max(condition.level, value.level))
+                    self.emit(lanes.Set(self.line, slot, value, mask))
+        return [Get(slot.kind, slot.level, slot) for slot in slots]
+
+    def matrix_multiply(self, node: tree.Binary) -> list[Value]:
+        a, b = self.named(node.left), self.named(node.right)
+        matrix = node.left.type if isinstance(node.left.type, MatrixType) else node.right.type
+        assert isinstance(matrix, MatrixType)
+        n = matrix.size
+        if isinstance(node.right.type, VectorType):
+            return [dot(self.let, a[row * n : row * n + n], b)[0] for row in range(n)]
+        rows = [a] if isinstance(node.left.type, VectorType) else [a[i * n : i * n + n] for i in range(n)]
+        return [dot(self.let, row, b[column::n])[0] for row in rows for column in range(n)]
+
+    def power(self, node: tree.Binary) -> list[Value]:
+        exponent = node.right
+        if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
+            x, y = self.named(node.left), self.named(exponent)
+            return by_component(lambda x, y: apply("pow", x, y))(self.let, x, y)
+        count, results = int(exponent.value), []
+        for base in self.named(node.left):
+            result: Value = base
+            for bit in bin(abs(count))[3:]:
+                result = self.let(result * result)
+                if bit == "1":
+                    result = result * base
+            one = literal(1, base.kind)
+            results.append(one if count == 0 else one / result if count < 0 else result)
+        return results
+
+    def construct(self, node: tree.Construct) -> list[Value]:
+        values = [value for one in node.parts for value in self.lower(one)]
+        if isinstance(node.type, VectorType) and len(values) == 1:
+            return [self.let(values[0])] * node.type.size
+        if isinstance(node.type, MatrixType) and len(node.parts) == 1:
+            n, source = node.type.size, node.parts[0].type
+            zero, one = literal(0.0), literal(1.0)
+            if isinstance(source, MatrixType):
+                m = source.size
+                return [
+                    values[i * m + j] if max(i, j) < m else one if i == j else zero
+                    for i in range(n)
+                    for j in range(n)
+                ]
+            diagonal = self.let(values[0])
+            return [diagonal if i == j else zero for i in range(n) for j in range(n)]
+        return values
+
+
+def is_simple(node: Expression) -> bool:
+    """Whether an expression may be evaluated for lanes that don't want it: no memory, no call, no effect."""
+    if isinstance(node, tree.Call | tree.ConstantArray):
+        return False
+    if isinstance(node, tree.BindingRead):
+        return node.declaration.memory is Field.UNIFORM and not isinstance(node.type, ArrayType)
+    if isinstance(node, tree.Index) and isinstance(node.base.type, ArrayType | StorageType):
+        return False
+    if isinstance(node, tree.BuiltinCall) and node.builtin.effect is not Effect.NONE:
+        return False
+    return all(is_simple(one) for one in tree.parts_of(node))

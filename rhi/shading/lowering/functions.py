@@ -1,0 +1,491 @@
+"""From the typed tree to lane code: statements, control flow, calls, whole stages and functions.
+
+Lowering runs several times, until it finds no new fact (`rhi.shading.lowering.scopes`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from rhi.contract.layout import ArrayType, StructType
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import (
+    Affine,
+    Body,
+    Code,
+    Get,
+    Kind,
+    Level,
+    Literal,
+    Memory,
+    Space,
+    Value,
+    apply,
+    literal,
+    number,
+)
+from rhi.shading.language import rules
+from rhi.shading.language.types import VOID, TextureType
+from rhi.shading.lowering.places import (
+    AnyPlace,
+    Choice,
+    Home,
+    LocalPlace,
+    MemoryPlace,
+    Slot,
+    all_kinds,
+    leaf_kinds,
+    member,
+    part,
+    private_level,
+    word_offsets,
+)
+from rhi.shading.lowering.scopes import Frame, Scope
+from rhi.shading.lowering.textures import TextureLowering
+
+__rhi_internal__ = True
+
+
+def has_lane_code(stage: tree.StageTree) -> bool:
+    """Whether lane code has all that a stage uses: everything but native functions."""
+    return not any(function.native and not function.body for function in stage.functions)
+
+
+def lower_compute(
+    stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, checked: bool = False
+) -> Code:
+    """A compute stage in lane code for `width` lanes; 0 for whole arrays of any shape. `checked`: with a test of every
+    index.
+
+    Raises:
+        ShaderError: a rule that only shows here, such as a barrier that part of a work-group may not reach.
+    """
+    lowering = Lowering(width, work_group)
+    lowering.checked = checked
+    while True:
+        lowering.start()
+        lowering.entry(stage.entry, ())
+        if not lowering.changed:
+            break
+    memories = tuple(lowering.memories.values())
+    return Code(name, width, lowering.block, memories, work_group=work_group, checked=checked)
+
+
+def lower_function(function: tree.Function) -> Code:
+    """A function of values in lane code for whole arrays, its parameters' scalars as arguments."""
+    lowering = Lowering(0, (1, 1, 1))
+    kinds: list[Kind] = []
+    for parameter in function.parameters:
+        kinds += all_kinds(parameter.type)  # type: ignore[arg-type]
+    arguments = tuple(lanes.Argument(kind, Level.VARYING, f"a{i}") for i, kind in enumerate(kinds))
+    while True:
+        lowering.start()
+        results = lowering.entry(function, arguments)
+        if not lowering.changed:
+            break
+    memories = tuple(lowering.memories.values())
+    return Code(function.name, 0, lowering.block, memories, arguments, tuple(results))
+
+
+class Lowering(TextureLowering):
+    """Lowers functions."""
+
+    def entry(self, function: tree.Function, arguments: tuple[Value, ...]) -> list[Value]:
+        """The outermost function."""
+        self.frame = Frame(function, ())
+        invocations = math.prod(self.work_group)
+        if self.width > 1 and invocations % self.width:
+            first = lanes.Input(Kind.INT, Level.LANES, lanes.Place.ITEM) * number(self.width)
+            present = apply("less", self.lanes_from(first), number(invocations))
+            self.scope.mask, self.scope.owns = self.new_mask(present, "present"), True
+        return self.inline(function, list(arguments), ())
+
+    # -- calls
+
+    def call(self, node: tree.Call) -> list[Value]:
+        values: list[Value] = []
+        textures: dict[tree.Local, tree.BindingRead] = {}
+        for parameter, argument in zip(node.function.parameters, node.arguments, strict=True):
+            if isinstance(parameter.type, TextureType):
+                textures[parameter] = self.binding_of(argument)
+            else:
+                values += self.lower(argument)
+        return self.inline(node.function, values, (*self.frame.path, id(node)), textures)
+
+    def inline(
+        self,
+        function: tree.Function,
+        values: list[Value],
+        path: tuple[int, ...],
+        textures: dict[tree.Local, tree.BindingRead] | None = None,
+    ) -> list[Value]:
+        """A function's body in place of a call; `textures` are those among its parameters."""
+        if function.native and not function.body:
+            self.refuse(
+                rules.NATIVE, f"{function.name} has no Python body", tip="give it one for other languages"
+            )
+        caller, outer, pending, at = self.frame, self.scope, self.pending, self.at
+        early = self.is_left_early(function, path)
+        frame = Frame(function, path, caller, left=caller.left, textures=textures or {})
+        level = self.level_of((path, "function"))
+        if early and function.result != VOID:
+            for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
+                frame.results.append(
+                    self.new_slot(f"{function.name}_result", kind, (path, "result", i), None)
+                )
+        self.frame, self.pending = frame, False
+        masked = early and not (self.branches(level) and self.width)
+        self.scope = Scope("function", outer, level if masked else Level.DISPATCH, outer.mask, False, path)
+        results: list[Value] = []
+        with self.into([]) as block:
+            if masked:
+                self.scope.mask = self.new_mask(self.mask_value(), "inside")
+                self.scope.owns = True
+            frame.body = Body(caller_line(caller, at), f"{function.name}_{self.count}", block)
+            self.count += 1
+            start = 0
+            for parameter in function.parameters:
+                if parameter in frame.textures:
+                    continue
+                kinds = all_kinds(parameter.type)  # type: ignore[arg-type]
+                self.declare(parameter, values[start : start + len(kinds)])
+                start += len(kinds)
+            for statement in function.body:
+                if not early and isinstance(statement, tree.Return):
+                    self.at = statement.place
+                    results = self.lower(statement.value) if statement.value is not None else []
+                    results = [self.let(value) for value in results]
+                    break
+                self.statement(statement)
+                self.leave_if_nobody_is_left()
+        self.frame, self.scope, self.pending, self.at = caller, outer, pending, at
+        if early:
+            self.emit(frame.body)
+            results = [self.read_home(slot, None) for slot in frame.results]
+        else:
+            self.block.extend(block)
+        return results
+
+    # -- what stages decide
+
+    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+        """Whether a function is left anywhere but in its last statement."""
+        return tree.has_early_return(function.body)
+
+    def discard(self) -> None:
+        """The lanes that are here end."""
+        self.refuse(rules.STAGE, "discard()")
+
+    # -- locals
+
+    def new_slot(self, name: str, kind: Kind, key: object, value: Value | None) -> Slot:
+        """A component of a local begins."""
+        stride = value.stride if isinstance(value, Affine) else 0
+        if value is not None:
+            self.fact(key, value.level, stride)
+        level, stride = self.facts.get(key, (Level.DISPATCH, 0))
+        variable = self.variable(name, kind, Level.LANES if stride else level)
+        if stride and isinstance(value, Affine):
+            value = value.base
+        self.emit(lanes.Let(self.line, variable, value))
+        return Slot(variable, stride, key, self.scope)
+
+    def declare(self, local: tree.Local, values: list[Value] | None, zeros: bool = False) -> None:
+        """A local begins, with its scalars, zeros or nothing."""
+        path, type = self.frame.path, local.type
+        homes: list[Home] = []
+        self.frame.slots[local] = homes
+        has_arrays = any(count for _, count in leaf_kinds(type))  # type: ignore[arg-type]
+        for i, (kind, count) in enumerate(leaf_kinds(type)):  # type: ignore[arg-type]
+            key = (path, id(local), i)
+            if count:
+                level = private_level(self.level_of(key)) if self.width else self.level_of(key)
+                self.count += 1
+                name = f"{local.name}_{self.count}"
+                memory = Memory(name, Space.PRIVATE, 1, count, True, kind, level)
+                self.private[id(memory)] = (key, self.scope)
+                self.emit(lanes.Begin(self.line, memory, zeros))
+                homes.append(memory)
+            elif has_arrays:
+                zero = literal(0, kind) if zeros else None
+                homes.append(self.new_slot(local.name, kind, key, zero))
+            else:
+                value = literal(0, kind) if zeros else values[i] if values is not None else None
+                homes.append(self.new_slot(local.name, kind, key, value))
+        if has_arrays and values is not None:
+            self.write(LocalPlace(type, homes), values)  # type: ignore[arg-type]
+
+    # -- assignment
+
+    def write(self, at: AnyPlace, values: list[Value]) -> None:
+        """Assign the scalars at a place."""
+        match at:
+            case LocalPlace(type=ArrayType(length=length)):
+                size = len(values) // length
+                for i in range(length):
+                    self.write(part(at, i), values[i * size : (i + 1) * size])
+            case LocalPlace(type=StructType(fields=fields)):
+                start = 0
+                for field in fields:
+                    size = len(all_kinds(field.type))
+                    self.write(member(at, field.name), values[start : start + size])
+                    start += size
+            case LocalPlace(homes=homes, index=index):
+                values = self.apart(homes, values)
+                for home, value in zip(homes, values, strict=True):
+                    if isinstance(home, Slot):
+                        self.assign(home, value)
+                    else:
+                        assert index is not None
+                        self.store_private(home, index, value)
+            case MemoryPlace():
+                self.store(at, values)
+            case Choice(index=index, places=places):
+                values = [self.let(value) for value in values]
+                for which, one in enumerate(places):
+                    with self.branch(apply("equal", index, number(which))):
+                        self.write(one, values)
+
+    def apart(self, homes: list[Slot | Memory], values: list[Value]) -> list[Value]:
+        """Values that don't read what is assigned before them: `v = v.yx`."""
+        targets = {id(home.variable) for home in homes if isinstance(home, Slot)}
+        clash = len(values) > 1 and any(
+            id(variable) in targets for value in values for variable in lanes.variables_of(value)
+        )
+        return [self.copy(value) for value in values] if clash else values
+
+    def copy(self, value: Value) -> Value:
+        """The value as it is now."""
+        if isinstance(value, Literal):
+            return value
+        if isinstance(value, Affine):
+            return Affine(value.kind, value.level, self.copy(value.base), value.stride)
+        variable = self.variable("t", value.kind, value.level)
+        self.emit(lanes.Let(self.line, variable, value))
+        return Get(value.kind, value.level, variable)
+
+    def assign(self, slot: Slot, value: Value) -> None:
+        """A component of a local gets a value, blended where not all lanes that see it take part."""
+        level, blend = value.level, False
+        for scope in self.scopes_up_to(slot.scope):
+            level, blend = max(level, scope.level), blend or scope.owns
+        if blend and self.scope.mask is not None:
+            level = max(level, self.scope.mask.level)
+        stride = value.stride if isinstance(value, Affine) and not blend else 0
+        level, stride = self.fact(slot.key, level, stride)
+        variable = slot.variable
+        variable.level, slot.stride = Level.LANES if stride else level, stride
+        if stride and isinstance(value, Affine):
+            value = value.base
+        self.emit(lanes.Set(self.line, variable, value, self.scope.mask if blend else None))
+
+    def store_private(self, memory: Memory, index: Value, value: Value) -> None:
+        key, scope = self.private[id(memory)]
+        level, blend = max(value.level, index.level), False
+        for inner in self.scopes_up_to(scope):
+            level, blend = max(level, inner.level), blend or inner.owns
+        self.fact(key, level)
+        memory.level = private_level(self.level_of(key)) if self.width else self.level_of(key)
+        # The index of a lane that doesn't take part may be anything.
+        mask = self.scope.mask if blend or index.level is Level.VARYING else None
+        self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
+
+    def store(self, at: MemoryPlace, values: list[Value]) -> None:
+        memory, offsets = at.memory, word_offsets(at.type, at.layout)
+        if at.index.level < Level.VARYING and self.scope.mask is None:
+            self.check_race(memory, values)
+        words = [
+            apply("select", value, literal(1, Kind.UINT), literal(0, Kind.UINT))
+            if value.kind is Kind.BOOL
+            else value
+            for value in values
+        ]
+        words = [self.let(word) for word in words]
+        mask, start = self.effect_mask(), 0
+        while start < len(words):
+            end = start + 1
+            while end < len(words) and offsets[end] == offsets[end - 1] + 1:
+                end += 1
+            run, offset = tuple(words[start:end]), at.offset + offsets[start]
+            padding = int(len(words) == 3 and memory.stride == 4 and memory.space is Space.STORAGE)
+            padding = padding if at.scale == 4 and at.offset == 0 and end == 3 else 0
+            self.emit(lanes.Store(self.line, memory, at.index, at.scale, offset, run, mask, padding))
+            start = end
+
+    def check_race(self, memory: Memory, values: list[Value]) -> None:
+        if math.prod(self.work_group) > 1 and any(value.level is Level.VARYING for value in values):
+            self.refuse(
+                rules.RACE,
+                f"a store to one element of {memory.name} by all invocations of a work-group",
+                "an index that differs between them, or one invocation: `if local_index() == 0:`",
+            )
+
+    # -- statements
+
+    def statements(self, block: tree.Block) -> None:
+        """The statements of a block."""
+        for node in block:
+            self.statement(node)
+            self.leave_if_nobody_is_left()
+
+    def statement(self, node: tree.Statement) -> None:
+        """One statement."""
+        self.at = node.place
+        match node:
+            case tree.Declare(local=local, value=None):
+                self.declare(local, None)
+            case tree.Declare(local=local, value=tree.Zeros()):
+                self.declare(local, None, zeros=True)
+            case tree.Declare(local=local, value=value):
+                assert value is not None
+                self.declare(local, self.lower(value))
+            case tree.Assign(target=target, value=value):
+                values = self.lower(value)
+                if tree.has_effect(target):
+                    values = [self.let(one) for one in values]
+                self.assign_to(target, values)
+            case tree.Evaluate(value=tree.BuiltinCall() as value):
+                self.builtin(value, wanted=False)
+            case tree.Evaluate(value=value):
+                for one in self.lower(value):
+                    self.let(one)
+            case tree.If():
+                self.if_(node)
+            case tree.For():
+                self.for_(node)
+            case tree.While(condition=condition, body=body):
+                self.loop(node, lambda: self.one(condition), body, [])
+            case tree.Break():
+                self.exit("loop", lanes.Break(self.line))
+            case tree.Continue():
+                self.exit("turn", lanes.Continue(self.line))
+            case tree.Return(value=value):
+                values = self.lower(value) if value is not None else []
+                values = [self.let(one) for one in values]
+                for slot, one in zip(self.frame.results, values, strict=True):
+                    self.assign(slot, one)
+                assert self.frame.body is not None
+                if node is self.frame.function.body[-1]:
+                    return  # nothing follows
+                self.exit("function", lanes.Leave(self.line, self.frame.body))
+            case tree.Discard():
+                self.discard()
+
+    def assign_to(self, target: tree.Expression, values: list[Value]) -> None:
+        if isinstance(target, tree.Swizzle) and len(target.components) > 1:
+            whole = self.place(target.base)
+            assert whole is not None
+            if isinstance(whole, LocalPlace):
+                homes = [whole.homes[c] for c in target.components]
+                values = self.apart(homes, values)
+            values = [self.let(value) for value in values]
+            for component, value in zip(target.components, values, strict=True):
+                self.write(part(whole, component), [value])
+            return
+        at = self.place(target)
+        assert at is not None
+        self.write(at, values)
+
+    def if_(self, node: tree.If) -> None:
+        condition = self.one(node.condition)
+        if isinstance(condition, Literal):
+            self.statements(node.then if condition.value else node.otherwise)
+            return
+        if not self.branches(condition.level):
+            condition, opposite = self.two_branches(condition)
+            with self.branch(condition):
+                self.statements(node.then)
+            if node.otherwise:
+                with self.branch(opposite):
+                    self.statements(node.otherwise)
+            return
+        outer = self.scope
+        self.scope = Scope("branch", outer, condition.level, outer.mask, False)
+        with self.into([]) as then:
+            self.statements(node.then)
+        with self.into([]) as otherwise:
+            self.statements(node.otherwise)
+        self.scope = outer
+        self.emit(lanes.If(self.line, condition, then, otherwise))
+
+    def for_(self, node: tree.For) -> None:
+        path = self.frame.path
+        start, stop, step = self.one(node.start), self.one(node.stop), self.one(node.step)
+        start, stop, step = self.let(start), self.copy(stop), self.copy(step)
+        key = (path, id(node), "count")
+        level = max(start.level, step.level)
+        stride = start.stride if isinstance(start, Affine) and step.level < Level.VARYING else 0
+        level, stride = self.fact(key, level, stride)
+        first = start.base if stride and isinstance(start, Affine) else start
+        variable = self.variable(node.local.name, Kind.INT, Level.LANES if stride else level)
+        self.emit(lanes.Let(self.line, variable, first))
+        slot = Slot(variable, stride, key, self.scope)
+        self.frame.slots[node.local] = [slot]
+        advance = lanes.Set(self.line, variable, Get(Kind.INT, variable.level, variable) + step, None)
+
+        def test() -> Value:
+            count = self.read_home(slot, None)
+            if isinstance(step, Literal):
+                return apply("less" if step.value > 0 else "greater", count, stop)
+            up = apply("greater", step, number(0))
+            return apply("select", up, apply("less", count, stop), apply("greater", count, stop))
+
+        self.loop(node, test, node.body, [advance])
+
+    def loop(
+        self, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block
+    ) -> None:
+        """A loop; masked where its test or one of its breaks varies."""
+        key, outer, returns = (self.frame.path, id(node)), self.scope, self.returns
+        level, turn_level = self.level_of((key, "loop")), self.level_of((key, "turn"))
+        mask, masked = outer.mask, not self.branches(level)
+        self.frame.left = max(self.frame.left, self.level_of((key, "left")))
+        if masked:
+            mask = self.new_mask(self.mask_value(), "looping")
+        scope = self.scope = Scope("loop", outer, level, mask, masked, key)
+        with self.into([]) as block:
+            go_on = test()
+            self.fact((key, "loop"), go_on.level)
+            if masked:
+                assert mask is not None
+                if not (isinstance(go_on, Literal) and go_on.value):
+                    both = apply("and", Get(Kind.BOOL, mask.level, mask), go_on)
+                    self.emit(lanes.Set(self.line, mask, both, None))
+                self.emit(lanes.Break(self.line, mask))
+            elif not (isinstance(go_on, Literal) and go_on.value):
+                stop: lanes.Block = [lanes.Break(self.line)]
+                self.emit(lanes.If(self.line, apply("not", go_on), stop, []))
+            if not masked and mask is not None and not self.branches(self.level_of((key, "left"))):
+                self.emit(lanes.Break(self.line, mask))
+            if not self.branches(turn_level):
+                turn = self.new_mask(self.mask_value(), "turn")
+                self.scope = Scope("turn", scope, turn_level, turn, True, key)
+            else:
+                self.scope = Scope("turn", scope, turn_level, mask, masked, key)
+            self.statements(body)
+        self.scope = outer
+        self.fact((key, "left"), self.frame.left)
+        self.emit(lanes.Loop(self.line, block, advance))
+        self.pending = self.returns > returns
+
+    def exit(self, kind: str, jump: lanes.Statement) -> None:
+        """A break, continue or return: a jump where it is the same for all lanes, else the masks lose lanes."""
+        target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
+        level = max([scope.level for scope in self.scopes_up_to(target)], default=Level.DISPATCH)
+        level, _ = self.fact((target.key, kind), level)
+        if kind == "function":
+            self.frame.left = max(self.frame.left, level)
+        if self.branches(level) and (self.width or kind != "function"):
+            if isinstance(jump, lanes.Leave):
+                jump.body.is_left = True
+            self.emit(jump)
+        elif self.scope.mask is not None:  # else a later run knows the mask
+            self.narrow(target)
+            self.pending = True
+            self.returns += kind == "function"
+
+
+def caller_line(frame: Frame, at: object) -> tuple[str, int]:
+    """The line of a call."""
+    return frame.function.file, getattr(at, "line", 0)

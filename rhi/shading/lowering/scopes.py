@@ -1,0 +1,236 @@
+"""Scopes, masks and facts: who takes part in what, and how far values are the same for all.
+
+- A `Scope` is a part of the program under one condition: a branch, a loop, a turn of a loop, a called function's
+  body. Where its condition varies among lanes it owns a mask. A variable that is assigned inside scopes that don't
+  hold its declaration is as varying as they are, and blended if one of them owns a mask.
+- Facts (the level of a variable, of a loop's exits, of a function's returns) only rise. Lowering runs until it finds
+  no new one, so what a loop's end says about its beginning is known in the last run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import NoReturn
+
+from rhi.errors import CallSite, Rule, ShaderError
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import FALSE, TRUE, Body, Get, Kind, Level, Value, Variable, apply
+from rhi.shading.language.source import Place, show
+from rhi.shading.lowering.places import Home, Slot
+
+__rhi_internal__ = True
+
+HEAVY = 24
+"""A masked block of so many statements is stepped around when no lane wants it, even if it touches no memory."""
+
+
+@dataclass(slots=True, eq=False)
+class Scope:
+    """See above. `mask` is the nearest one, own or not; `kind` is branch, loop, turn or function."""
+
+    kind: str
+    parent: Scope | None
+    level: Level
+    mask: Variable | None
+    owns: bool
+    key: object = None
+
+
+@dataclass(slots=True, eq=False)
+class Frame:
+    """A function being lowered in place."""
+
+    function: tree.Function
+    path: tuple[int, ...]
+    caller: Frame | None = None
+    left: Level = Level.DISPATCH  # of the returns so far, those of callers included
+    body: Body | None = None
+    results: list[Slot] = field(default_factory=list)
+    textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
+    slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
+
+
+class ScopeLowering:
+    """Emits statements into the current block, under the current scope."""
+
+    def __init__(self, width: int) -> None:
+        self.width = width
+        self.facts: dict[object, tuple[Level, int]] = {}
+        self.changed = False
+        self.start()
+
+    def start(self) -> None:
+        """Begin a run."""
+        self.changed = False
+        self.block: lanes.Block = []
+        self.count = 0
+        self.at = Place(0)
+        self.pending = False  # masks were narrowed: whether a lane is left is to be asked
+        self.returns = 0  # how many returns narrowed masks
+        self.private: dict[int, tuple[object, Scope]] = {}
+        self.scope = Scope("function", None, Level.DISPATCH, None, False)
+        self.frame: Frame
+
+    # -- what the machine has
+
+    def branches(self, level: Level) -> bool:
+        """Whether a condition of this level is a real branch: OpenCL's scalars, NumPy's single values."""
+        return level <= Level.LANES if self.width else level is Level.DISPATCH
+
+    @property
+    def own_level(self) -> Level:
+        """The level of what each invocation has for itself."""
+        return Level.LANES if self.width == 1 else Level.VARYING
+
+    # -- facts
+
+    def level_of(self, key: object) -> Level:
+        """The level known so far."""
+        return self.facts.get(key, (Level.DISPATCH, 0))[0]
+
+    def fact(self, key: object, level: Level, stride: int = 0) -> tuple[Level, int]:
+        """Add what was found; gives what holds now."""
+        known = self.facts.get(key)
+        now = (level, stride)
+        if known is not None and known != now:
+            now = (max(known[0], level), 0)
+        if now != known:
+            self.facts[key] = now
+            self.changed = True
+        return now
+
+    # -- emitting
+
+    @property
+    def line(self) -> tuple[str, int]:
+        return self.frame.function.file, self.at.line
+
+    def emit(self, statement: lanes.Statement) -> None:
+        self.block.append(statement)
+
+    @contextmanager
+    def into(self, block: lanes.Block) -> Iterator[lanes.Block]:
+        """Emit into another block."""
+        before, self.block = self.block, block
+        yield block
+        self.block = before
+
+    def variable(self, name: str, kind: Kind, level: Level) -> Variable:
+        """A new variable with a name of its own."""
+        self.count += 1
+        return Variable(f"{name}_{self.count}", kind, level)
+
+    def let(self, value: Value, name: str = "t") -> Value:
+        """The value with a name, unless it is as short itself."""
+        if isinstance(value, lanes.Literal | Get | lanes.Affine | lanes.Argument):
+            return value
+        variable = self.variable(name, value.kind, value.level)
+        self.emit(lanes.Let(self.line, variable, value))
+        return Get(value.kind, value.level, variable)
+
+    def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
+        """Refuse what stands at the current place."""
+        function = self.frame.function
+        raise ShaderError(
+            rule,
+            f"{function.name}\n{show(function.file, self.at)}",
+            given,
+            allowed,
+            tip,
+            CallSite(function.file, self.at.line, function.name),
+        )
+
+    # -- masks
+
+    def mask_value(self) -> Value:
+        """Who takes part now."""
+        mask = self.scope.mask
+        return Get(Kind.BOOL, mask.level, mask) if mask is not None else TRUE
+
+    def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[Scope]:
+        """The scopes from the current one outwards, up to `end`."""
+        scope: Scope | None = self.scope
+        while scope is not None and scope is not end:
+            yield scope
+            scope = scope.parent
+        if inclusive and scope is not None:
+            yield scope
+
+    def new_mask(self, value: Value, name: str) -> Variable:
+        mask = self.variable(name, Kind.BOOL, value.level if not self.width else Level.VARYING)
+        self.emit(lanes.Let(self.line, mask, value))
+        return mask
+
+    def narrow(self, end: Scope) -> None:
+        """Take the current lanes out of all masks up to and with that of `end`."""
+        mask = self.scope.mask
+        assert mask is not None
+        current = Get(Kind.BOOL, mask.level, mask)
+        left = self.let(apply("not", current))
+        for scope in self.scopes_up_to(end, inclusive=True):
+            other = scope.mask
+            if scope.owns and other is not None and other is not mask:
+                self.emit(
+                    lanes.Set(self.line, other, apply("and", Get(Kind.BOOL, other.level, other), left), None)
+                )
+        self.emit(lanes.Set(self.line, mask, FALSE, None))
+
+    def leave_if_nobody_is_left(self) -> None:
+        """After an exit: go on only if a lane is left, where a real jump can tell."""
+        mask = self.scope.mask
+        if not self.pending or mask is None:
+            return
+        for scope in self.scopes_up_to(None):
+            if scope.kind == "branch" and scope.owns:
+                return
+            self.pending = False
+            if scope.kind in ("loop", "turn"):
+                self.emit((lanes.Continue if scope.owns else lanes.Break)(self.line, mask))
+                return
+            if scope.kind == "function":
+                if scope.owns and self.frame.body is not None and self.width:
+                    self.frame.body.is_left = True
+                    self.emit(lanes.Leave(self.line, self.frame.body, mask))
+                return
+
+    @contextmanager
+    def branch(self, condition: Value) -> Iterator[None]:
+        """What happens where the condition holds."""
+        outer = self.scope
+        if self.branches(condition.level):
+            self.scope = Scope("branch", outer, condition.level, outer.mask, False)
+            with self.into([]) as block:
+                yield
+            self.scope = outer
+            if block:
+                self.emit(lanes.If(self.line, condition, block, []))
+            return
+        mask = self.new_mask(apply("and", self.mask_value(), condition), "mask")
+        self.scope = Scope("branch", outer, condition.level, mask, True)
+        with self.into([]) as block:
+            yield
+        self.scope = outer
+        if is_heavy(block):
+            taken = Get(Kind.BOOL, mask.level, mask)
+            self.emit(lanes.If(self.line, taken, block, [], any_lane=True))
+        else:
+            self.block.extend(block)
+
+    def two_branches(self, condition: Value) -> tuple[Value, Value]:
+        """A condition and its opposite, the condition evaluated once."""
+        condition = self.let(condition, "condition")
+        return condition, apply("not", condition)
+
+
+def is_heavy(block: lanes.Block) -> bool:
+    """Whether stepping around a block costs less than doing it for no lane, or is needed to be safe."""
+    statements = list(lanes.walk(block))
+    if len(statements) > HEAVY:
+        return True
+    return any(
+        isinstance(statement, lanes.Store | lanes.Atomic | lanes.TextureAccess | lanes.Loop)
+        or any(lanes.loads(value) for value in lanes.values_of(statement))
+        for statement in statements
+    )

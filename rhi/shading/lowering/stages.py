@@ -1,0 +1,299 @@
+"""The stages of a draw in lane code: what flows in and out, who takes part, discard, differences between pixels.
+
+- A stage's inputs are arguments. What is the same for 16 vertices or a block of 4 by 4 pixels has the level LANES:
+  flat varyings, the instance, the draw, which face is seen. So a material's index gives scalar loads.
+- Covered lanes have effects. If a stage takes differences between pixels, the other pixels of their quads come
+  along as helpers: they compute and read (within bounds, whatever their extrapolated inputs say), and never write.
+- `discard()` takes lanes out of all masks, as if they returned from the whole stage, and out of the stage's result.
+- A difference is undefined where a part of the quad doesn't take part or was discarded before, as in GLSL.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.contract.descriptors import Interpolation, Stage, StageVarying
+from rhi.contract.layout import HostType, StructType
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.interface import Interface
+from rhi.shading.ir.lanes import (
+    FIRST_VERTEX,
+    WIDTH,
+    Affine,
+    Argument,
+    Code,
+    Count,
+    Get,
+    Kind,
+    Level,
+    Memory,
+    Space,
+    StageCode,
+    Value,
+    Variable,
+    apply,
+    literal,
+    number,
+)
+from rhi.shading.lowering.functions import Lowering
+from rhi.shading.lowering.places import all_kinds
+from rhi.shading.lowering.scopes import Frame
+
+__rhi_internal__ = True
+
+_DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
+"""The built-ins that compare pixels of a quad; of a texture's methods those that find their level by themselves."""
+
+_DEPTH: Final = -1
+
+
+def _argument(name: str, kind: Kind = Kind.INT, level: Level = Level.LANES) -> Argument:
+    return Argument(kind, level, name)
+
+
+_MASK: Final = _argument("mask", Kind.BOOL, Level.VARYING)
+_INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
+    Stage.VERTEX: {
+        "vertex_index": (_argument(FIRST_VERTEX, level=Level.VARYING),),
+        "instance_index": (_argument("instance"),),
+        "draw_index": (_argument("draw"),),
+    },
+    Stage.FRAGMENT: {
+        "fragment_coordinate": tuple(_argument(axis, Kind.FLOAT, Level.VARYING) for axis in "xyzw"),
+        "front_facing": (_argument("front", Kind.BOOL),),
+        "primitive_index": (_argument("primitive"),),
+    },
+}
+
+
+def lower_stage(
+    stage: tree.StageTree,
+    name: str,
+    interface: Interface,
+    varyings: tuple[StageVarying, ...],
+    width: int = WIDTH,
+    checked: bool = False,
+) -> StageCode:
+    """A vertex or fragment stage in lane code for `width` lanes; 0 for whole arrays. `checked`: as of `lower_compute`.
+
+    Raises:
+        ShaderError: it uses what lanes haven't got.
+    """
+    if f"opencl{width}" in stage.entry.native:
+        return StageCode(Code(name, width, [], ()), (), False)
+    lowering = StageLowering(stage, width)
+    lowering.checked = checked
+    if stage.stage is Stage.VERTEX:
+        arguments, places = _vertex_arguments(stage), _vertex_places(stage, interface, varyings)
+    else:
+        arguments, places = _fragment_arguments(stage, varyings), _fragment_places(stage, interface)
+    while True:
+        lowering.start()
+        results = lowering.run(arguments)
+        if not lowering.changed:
+            break
+    outputs = [(place, value) for place, value in zip(places, results, strict=True) if place is not None]
+    depth = [value for place, value in outputs if place == _DEPTH]
+    outputs = [(place, value) for place, value in outputs if place != _DEPTH]
+    values = [value for _, value in outputs] + depth
+    if stage.stage is Stage.FRAGMENT:
+        values.append(lowering.kept)
+    memories = tuple(lowering.memories.values())
+    built_in = [value for values in _INPUTS[stage.stage].values() for value in values]
+    given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, Argument))
+    code = Code(name, width, lowering.block, memories, given, tuple(values), checked=checked)
+    return StageCode(code, tuple(place for place, _ in outputs), bool(depth))
+
+
+# -- inputs and outputs ------------------------------------------------------------------------------------
+
+
+def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
+    types = [parameter.type for parameter in stage.entry.parameters]
+    return [
+        (field.name, field.type) for type in types if isinstance(type, StructType) for field in type.fields
+    ]
+
+
+def _vertex_arguments(stage: tree.StageTree) -> list[Value]:
+    """The components of the parameters: words attribute by attribute, which is their own order."""
+    kinds = [kind for _, type in _parameter_fields(stage) for kind in all_kinds(type)]
+    return [_argument(f"inputs_{word}", kind, Level.VARYING) for word, kind in enumerate(kinds)]
+
+
+def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[Value]:
+    """The components of the parameter, zeros for those that nobody reads."""
+    known = {varying.name: varying for varying in varyings}
+    values: list[Value] = []
+    for name, type in _parameter_fields(stage):
+        varying = known.get(name)
+        for i, kind in enumerate(all_kinds(type)):
+            if varying is None:
+                values.append(literal(0, kind))
+            elif varying.interpolation is Interpolation.FLAT:
+                values.append(_argument(f"flat_{varying.word + i}", kind))
+            else:
+                values.append(_argument(f"inputs_{varying.word + i}", kind, Level.VARYING))
+    return values
+
+
+def _vertex_places(
+    stage: tree.StageTree, interface: Interface, varyings: tuple[StageVarying, ...]
+) -> list[int | None]:
+    """The word of each component of the result: the position at 0, varyings from 4 on, None for what nobody reads."""
+    if not isinstance(stage.entry.result, StructType):
+        return [0, 1, 2, 3]
+    starts = {varying.name: 4 + varying.word for varying in varyings}
+    places: list[int | None] = []
+    for field in stage.entry.result.fields:
+        start = 0 if field.name == interface.position else starts.get(field.name)
+        size = len(all_kinds(field.type))
+        places += [None] * size if start is None else range(start, start + size)
+    return places
+
+
+def _fragment_places(stage: tree.StageTree, interface: Interface) -> list[int | None]:
+    """The word of each component of the result: four for each location."""
+    places: list[int | None] = []
+    locations = {output.name: output.location for output in interface.outputs}
+    if not isinstance(stage.entry.result, StructType):
+        return [component for output in interface.outputs for component in range(output.components)]
+    for field in stage.entry.result.fields:
+        if field.name == interface.depth:
+            places.append(_DEPTH)
+        else:
+            start = 4 * locations[field.name]
+            places += range(start, start + len(all_kinds(field.type)))
+    return places
+
+
+# -- lowering ----------------------------------------------------------------------------------------------
+
+
+class StageLowering(Lowering):
+    """Lowers a vertex or fragment stage."""
+
+    def __init__(self, stage: tree.StageTree, width: int) -> None:
+        super().__init__(width, (1, 1, 1))
+        self.stage = stage
+        self.has_helpers = stage.stage is Stage.FRAGMENT and takes_differences(stage)
+
+    def start(self) -> None:
+        super().start()
+        self.discards = 0
+        self.discarded = Level.DISPATCH
+        self.covered: Variable
+        self.kept: Value
+
+    def run(self, arguments: list[Value]) -> list[Value]:
+        """The whole stage; gives its result's components."""
+        entry = self.stage.entry
+        self.frame = Frame(entry, ())
+        present = self.covered = self.new_mask(_MASK, "covered")
+        if self.has_helpers:
+            present = self.new_mask(apply("quads", get(present)), "present")
+        self.scope.mask, self.scope.owns = present, True
+        self.kept = get(self.new_mask(get(self.covered), "kept")) if self.stage.discards else _MASK
+        return self.inline(entry, list(arguments), ())
+
+    # -- who takes part
+
+    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+        whole = not path and self.stage.discards
+        return whole or super().is_left_early(function, path)
+
+    def effect_mask(self) -> Variable | None:
+        if not self.has_helpers:
+            return super().effect_mask()
+        return self.new_mask(self.mask_value() & get(self.covered), "covered")
+
+    def inline(
+        self,
+        function: tree.Function,
+        values: list[Value],
+        path: tuple[int, ...],
+        textures: dict[tree.Local, tree.BindingRead] | None = None,
+    ) -> list[Value]:
+        before = self.discards
+        results = super().inline(function, values, path, textures)
+        if self.discards > before:  # callers lose lanes as the function does
+            self.pending = True
+            self.frame.left = max(self.frame.left, self.discarded)
+        return results
+
+    def discard(self) -> None:
+        frame, scopes = self.frame, list(self.scopes_up_to(None))
+        while frame.caller is not None and frame.caller.caller is not None:
+            frame = frame.caller
+        target = scopes[-2]  # the entry's; the last one holds the mask that the stage is given
+        level = max([scope.level for scope in scopes[:-2]], default=Level.DISPATCH)
+        self.fact((target.key, "function"), level)
+        self.discarded = max(self.discarded, level)
+        self.frame.left = max(self.frame.left, level)
+        assert frame.body is not None
+        assert isinstance(self.kept, Get)
+        left = apply("not", self.mask_value())
+        self.emit(lanes.Set(self.line, self.kept.variable, self.kept & left, None))
+        if self.branches(level) and self.width:
+            frame.body.is_left = True
+            self.emit(lanes.Leave(self.line, frame.body))
+        else:
+            self.narrow(target)
+            if self.has_helpers:  # those that nobody needs any more leave, too
+                needed = self.let(apply("quads", self.kept))
+                for scope in scopes[:-1]:
+                    if scope.owns and scope.mask is not None:
+                        both = get(scope.mask) & needed
+                        self.emit(lanes.Set(self.line, scope.mask, both, None))
+            self.pending = True
+            self.discards += 1
+            self.returns += 1
+
+    # -- values
+
+    def load(self, memory: Memory, kind: Kind, index: Value, scale: int, offset: int) -> Value:
+        last: Value = number((memory.length - 1 - offset) // scale)
+        if memory.space is Space.STORAGE:  # scale is an element's words, or 1
+            count = Count(Kind.INT, Level.DISPATCH, memory)
+            whole = scale == memory.stride
+            last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
+        return super().load(memory, kind, self.limited(index, last), scale, offset)
+
+    def store_private(self, memory: Memory, index: Value, value: Value) -> None:
+        super().store_private(memory, self.limited(index, number(memory.length - 1)), value)
+
+    def limited(self, index: Value, last: Value) -> Value:
+        """An index of memory; helpers may have any."""
+        if not self.has_helpers or index.level < Level.VARYING:
+            return index
+        return self.let(apply("max", apply("min", index, last), number(0)))
+
+    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+        name = node.builtin.name
+        if name == "vertex_index" and self.width:
+            return [Affine(Kind.INT, Level.VARYING, _argument(FIRST_VERTEX), 1)]
+        if name in _INPUTS[self.stage.stage]:
+            return list(_INPUTS[self.stage.stage][name])
+        if name in ("ddx", "ddy", "fwidth"):
+            values = [self.let(value) for value in self.lower(node.arguments[0])]
+            if name != "fwidth":
+                return [self.difference(name, value) for value in values]
+            return [
+                apply("abs", self.difference("ddx", value)) + apply("abs", self.difference("ddy", value))
+                for value in values
+            ]
+        return super().builtin(node, wanted)
+
+    def difference(self, name: str, value: Value) -> Value:
+        """`ddx` or `ddy` of a component."""
+        return apply(name, value) if value.level is Level.VARYING else literal(0.0)
+
+
+def get(variable: Variable) -> Value:
+    """A variable's value."""
+    return Get(variable.kind, variable.level, variable)
+
+
+def takes_differences(stage: tree.StageTree) -> bool:
+    """Whether pixels of a quad are compared."""
+    return any(builtin.name in _DIFFERENCES for builtin in stage.builtins)

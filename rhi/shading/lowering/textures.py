@@ -1,0 +1,152 @@
+"""Methods of textures and images as lane code.
+
+- Coordinates are always three components: of a 2D texture the third is 0, of an array the layer.
+- A level that GLSL finds by itself is found from the differences between the pixels of a quad by one access
+  (`level_of_detail`) and used by the next; where there are no differences, in vertices and compute, it is 0.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.contract.descriptors import TextureKind
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import Get, Kind, Level, Memory, Space, Value, literal, number
+from rhi.shading.language.types import ImageType, TextureType
+from rhi.shading.lowering.builtins import BuiltinLowering
+from rhi.shading.lowering.places import KINDS, all_kinds
+
+__rhi_internal__ = True
+
+_ONE_LEVEL: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3: 3, TextureKind.CUBE: 3}
+"""How many components of a coordinate decide about the level."""
+
+
+class TextureLowering(BuiltinLowering):
+    """Lowers the methods in `rhi.shading.language.textures`."""
+
+    has_helpers = False
+    """Whether differences between pixels are known."""
+
+    def difference(self, name: str, value: Value) -> Value:
+        """ "ddx" or "ddy" of a value."""
+        raise NotImplementedError
+
+    def texture(self, node: tree.BuiltinCall) -> list[Value]:
+        source, rest = self.binding_of(node.arguments[0]), node.arguments[1:]
+        type = source.type
+        assert isinstance(type, TextureType | ImageType)
+        memory = self.texture_memory(source)
+        arguments = [self.named(argument) for argument in rest]
+        name = node.builtin.name
+        if name in ("size", "levels"):
+            count = len(all_kinds(node.type))  # type: ignore[arg-type]
+            first: list[Value] = [] if name == "levels" else [number(0)]
+            return self.access(name, memory, arguments[0] if arguments else first, Kind.INT, count)
+        at = arguments[0]
+        at = [*at, literal(0, at[0].kind)][:3]
+        if isinstance(type, ImageType):
+            return self.image(name, memory, type, at, arguments[1:])
+        if name == "load":
+            level = arguments[1] if len(arguments) > 1 else [number(0)]
+            return self.access("load", memory, self.check_texel(memory, at, *level), KINDS[type.scalar], 4)
+        if name in ("gather", "gather_compare"):
+            component = arguments[1] if len(arguments) > 1 else [number(0)]
+            inputs = [*at, *component] if name == "gather_compare" else [*component, *at]
+            return self.access(name, memory, inputs, KINDS[type.scalar], 4)
+        if type.compare:
+            level = arguments[2] if name == "sample_compare_lod" else self.find_level(memory, type, at)
+            return self.access("sample_compare", memory, [*at, *arguments[1], *level], Kind.FLOAT, 1)
+        match name:
+            case "sample_lod":
+                level = arguments[1]
+            case "sample_grad":
+                level = self.level_of_detail(memory, at, arguments[1], arguments[2], literal(0.0))
+            case _:
+                level = self.find_level(memory, type, at, *(bias for (bias,) in arguments[1:]))
+        return self.access("sample", memory, [*at, *level], KINDS[type.scalar], 4)
+
+    def binding_of(self, node: tree.Expression) -> tree.BindingRead:
+        """The texture or image that an expression names: a binding, or a parameter that is one."""
+        if isinstance(node, tree.Read):
+            return self.frame.textures[node.local]
+        assert isinstance(node, tree.BindingRead)
+        return node
+
+    def image(
+        self, name: str, memory: Memory, type: ImageType, at: list[Value], rest: list[list[Value]]
+    ) -> list[Value]:
+        place = self.check_texel(memory, at, number(0))
+        if name == "load":
+            return self.access("load", memory, place, KINDS[type.scalar], 4)
+        (values,), at = rest, place[:3]
+        mask = self.effect_mask()
+        if mask is None and all(value.level < Level.VARYING for value in at):
+            self.check_race(memory, values)
+        self.emit(lanes.TextureAccess(self.line, "store", memory, (*at, *values), (), mask))
+        return []
+
+    def check_texel(self, memory: Memory, at: list[Value], level: Value) -> list[Value]:
+        """A texel and its level, each number reported where it is outside, if the shader is checked. Where lanes
+        want different levels, only those are."""
+        if not self.checked:
+            return [*at, level]
+        (count,) = self.access("levels", memory, [], Kind.INT, 1)
+        level = self.check_index(level, count)
+        if level.level is Level.VARYING and self.width != 1:
+            return [*at, level]
+        axes = 2 if memory.shape is TextureKind.D2 else 3
+        sizes = self.access("size", memory, [level], Kind.INT, axes)
+        checked = [self.check_index(self.let(axis), size) for axis, size in zip(at, sizes, strict=False)]
+        return [*checked, *at[axes:], level]
+
+    def check_race(self, memory: Memory, values: list[Value]) -> None:
+        """Refuse different values for one place."""
+        raise NotImplementedError
+
+    def find_level(
+        self, memory: Memory, type: TextureType, at: list[Value], bias: Value | None = None
+    ) -> list[Value]:
+        """The level from the differences between pixels."""
+        if not self.has_helpers:
+            return [literal(0.0)]
+        count = _ONE_LEVEL[type.kind]
+        right = [self.difference("ddx", value) for value in at[:count]]
+        down = [self.difference("ddy", value) for value in at[:count]]
+        return self.level_of_detail(memory, at, right, down, bias or literal(0.0))
+
+    def level_of_detail(
+        self,
+        memory: Memory,
+        at: list[Value],
+        dx: list[Value],
+        dy: list[Value],
+        bias: Value,
+    ) -> list[Value]:
+        """The level for a step to the next pixel in two directions."""
+        steps = [value for step in (dx, dy) for value in (*step, literal(0.0))[:3]]
+        return self.access("level_of_detail", memory, [*at, *steps, bias], Kind.FLOAT, 1)
+
+    def texture_memory(self, source: tree.BindingRead) -> Memory:
+        """A texture or image."""
+        name = source.declaration.name
+        known = self.memories.get(name)
+        if known is None:
+            assert isinstance(source.type, TextureType | ImageType)
+            space = Space.IMAGE if isinstance(source.type, ImageType) else Space.TEXTURE
+            known = Memory(name, space, writable=space is Space.IMAGE, shape=source.type.kind)
+            self.memories[name] = known
+        return known
+
+    def access(
+        self, operation: str, memory: Memory, arguments: list[Value], kind: Kind, count: int
+    ) -> list[Value]:
+        """An access and its results."""
+        arguments = [self.let(value) for value in arguments]
+        level = max([value.level for value in arguments], default=Level.DISPATCH)
+        if memory.writable and operation == "load":
+            level = max(level, Level.GROUP)
+        results = tuple(self.variable(memory.name, kind, level) for _ in range(count))
+        mask = self.scope.mask
+        self.emit(lanes.TextureAccess(self.line, operation, memory, tuple(arguments), results, mask))
+        return [Get(kind, level, result) for result in results]

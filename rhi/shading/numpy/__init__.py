@@ -1,0 +1,1 @@
+"""From lane code to Python that computes with NumPy, and what it runs on."""

@@ -1,0 +1,385 @@
+"""Textures in NumPy arrays, read through a sampler as OpenGL 4.3, chapter 8.14, says: the reference of accuracy.
+
+What a shader asks for comes as numbers or arrays that broadcast; coordinates have three components, of which a 2D
+texture ignores the third. Everything is computed in `dtype`, float32 or float64, with weights of full precision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Filter, SamplerDescriptor, TextureKind, Wrap
+from rhi.contract.formats import Format
+from rhi.contract.states import Comparison
+from rhi.contract.texels import decode, encode
+from rhi.errors import refuse
+from rhi.shading.ir.texture_words import border_color, has_fixed_depth
+from rhi.shading.language import rules
+
+__rhi_internal__ = True
+
+Array = NDArray[Any]
+Four = tuple[Array, Array, Array, Array]
+Judge = Callable[[Array, Array], Array]
+"""From texels, and which of all places they are for, to what is filtered."""
+
+_COMPARISONS: Final[dict[Comparison, Callable[[Array, Array], Array]]] = {
+    Comparison.NEVER: lambda reference, depth: np.zeros(np.shape(reference), bool),
+    Comparison.LESS: np.less,
+    Comparison.EQUAL: np.equal,
+    Comparison.LESS_EQUAL: np.less_equal,
+    Comparison.GREATER: np.greater,
+    Comparison.NOT_EQUAL: np.not_equal,
+    Comparison.GREATER_EQUAL: np.greater_equal,
+    Comparison.ALWAYS: lambda reference, depth: np.ones(np.shape(reference), bool),
+}
+# Of each face, which component s, t and the axis are, and with which sign; t down: OpenGL 4.3, table 8.19.
+_AXES: Final = np.array([(2, 1, 0), (2, 1, 0), (0, 2, 1), (0, 2, 1), (0, 1, 2), (0, 1, 2)])
+_SIGNS: Final = np.array(
+    [(-1, -1, 1), (1, -1, -1), (1, 1, 1), (1, -1, -1), (1, -1, 1), (-1, -1, -1)], np.float32
+)
+
+
+class HostTexture:
+    """A texture for `run_compute`, or an image.
+
+    Attributes:
+        levels: texels of each level as (layers, height, width, channels), in the format's dtype.
+        format, kind, sampler: as of a texture of a device.
+    """
+
+    def __init__(
+        self,
+        levels: Array | Sequence[Array],
+        format: Format,
+        kind: TextureKind = TextureKind.D2,
+        sampler: SamplerDescriptor | None = None,
+    ) -> None:
+        """`levels`: one level or all of them, largest first; (height, width, channels) and, of one channel,
+        (height, width) will do for one layer. Without a sampler it is the one that textures of a device have.
+
+        Raises:
+            ValidationError `shading-arguments`: another dtype or shape.
+        """
+        nearest = format.is_integer or format.is_depth
+        default = (
+            SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, Filter.NEAREST)
+            if nearest
+            else SamplerDescriptor()
+        )
+        given = [levels] if isinstance(levels, np.ndarray) else list(levels)
+        self.levels = [_layered(level, format) for level in given]
+        self.format = format
+        self.kind = kind
+        self.sampler = sampler or default
+
+    # -- what shaders ask for ----------------------------------------------------------------------------
+
+    def sample(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any) -> Four:
+        """Filtered, at a level of detail."""
+        result = self._walk(dtype, u, v, z, lod)
+        return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
+
+    def sample_compare(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, lod: Any) -> tuple[Array]:
+        """How much of the filtered texels passes."""
+        u, v, z, reference, lod = np.broadcast_arrays(u, v, z, reference, lod)
+
+        result = self._walk(
+            dtype, u, v, z, lod, lambda texels, chosen: self._compare(dtype, reference[chosen], texels)
+        )
+        return (result[..., 0],)
+
+    def level_of_detail(
+        self,
+        dtype: Any,
+        u: Any,
+        v: Any,
+        z: Any,
+        ux: Any,
+        vx: Any,
+        zx: Any,
+        uy: Any,
+        vy: Any,
+        zy: Any,
+        bias: Any,
+    ) -> tuple[Array]:
+        """The level at which the longer of two steps is one texel (equations 8.5 and 8.8)."""
+        steps = [
+            np.stack(np.broadcast_arrays(*step), -1).astype(dtype) for step in ((ux, vx, zx), (uy, vy, zy))
+        ]
+        layers, height, width, _ = self.levels[0].shape
+        size = np.array([width, height, layers if self.kind is TextureKind.D3 else 0], dtype)
+        if self.kind is TextureKind.CUBE:
+            at = np.stack(np.broadcast_arrays(u, v, z), -1).astype(dtype)
+            face = _face_of(at)
+            s, t, m = _turned(face, at)
+            turned = [_turned(face, step) for step in steps]
+            steps = [
+                np.stack([(ds - s / m * dm) / (2 * m), (dt - t / m * dm) / (2 * m), 0 * ds], -1)
+                for ds, dt, dm in turned
+            ]
+        squares = [np.sum((step * size) ** 2, axis=-1) for step in steps]
+        return (dtype(0.5) * np.log2(np.maximum(*squares)) + bias,)
+
+    def gather(self, dtype: Any, component: int, u: Any, v: Any, z: Any) -> Four:
+        """One component of four texels, from the lower left one around, v being up."""
+        taps, _ = self._taps(dtype, 0, *self._projected(dtype, u, v, z))
+        return tuple(taps[tap][..., int(component)] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
+
+    def gather_compare(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any) -> Four:
+        """The four comparisons."""
+        u, v, z, reference = np.broadcast_arrays(u, v, z, reference)
+        where = self._projected(dtype, u, v, z)
+        taps, _ = self._taps(dtype, 0, *where, lambda texels: self._compare(dtype, reference, texels))
+        return tuple(taps[tap][..., 0] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
+
+    def load(self, dtype: Any, x: Any, y: Any, z: Any, level: Any) -> Four:
+        """One texel; zeros outside."""
+        x, y, z, level = np.broadcast_arrays(x, y, z, level)
+        result = np.zeros((*x.shape, 4), self._value_dtype(dtype))
+        for number in range(len(self.levels)):
+            depth, height, width, _ = self.levels[number].shape
+            inside = (
+                (level == number) & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
+            )
+            result[inside] = self._values(dtype, number, z[inside], y[inside], x[inside])
+        return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
+
+    def store(
+        self, x: Any, y: Any, z: Any, values: tuple[Any, ...], mask: Any, shape: tuple[int, ...]
+    ) -> None:
+        """Set texels of level 0; outside nothing happens, and of several for one texel the last stays."""
+        texels = self.levels[0]
+        depth, height, width, channels = texels.shape
+        x, y, z, mask, *parts = np.broadcast_arrays(
+            x, y, z, True if mask is None else mask, *values, np.empty(shape)
+        )[:-1]
+        inside = mask & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
+        whole = np.stack([part[inside] for part in parts], -1)[:, :channels]
+        integer = self.format.is_integer
+        stored = whole.astype(texels.dtype) if integer else encode(self.format, whole.astype(np.float64))
+        texels[z[inside], y[inside], x[inside]] = stored
+
+    def size(self, level: Any, axes: int) -> tuple[Array, ...]:
+        """Width, height, and depth or layers; of a level that isn't there, those of the nearest."""
+        sizes = np.array([texels.shape[2::-1] for texels in self.levels], np.int32)
+        level = np.clip(level, 0, len(sizes) - 1)
+        return tuple(sizes[level, axis] for axis in range(axes))
+
+    def count_levels(self) -> tuple[np.int32]:
+        """How many there are."""
+        return (np.int32(len(self.levels)),)
+
+    # -- texels --------------------------------------------------------------------------------------------
+
+    def _value_dtype(self, dtype: Any) -> Any:
+        if self.format.is_integer:
+            return np.int32 if self.format.dtype.kind == "i" else np.uint32
+        return dtype
+
+    def _values(self, dtype: Any, level: int, z: Array, y: Array, x: Array) -> Array:
+        """Texels as shaders see them: four components."""
+        texels = self.levels[level][z, y, x]
+        result = np.zeros((*texels.shape[:-1], 4), self._value_dtype(dtype))
+        result[..., 3] = 1
+        result[..., : texels.shape[-1]] = texels if self.format.is_integer else decode(self.format, texels)
+        return result
+
+    def _compare(self, dtype: Any, reference: Array, texels: Array) -> Array:
+        """Whether references pass depths, as texels of one component."""
+        depth = texels[..., :1]
+        if self.sampler.compare is None:
+            return depth
+        if has_fixed_depth(self.format):
+            reference = np.fmax(np.fmin(reference, 1), 0)
+        return _COMPARISONS[self.sampler.compare](reference[..., None].astype(dtype), depth).astype(dtype)
+
+    def _tap(self, dtype: Any, level: int, z: Array, y: Array, x: Array) -> Array:
+        """Texels, or the border outside."""
+        depth, height, width, _ = self.levels[level].shape
+        i, j, k = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1), np.clip(z, 0, depth - 1)
+        values = self._values(dtype, level, k, j, i)
+        values[(i != x) | (j != y) | (k != z)] = border_color(self.format, self.sampler).astype(values.dtype)
+        return values
+
+    # -- coordinates ---------------------------------------------------------------------------------------
+
+    def _projected(self, dtype: Any, u: Any, v: Any, z: Any) -> tuple[Array, Array, Array]:
+        """A place in a layer: of a cube in a face."""
+        at = np.stack(np.broadcast_arrays(u, v, z), -1).astype(dtype)
+        if self.kind is TextureKind.CUBE:
+            face = _face_of(at)
+            s, t, m = _turned(face, at)
+            return s / m * dtype(0.5) + dtype(0.5), t / m * dtype(0.5) + dtype(0.5), face
+        u, v, z = (at[..., axis] for axis in range(3))
+        if self.kind is TextureKind.D2:
+            return u, v, np.zeros(u.shape, np.int32)
+        if self.kind is TextureKind.D2_ARRAY:
+            last = dtype(self.levels[0].shape[0] - 1)
+            return u, v, np.fmin(np.fmax(np.floor(z + dtype(0.5)), dtype(0)), last).astype(np.int32)
+        return u, v, z
+
+    def _wraps(self) -> tuple[Wrap, Wrap, Wrap]:
+        if self.kind is TextureKind.CUBE:  # beyond an edge lies the next face
+            return Wrap.BORDER, Wrap.BORDER, Wrap.BORDER
+        return self.sampler.wrap_u, self.sampler.wrap_v, self.sampler.wrap_w
+
+    def _nearest(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
+        i = np.floor(_wrapped(dtype, wrap, size, u)).astype(np.int32)
+        return i if wrap is Wrap.BORDER and self.kind is not TextureKind.CUBE else np.clip(i, 0, size - 1)
+
+    def _around(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> tuple[Array, Array, Array]:
+        x = _wrapped(dtype, wrap, size, u) - dtype(0.5)
+        whole = np.floor(x)
+        i = whole.astype(np.int32)
+        j = i + 1
+        if wrap is Wrap.REPEAT:
+            i, j = i % size, j % size
+        elif wrap is not Wrap.BORDER:
+            i, j = np.clip(i, 0, size - 1), np.clip(j, 0, size - 1)
+        return i, j, x - whole
+
+    def _taps(
+        self,
+        dtype: Any,
+        level: int,
+        u: Array,
+        v: Array,
+        layer: Array,
+        judge: Callable[[Array], Array] | None = None,
+    ) -> tuple[list[Array], tuple[Array, Array]]:
+        """The four texels around a place in a layer, or what is judged of them, and its distance from the first."""
+        judge = judge or (lambda texels: texels)
+        _, height, width, _ = self.levels[level].shape
+        wrap_u, wrap_v, _ = self._wraps()
+        x0, x1, near_x = self._around(dtype, wrap_u, width, u)
+        y0, y1, near_y = self._around(dtype, wrap_v, height, v)
+        places = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
+        if self.kind is not TextureKind.CUBE:
+            return [judge(self._tap(dtype, level, layer, y, x)) for x, y in places], (near_x, near_y)
+        taps = [judge(self._values(dtype, level, *_crossed(width, layer, y, x))) for x, y in places]
+        result = []
+        for tap, (x, y) in enumerate(places):  # where three faces meet, the missing texel is the others' mean
+            corner = ((x < 0) | (x >= width)) & ((y < 0) | (y >= height))
+            mean = (taps[tap ^ 1] + taps[tap ^ 2] + taps[tap ^ 3]) / 3
+            result.append(np.where(corner[..., None], mean.astype(taps[tap].dtype), taps[tap]))
+        return result, (near_x, near_y)
+
+    def _filter(
+        self, dtype: Any, level: int, filter: Filter, chosen: Array, u: Array, v: Array, z: Array,
+        judge: Judge | None = None,
+    ) -> Array:  # fmt: skip
+        """A level at places that are `chosen` of all; `judge` turns texels into what is filtered."""
+        depth, height, width, _ = self.levels[level].shape
+        wrap_u, wrap_v, wrap_w = self._wraps()
+        solid = self.kind is TextureKind.D3
+        if filter is Filter.NEAREST or self.format.is_integer:
+            i = self._nearest(dtype, wrap_u, width, u)
+            j = self._nearest(dtype, wrap_v, height, v)
+            k = self._nearest(dtype, wrap_w, depth, z) if solid else z
+            texels = self._tap(dtype, level, k, j, i)
+            return judge(texels, chosen) if judge is not None else texels
+        slices = self._around(dtype, wrap_w, depth, z) if solid else (z, z, np.zeros(z.shape, dtype))
+        means = []
+        for layer in slices[: 2 if solid else 1]:
+            taps, (near_x, near_y) = self._taps(
+                dtype, level, u, v, layer, judge and (lambda tap: judge(tap, chosen))
+            )
+            a, b = (_mix(taps[row], taps[row + 1], near_x) for row in (0, 2))
+            means.append(_mix(a, b, near_y))
+        return _mix(means[0], means[1], slices[2]) if solid else means[0]
+
+    def _walk(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any, judge: Judge | None = None) -> Array:
+        """Filter each level for those that want it, and mix."""
+        u, v, z = self._projected(dtype, u, v, z)
+        lod = np.broadcast_to(np.asarray(lod, dtype), np.broadcast_shapes(np.shape(lod), u.shape))
+        u, v, z = (np.broadcast_to(part, lod.shape) for part in (u, v, z))
+        sampler, last = self.sampler, len(self.levels) - 1
+        magnified = ~(lod > 0)
+        mip = sampler.mip
+        if mip is Filter.LINEAR and self.format.is_integer:
+            mip = Filter.NEAREST
+        at = np.where(magnified, dtype(0), np.minimum(lod, dtype(0 if mip is None else last)))
+        first = np.round(at) if mip is Filter.NEAREST else np.floor(at)
+        part = at - first if mip is Filter.LINEAR else np.zeros_like(at)
+        result: Array | None = None
+        for number in range(last + 1):
+            weight = np.where(first == number, 1 - part, np.where(first == number - 1, part, 0)).astype(dtype)
+            for which, lanes in ((sampler.minify, ~magnified), (sampler.magnify, magnified)):
+                chosen = (weight > 0) & lanes
+                if not chosen.any():
+                    continue
+                value = self._filter(dtype, number, which, chosen, u[chosen], v[chosen], z[chosen], judge)
+                if result is None:
+                    result = np.zeros((*lod.shape, value.shape[-1]), value.dtype)
+                whole = weight[chosen][:, None] == 1
+                with np.errstate(all="ignore"):
+                    mixed = (result[chosen] + weight[chosen][:, None] * value).astype(value.dtype)
+                result[chosen] = np.where(whole, value, mixed)
+        return result if result is not None else np.zeros((*lod.shape, 4), dtype)
+
+
+def _layered(level: Array, format: Format) -> Array:
+    array = np.array(level, order="C")
+    if array.ndim == 2 and format.channels == 1:
+        array = array[None, :, :, None]
+    elif array.ndim == 3:
+        array = array[None]
+    if array.dtype != format.dtype or array.ndim != 4 or array.shape[3] != format.channels:
+        allowed = f"(layers, height, width, {format.channels}) of {format.dtype}"
+        refuse(rules.WRONG_ARGUMENTS, "HostTexture", f"shape {np.shape(level)} of {array.dtype}", allowed)
+    return array
+
+
+def _mix(a: Array, b: Array, at: Array) -> Array:
+    mixed: Array = a + at[..., None] * (b - a)
+    return mixed
+
+
+def _wrapped(dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
+    """A coordinate in texels; far outside, where only the border is, just outside."""
+    if wrap is Wrap.REPEAT:
+        u = u - np.floor(u)
+    elif wrap is Wrap.MIRROR:
+        u = np.abs(u - 2 * np.floor(u / 2 + dtype(0.5)))
+    beyond = 1 if wrap is Wrap.BORDER else 0.5
+    place: Array = np.fmin(np.fmax(u * dtype(size), dtype(-beyond)), dtype(size + beyond))
+    return place
+
+
+def _face_of(at: Array) -> Array:
+    """The face that a direction meets; of equal components z counts before y before x, as on llvmpipe."""
+    size = np.abs(at)
+    axis = np.where(
+        (size[..., 2] >= size[..., 0]) & (size[..., 2] >= size[..., 1]),
+        2,
+        np.where(size[..., 1] >= size[..., 0], 1, 0),
+    )
+    along = np.take_along_axis(at, axis[..., None], -1)[..., 0]
+    return (2 * axis + (along < 0)).astype(np.int32)
+
+
+def _turned(face: Array, at: Array) -> tuple[Array, Array, Array]:
+    """(s, t, m) of directions on a face."""
+    turned = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(
+        at.dtype
+    )
+    return turned[..., 0], turned[..., 1], turned[..., 2]
+
+
+def _crossed(size: int, face: Array, j: Array, i: Array) -> tuple[Array, Array, Array]:
+    """(face, row, column) of texels that may lie across an edge: those in the direction of their center."""
+    s, t = (2 * i + 1 - size) / size, (2 * j + 1 - size) / size
+    at = np.empty((*s.shape, 3))
+    turned = np.stack([s, t, np.ones(s.shape)], -1) * _SIGNS[face]
+    np.put_along_axis(at, np.broadcast_to(_AXES[face], at.shape), turned, -1)
+    next_face = _face_of(at)
+    x, y, m = _turned(next_face, at)
+    outside = (i < 0) | (i >= size) | (j < 0) | (j >= size)
+    column = np.clip(np.floor((x / m + 1) / 2 * size), 0, size - 1).astype(np.int32)
+    row = np.clip(np.floor((y / m + 1) / 2 * size), 0, size - 1).astype(np.int32)
+    return np.where(outside, next_face, face), np.where(outside, row, j), np.where(outside, column, i)

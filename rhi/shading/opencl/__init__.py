@@ -1,0 +1,1 @@
+"""From lane code to OpenCL C."""

@@ -1,0 +1,105 @@
+"""Vertex and fragment stages as OpenCL C functions for 16 lanes, which a rasteriser's kernels call.
+
+    void rhi_vertex(BINDINGS, const uint16 *inputs, int16 vertex, int instance, int draw, int16 mask, uint16 *outputs);
+    void rhi_bounds(BINDINGS, const uint16 *inputs, const uint *reaches, int16 vertex, int instance, int draw,
+                    int16 mask, uint16 *outputs);
+    int16 rhi_fragment(BINDINGS, const uint16 *inputs, const uint *flat, float16 x, float16 y, float16 z, float16 w,
+                       int front, int primitive, int16 mask, uint16 *outputs, float16 *depth);
+
+- BINDINGS are those of the program in order, as for a compute kernel, but uniforms are `global const uint *`. A
+  texture or image is its texels, and words that describe it. A checked program's last one is `global int *`
+  (`rhi.shading.ir.faults`).
+- A vertex stage takes its attributes' components as words, one attribute after the other, and gives the clip position
+  in words 0 to 3 and the fragment stage's varyings from word 4 on. Its vertices may be any; it reads buffers by their
+  index with vector loads if they are consecutive.
+- Where the clip position is an affine function of attributes, `RHI_BOXED(WORD)` is WORD(i) for each word of `inputs`
+  that it depends on, and `rhi_bounds` a vertex stage that gives the position alone, and in words 4 to 7 its slacks
+  (`rhi.shading.lowering.bounds`). `reaches`: floats, how large inputs get.
+- The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It takes smooth and linear varyings for all lanes,
+  also for those outside the mask, as they are compared with; flat varyings as the first vertex has them; the pixels'
+  centres, window depth and 1 / clip w. `front` is 1 or 0. It gives component c of location l in word 4 l + c, the
+  depth where the stage writes one, and the lanes that remain.
+- Arrays are indexed by constants, so that they live in registers once a function is inlined.
+- Contraction is off in a vertex stage: the same position in two programs is the same bits.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.contract.descriptors import Binding, Stage
+from rhi.shading.ir import tree
+from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, Bounds, Level, StageCode
+from rhi.shading.ir.text import StageText
+from rhi.shading.language.builtins import Precision
+from rhi.shading.opencl.writer import Writer
+
+__rhi_internal__ = True
+
+LANGUAGE: Final = f"opencl{WIDTH}"
+_INLINE: Final = "inline __attribute__((always_inline))"
+_VERTEX: Final = "int16 vertex, int instance, int draw, int16 mask, private uint16 *outputs"
+_INPUTS: Final = "private const uint16 *inputs"
+_REACHES: Final = "private const uint *reaches"
+_FRAGMENT: Final = (
+    "private const uint16 *inputs, private const uint *flat, float16 x, float16 y, float16 z, float16 w, int front, "
+    "int primitive, int16 mask, private uint16 *outputs, private float16 *depth"
+)
+
+
+def write_stage(
+    stage: tree.StageTree, code: StageCode, bounds: Bounds | None, bindings: tuple[Binding, ...],
+    precision: Precision,
+) -> StageText:  # fmt: skip
+    """A stage's function and all that it calls; of a stage with a body in OpenCL C, `code` is empty.
+
+    `bounds` are those of a vertex stage's positions, where they have any (`rhi.shading.lowering.bounds`).
+    """
+    native = stage.entry if LANGUAGE in stage.entry.native else None
+    return _StageWriter(code, precision, native).stage(stage.stage, bounds, bindings)
+
+
+class _StageWriter(Writer):
+    uniform_space = "global const"
+
+    def __init__(self, code: StageCode, precision: Precision, native: tree.Function | None) -> None:
+        super().__init__(code.code, precision, native)
+        self.outputs = code
+
+    def stage(self, stage: Stage, bounds: Bounds | None, bindings: tuple[Binding, ...]) -> StageText:
+        assert self.width == WIDTH
+        given = [text for binding in bindings for text in self.parameters(binding)]
+        given += ["global int *rhi_faults"] if self.code.checked else []
+        if stage is Stage.FRAGMENT:
+            self.function("int16 rhi_fragment", [*given, _FRAGMENT])
+            return self.finish()
+        self.lines.add("#pragma OPENCL FP_CONTRACT OFF")
+        self.steps = "rhi_steps"
+        self.function("void rhi_vertex", [*given, _INPUTS, _VERTEX])
+        if bounds is not None:
+            self.code, self.outputs = bounds.stage.code, bounds.stage
+            words = " ".join(f"WORD({word})" for word in bounds.inputs)
+            self.lines.add(f"#define RHI_BOXED(WORD) {words}")
+            self.function("void rhi_bounds", [*given, _INPUTS, _REACHES, _VERTEX])
+        return self.finish()
+
+    def function(self, head: str, parameters: list[str]) -> None:
+        """One function, of what `code` says."""
+        is_vertex = bool(self.steps)
+        with self.lines.braces(f"{_INLINE} {head}({', '.join(parameters)})"):
+            if is_vertex:
+                self.lines.add("const int16 rhi_steps = vertex - vertex.s0;")
+            self.body()
+            results = list(self.code.results)
+            for word, value in zip(self.outputs.words, results, strict=False):
+                self.lines.add(f"outputs[{word}] = {self.bits(value, True)};")
+            if self.outputs.has_depth:
+                self.lines.add(f"*depth = {self.wide(results[len(self.outputs.words)])};")
+            if results and not is_vertex:
+                self.lines.add(f"return {self.wide(results[-1])};")
+
+    def argument(self, node: Argument) -> str:
+        array, _, word = node.name.partition("_")
+        if not word:
+            return node.name if node.name != FIRST_VERTEX else "vertex.s0"
+        return self.cast(node.kind, node.level is Level.VARYING, f"{array}[{word}]")

@@ -1,0 +1,587 @@
+// Textures and images in lane code (rhi.shading.opencl.textures gives the whole picture).
+//
+// FLOAT, INT and UINT are scalars or vectors of a kernel's width; a condition on them is an INT, all bits set in a
+// vector where it holds, 1 in a scalar. ANY, NOT, BOTH, EITHER and SELECT act on conditions. Texel coordinates and
+// addresses never leave the texture whatever is asked for, so lanes that take no part need no mask to read.
+//
+// A texel is four UINT words: the bits of floats, or integers. PoCL unrolls only the loops that it is told to.
+
+// -- formats -----------------------------------------------------------------------------------------------
+
+// Half floats' bits as floats: the exponent moved by a product, which is exact and takes care of denormals.
+static RHI_INLINE FLOAT rhi_from_half(UINT bits) {
+#ifdef RHI_FROM_HALF
+    return RHI_FROM_HALF(bits);
+#else
+    UINT magnitude = (bits & 0x7fffu) << 13u;
+    FLOAT value = as_FLOAT(magnitude) * 0x1p112f;
+    UINT huge = SELECT((UINT)0u, (UINT)0x7f800000u, value >= 65536.0f);
+    return as_FLOAT(as_UINT(value) | huge | (bits & 0x8000u) << 16u);
+#endif
+}
+
+// A stored value of sRGB, 0 … 255, decoded (IEC 61966-2-1): within 2e-6; FAST within 1.3e-3, as llvmpipe's.
+static RHI_INLINE FLOAT rhi_from_srgb(FLOAT c) {
+    FLOAT curve = RHI_FAST ? FAST_SRGB_CURVE : SRGB_CURVE;
+    float slope = 1.0f / (RHI_FAST ? 12.6f * 255.0f : 12.92f * 255.0f);
+    return SELECT(curve, c * slope, c < (RHI_FAST ? 15.5f : 10.5f));
+}
+
+// Words as they are stored to one word for each channel.
+static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
+    switch (stored) {
+    case RHI_UNORM8:
+    case RHI_SRGB8:
+    case RHI_SNORM8:
+    case RHI_WHOLE8: {
+        UINT raw = r[0];
+        r[0] = raw & 255u;
+        r[1] = raw >> 8u & 255u;
+        r[2] = raw >> 16u & 255u;
+        r[3] = raw >> 24u;
+        break;
+    }
+    case RHI_UNORM16:
+    case RHI_HALF:
+    case RHI_WHOLE16:
+        r[3] = r[1] >> 16u;
+        r[2] = r[1] & 65535u;
+        r[1] = r[0] >> 16u;
+        r[0] &= 65535u;
+        break;
+    }
+    switch (stored) {
+    case RHI_UNORM8:
+        _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 255.0f));
+        break;
+    case RHI_SRGB8:
+        for (int c = 0; c < 3; ++c) r[c] = as_UINT(rhi_from_srgb(convert_FLOAT(r[c])));
+        r[3] = as_UINT(convert_FLOAT(r[3]) * (1.0f / 255.0f));
+        break;
+    case RHI_SNORM8:
+        for (int c = 0; c < 4; ++c) {
+            FLOAT value = convert_FLOAT(as_INT(r[c] << 24u) >> 24) * (1.0f / 127.0f);
+            r[c] = as_UINT(SELECT(value, (FLOAT)-1.0f, value < -1.0f));
+        }
+        break;
+    case RHI_UNORM16:
+        for (int c = 0; c < 4; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 65535.0f));
+        break;
+    case RHI_HALF:
+        _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = as_UINT(rhi_from_half(r[c]));
+        break;
+    }
+    if (channels < 4) r[3] = (UINT)(stored >= RHI_WHOLE8 ? 1u : 0x3f800000u);
+}
+
+// Texel number `i` of each lane.
+static RHI_INLINE void rhi_texel(rhi_texture p, rhi_description w, INT i, UINT *r) {
+    r[1] = r[2] = r[3] = (UINT)0u;
+    switch (w[RHI_TEXEL]) {
+    case 1: r[0] = rhi_gather8(p, i); break;
+    case 2: r[0] = rhi_gather16(p, i); break;
+    case 4: r[0] = rhi_gather32(p, i); break;
+    case 8: rhi_pair(p, i * 2, r, r + 1); break;
+    default: rhi_long_pair(p, i * 2, r, r + 2);
+    }
+    rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], r);
+}
+
+// The same, where it is one of several.
+static RHI_CALLED void rhi_fetch(rhi_texture p, rhi_description w, INT i, UINT *r) { rhi_texel(p, w, i, r); }
+
+// -- coordinates -------------------------------------------------------------------------------------------
+
+static RHI_INLINE INT rhi_within(INT i, int size) {
+    i = SELECT(i, (INT)0, i < 0);
+    return SELECT(i, (INT)(size - 1), i >= size);
+}
+
+static RHI_INLINE FLOAT rhi_wrap(int wrap, FLOAT u) {
+    if (wrap == RHI_REPEAT) u -= rhi_floor(u);
+    if (wrap == RHI_MIRROR) u = fabs(u - 2.0f * rhi_floor(fma(u, (FLOAT)0.5f, (FLOAT)0.5f)));
+    return u;
+}
+
+// A place in texels, or one as good where it is far outside, or no number.
+static RHI_INLINE FLOAT rhi_near(FLOAT x, float low, float high) {
+    x = SELECT((FLOAT)low, x, x > low);
+    return SELECT((FLOAT)high, x, x < high);
+}
+
+// The texel that a coordinate lies in.
+static RHI_INLINE INT rhi_nearest(int wrap, int size, FLOAT u) {
+    INT i = convert_INT(rhi_floor(rhi_near(rhi_wrap(wrap, u) * (float)size, -1.0f, size)));
+    return wrap == RHI_BORDER ? i : rhi_within(i, size);
+}
+
+// The texel before a coordinate, and how near that is to the next one; far outside, both lie there.
+static RHI_INLINE FLOAT rhi_before(int wrap, int size, FLOAT u, INT *i) {
+    FLOAT x = rhi_near(fma(rhi_wrap(wrap, u), (FLOAT)(float)size, (FLOAT)-0.5f), -2.0f, size), whole = rhi_floor(x);
+    *i = convert_INT(whole);
+    return x - whole;
+}
+
+// The texels that a texel before a coordinate, and the next one, stand for where they lie outside.
+static RHI_INLINE void rhi_edge(int wrap, int size, INT *i0, INT *i1) {
+    INT i = *i0, j = i + 1;
+    if (wrap == RHI_REPEAT) {
+        i = SELECT(i, (INT)(size - 1), i < 0);
+        j = SELECT(j, (INT)0, as_UINT(j) >= (uint)size);
+    } else if (wrap != RHI_BORDER && wrap != RHI_SEAM) {
+        i = rhi_within(i, size);
+        j = rhi_within(j, size);
+    }
+    *i0 = i;
+    *i1 = j;
+}
+
+// Whether a texel and the next one lie inside, for all lanes.
+static RHI_INLINE int rhi_inside(int size, INT i) { return !ANY(as_UINT(i) >= (uint)(size - 1)); }
+
+// The two texels around a coordinate, and how near it is to the second.
+static RHI_INLINE FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1) {
+    FLOAT at = rhi_before(wrap, size, u, i0);
+    rhi_edge(wrap, size, i0, i1);
+    return at;
+}
+
+// A direction as (s, t) on a cube's face and how far along its axis: OpenGL 4.3, table 8.19, with t down.
+static RHI_INLINE void rhi_turn(
+    INT is_y, INT is_z, INT negative, FLOAT x, FLOAT y, FLOAT z, FLOAT *s, FLOAT *t, FLOAT *m
+) {
+    FLOAT along = SELECT(SELECT(x, y, is_y), z, is_z);
+    *s = SELECT(SELECT(SELECT(-z, z, negative), x, is_y), SELECT(x, -x, negative), is_z);
+    *t = SELECT(-y, SELECT(z, -z, negative), is_y);
+    *m = SELECT(along, -along, negative);
+}
+
+// Which axis is longest (x if neither y nor z is), and whether the direction points down it.
+static RHI_INLINE void rhi_axis(FLOAT x, FLOAT y, FLOAT z, INT *is_y, INT *is_z, INT *negative) {
+    FLOAT ax = fabs(x), ay = fabs(y), az = fabs(z);
+    *is_z = BOTH(az >= ax, az >= ay);
+    *is_y = BOTH(ay >= ax, NOT(*is_z));
+    *negative = SELECT(SELECT(x, y, *is_y), z, *is_z) < 0.0f;
+}
+
+// The face of a cube that a direction meets, and where, 0 … 1.
+static RHI_INLINE INT rhi_face(FLOAT *u, FLOAT *v, FLOAT z) {
+    INT is_y, is_z, negative;
+    FLOAT s, t, m;
+    rhi_axis(*u, *v, z, &is_y, &is_z, &negative);
+    rhi_turn(is_y, is_z, negative, *u, *v, z, &s, &t, &m);
+    *u = s / m * 0.5f + 0.5f;
+    *v = t / m * 0.5f + 0.5f;
+    return SELECT(SELECT((INT)0, (INT)2, is_y), (INT)4, is_z) + SELECT((INT)0, (INT)1, negative);
+}
+
+// Texels that lie across an edge of their face: those of the next face, found in the direction of their center.
+static RHI_CALLED void rhi_cross(int size, INT *face, INT *i, INT *j) {
+    float texel = 1.0f / size;
+    FLOAT s = convert_FLOAT(*i * 2 + 1 - size) * texel, t = convert_FLOAT(*j * 2 + 1 - size) * texel;
+    INT axis = *face >> 1;
+    FLOAT sign = SELECT((FLOAT)1.0f, (FLOAT)-1.0f, (*face & 1) != 0);
+    FLOAT x = SELECT(SELECT(s, sign, axis == 0), s * sign, axis == 2);
+    FLOAT y = SELECT(-t, sign, axis == 1);
+    FLOAT z = SELECT(SELECT(-s * sign, t * sign, axis == 1), sign, axis == 2);
+    INT outside = EITHER(EITHER(*i < 0, *i >= size), EITHER(*j < 0, *j >= size));
+    INT next = rhi_face(&x, &y, z);
+    *face = SELECT(*face, next, outside);
+    *i = SELECT(*i, rhi_within(convert_INT(x * (float)size), size), outside);
+    *j = SELECT(*j, rhi_within(convert_INT(y * (float)size), size), outside);
+}
+
+// An array's layer, or a cube's face (0 … 5).
+static RHI_INLINE INT rhi_layer(rhi_description w, rhi_description level, FLOAT z) {
+    if (w[RHI_SHAPE] == RHI_FLAT) return (INT)0;
+    FLOAT last = (FLOAT)(level[RHI_DEPTH] - 1);
+    z = rhi_floor(z + 0.5f);
+    z = SELECT((FLOAT)0.0f, z, z > 0.0f);
+    return convert_INT(SELECT(last, z, z < last));
+}
+
+// -- one level ---------------------------------------------------------------------------------------------
+
+// A texel, or the border where it lies outside.
+static RHI_CALLED void rhi_tap(
+    rhi_texture t, rhi_description w, rhi_description level, INT x, INT y, INT layer, UINT *r
+) {
+    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], depth = level[RHI_DEPTH];
+    INT i = rhi_within(x, width), j = rhi_within(y, height), k = rhi_within(layer, depth);
+    rhi_fetch(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
+    if (w[RHI_HAS_BORDER]) {
+        INT inside = BOTH(BOTH(i == x, j == y), k == layer);
+        for (int c = 0; c < 4; ++c) r[c] = SELECT((UINT)(uint)w[RHI_BORDER_COLOR + c], r[c], inside);
+    }
+}
+
+// Whether a reference passes; without a comparison, the depth itself.
+static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT depth) {
+    if (w[RHI_CLAMPED]) {
+        reference = SELECT((FLOAT)1.0f, reference, reference < 1.0f);
+        reference = SELECT((FLOAT)0.0f, reference, reference > 0.0f);
+    }
+    FLOAT yes = (FLOAT)1.0f, no = (FLOAT)0.0f;
+    switch (w[RHI_COMPARISON]) {
+    case RHI_NEVER: return no;
+    case RHI_LESS: return SELECT(no, yes, reference < depth);
+    case RHI_EQUAL: return SELECT(no, yes, reference == depth);
+    case RHI_LESS_EQUAL: return SELECT(no, yes, reference <= depth);
+    case RHI_GREATER: return SELECT(no, yes, reference > depth);
+    case RHI_NOT_EQUAL: return SELECT(no, yes, reference != depth);
+    case RHI_GREATER_EQUAL: return SELECT(no, yes, reference >= depth);
+    case RHI_ALWAYS: return yes;
+    }
+    return depth;
+}
+
+// The four texels around a place in one layer: (0, 0), (1, 0), (0, 1), (1, 1), or whether the reference passes them;
+// and how near the place is to the last. Inside the layer, two texels of 4 or 8 bytes that lie side by side are one load.
+static RHI_CALLED void rhi_taps(
+    rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, int compared,
+    FLOAT reference, UINT *taps, FLOAT *near
+) {
+    INT x[2], y[2];
+    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], row = level[RHI_ROW], texel = w[RHI_TEXEL];
+    near[0] = rhi_before(w[RHI_WRAP_U], width, u, x);
+    near[1] = rhi_before(w[RHI_WRAP_V], height, v, y);
+    rhi_texture p = rhi_start(t, level);
+    INT first = layer * level[RHI_LAYER];
+    int inside = rhi_inside(width, x[0]) && rhi_inside(height, y[0]);
+    int seams = RHI_CUBES && w[RHI_WRAP_U] == RHI_SEAM && !inside;
+    if (RHI_SOLIDS && w[RHI_HAS_BORDER]) inside = 0;  // the layer may lie outside
+    if (inside && texel >= 4) {
+        first += y[0] * row + x[0];
+        rhi_texture q = p + texel * row;
+        switch (texel) {
+        case 4:
+            for (int word = 0; word < 16; ++word) taps[word] = (UINT)0u;
+            rhi_pair(p, first, taps, taps + 4);
+            rhi_pair(q, first, taps + 8, taps + 12);
+            break;
+        case 8:
+            for (int tap = 0; tap < 4; ++tap) taps[4 * tap + 2] = taps[4 * tap + 3] = (UINT)0u;
+            rhi_long_pair(p, first, taps, taps + 4);
+            rhi_long_pair(q, first, taps + 8, taps + 12);
+            break;
+        default:
+            for (int right = 0; right < 2; ++right) {
+                rhi_long_pair(p + 16 * right, first * 2, taps + 4 * right, taps + 4 * right + 2);
+                rhi_long_pair(q + 16 * right, first * 2, taps + 4 * right + 8, taps + 4 * right + 10);
+            }
+        }
+        for (int tap = 0; tap < 4; ++tap) rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], taps + 4 * tap);
+    } else {
+        rhi_edge(w[RHI_WRAP_U], width, x, x + 1);
+        rhi_edge(w[RHI_WRAP_V], height, y, y + 1);
+        for (int tap = 0; tap < 4; ++tap) {
+            INT i = x[tap & 1], j = y[tap >> 1], k = layer;
+            if (seams) rhi_cross(width, &k, &i, &j);
+            if (seams || w[RHI_HAS_BORDER]) rhi_tap(t, w, level, i, j, k, taps + 4 * tap);
+            else rhi_fetch(p, w, first + j * row + i, taps + 4 * tap);
+        }
+    }
+    if (compared) {
+        for (int tap = 0; tap < 4; ++tap) {
+            taps[4 * tap] = as_UINT(rhi_passes(w, reference, as_FLOAT(taps[4 * tap])));
+        }
+    }
+    if (seams) {  // at a cube's corners three texels meet: the fourth is their mean
+        for (int tap = 0; tap < 4; ++tap) {
+            INT i = x[tap & 1], j = y[tap >> 1];
+            INT corner = BOTH(EITHER(i < 0, i >= width), EITHER(j < 0, j >= height));
+            if (!ANY(corner)) continue;
+            for (int c = 0; c < 4; ++c) {
+                FLOAT sum = (FLOAT)0.0f;
+                for (int other = 1; other < 4; ++other) sum += as_FLOAT(taps[4 * (tap ^ other) + c]);
+                taps[4 * tap + c] = SELECT(taps[4 * tap + c], as_UINT(sum * (1.0f / 3.0f)), corner);
+            }
+        }
+    }
+}
+
+static RHI_INLINE FLOAT rhi_mix(FLOAT a, FLOAT b, FLOAT at) { return fma(at, b - a, a); }
+
+// Bilinear, four channels of 8 bits, no border: two texels that lie side by side are one load.
+static RHI_INLINE void rhi_bilinear8(
+    rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, UINT *r
+) {
+    INT x, y, right, below;
+    int width = level[RHI_WIDTH], height = level[RHI_HEIGHT], row = level[RHI_ROW];
+    FLOAT at_x = rhi_before(w[RHI_WRAP_U], width, u, &x), at_y = rhi_before(w[RHI_WRAP_V], height, v, &y);
+    rhi_texture p = rhi_start(t, level);
+    INT first = layer * level[RHI_LAYER];
+    UINT a, b, c, d;
+    int inside = rhi_inside(width, x);
+    if (inside && rhi_inside(height, y)) {
+        first += y * row + x;
+        rhi_pair(p, first, &a, &b);
+        rhi_pair(p + 4 * row, first, &c, &d);
+    } else {
+        rhi_edge(w[RHI_WRAP_V], height, &y, &below);
+        INT above = first + y * row;
+        below = first + below * row;
+        if (inside) {
+            rhi_pair(p, above + x, &a, &b);
+            rhi_pair(p, below + x, &c, &d);
+        } else {
+            rhi_edge(w[RHI_WRAP_U], width, &x, &right);
+            a = rhi_gather32(p, above + x);
+            b = rhi_gather32(p, above + right);
+            c = rhi_gather32(p, below + x);
+            d = rhi_gather32(p, below + right);
+        }
+    }
+    int curved = w[RHI_STORED] == RHI_SRGB8;
+    _Pragma("unroll") for (uint k = 0; k < 4; ++k) {
+        uint shift = 8u * k;
+        FLOAT e = convert_FLOAT(as_INT(a >> shift & 255u)), f = convert_FLOAT(as_INT(b >> shift & 255u));
+        FLOAT g = convert_FLOAT(as_INT(c >> shift & 255u)), h = convert_FLOAT(as_INT(d >> shift & 255u));
+        float scale = 1.0f / 255.0f;
+        if (curved && k < 3) {
+            e = rhi_from_srgb(e);
+            f = rhi_from_srgb(f);
+            g = rhi_from_srgb(g);
+            h = rhi_from_srgb(h);
+            scale = 1.0f;
+        }
+        r[k] = as_UINT(rhi_mix(rhi_mix(e, f, at_x), rhi_mix(g, h, at_x), at_y) * scale);
+    }
+}
+
+// A level at a place, or how much of it passes: in 2D and arrays `z` is the layer, in a cube the face.
+static RHI_CALLED void rhi_filter(
+    rhi_texture t, rhi_description w, rhi_description level, int linear, int compared, FLOAT u, FLOAT v, FLOAT z,
+    FLOAT reference, UINT *r
+) {
+    int solid = RHI_SOLIDS && w[RHI_SHAPE] == RHI_SOLID;
+    if (!linear) {
+        INT i = rhi_nearest(w[RHI_WRAP_U], level[RHI_WIDTH], u), j = rhi_nearest(w[RHI_WRAP_V], level[RHI_HEIGHT], v);
+        INT k = solid ? rhi_nearest(w[RHI_WRAP_W], level[RHI_DEPTH], z) : rhi_layer(w, level, z);
+        if (w[RHI_HAS_BORDER]) rhi_tap(t, w, level, i, j, k, r);
+        else rhi_texel(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
+        if (compared) r[0] = as_UINT(rhi_passes(w, reference, as_FLOAT(r[0])));
+        return;
+    }
+    if (w[RHI_PLAIN8]) {
+        rhi_bilinear8(t, w, level, u, v, rhi_layer(w, level, z), r);
+        return;
+    }
+    int channels = w[RHI_CHANNELS];
+    UINT taps[16];
+    INT slices[2];
+    FLOAT near[2], at_z = (FLOAT)0.0f;
+    if (solid) at_z = rhi_around(w[RHI_WRAP_W], level[RHI_DEPTH], z, slices, slices + 1);
+    else slices[0] = rhi_layer(w, level, z);
+    for (int slice = 0; slice <= solid; ++slice) {
+        rhi_taps(t, w, level, u, v, slices[slice], compared, reference, taps, near);
+        for (int c = 0; c < channels; ++c) {
+            FLOAT above = rhi_mix(as_FLOAT(taps[c]), as_FLOAT(taps[4 + c]), near[0]);
+            FLOAT below = rhi_mix(as_FLOAT(taps[8 + c]), as_FLOAT(taps[12 + c]), near[0]);
+            FLOAT mean = rhi_mix(above, below, near[1]);
+            r[c] = as_UINT(slice ? rhi_mix(as_FLOAT(r[c]), mean, at_z) : mean);
+        }
+    }
+    for (int c = channels; c < 4; ++c) r[c] = taps[c];
+}
+
+// -- levels ------------------------------------------------------------------------------------------------
+
+// Each level that a lane wants, for all lanes; a lane mixes two of them. A weight of 1 copies: integers, infinities.
+static RHI_CALLED void rhi_walk(
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod, UINT *r
+) {
+    rhi_description level = w + RHI_LEVELS;
+    int minify = w[RHI_MINIFY], magnify = w[RHI_MAGNIFY], mip = w[RHI_MIP], last = w[RHI_LEVEL_COUNT] - 1;
+    if (RHI_CUBES && w[RHI_SHAPE] == RHI_CUBE) z = convert_FLOAT(rhi_face(&u, &v, z));
+    INT magnified = NOT(lod > 0.0f);
+    FLOAT at = SELECT(lod, (FLOAT)0.0f, magnified), end = (FLOAT)(mip == RHI_NO_MIP ? 0 : last);
+    at = SELECT(at, end, at > end);
+    FLOAT first = mip == RHI_LINEAR_MIP ? rhi_floor(at) : rhi_round(at);
+    FLOAT part = mip == RHI_LINEAR_MIP ? at - first : (FLOAT)0.0f;
+    UINT one[4];
+    int number = rhi_least(convert_INT(first));
+    level += number * RHI_LEVEL_WORDS;
+    if (minify == magnify && !ANY(first > (float)number)) {  // all lanes are between the same two
+        rhi_filter(t, w, level, minify, compared, u, v, z, reference, r);
+        if (!ANY(part > 0.0f)) return;
+        rhi_filter(t, w, level + RHI_LEVEL_WORDS, minify, compared, u, v, z, reference, one);
+        _Pragma("unroll") for (int c = 0; c < 4; ++c) {
+            UINT sum = as_UINT(fma(part, as_FLOAT(one[c]), (1.0f - part) * as_FLOAT(r[c])));
+            r[c] = SELECT(r[c], sum, part > 0.0f);
+        }
+        return;
+    }
+    for (int c = 0; c < 4; ++c) r[c] = (UINT)0u;
+    for (; number <= last && ANY(first >= (float)(number - 1)); ++number, level += RHI_LEVEL_WORDS) {
+        FLOAT weight = SELECT((FLOAT)0.0f, 1.0f - part, first == (float)number);
+        weight = SELECT(weight, part, first == (float)(number - 1));
+        if (!ANY(weight > 0.0f)) continue;
+        for (int pass = 0; pass < 2; ++pass) {  // lanes that minify, those that magnify
+            INT these = BOTH(weight > 0.0f, pass ? magnified : NOT(magnified));
+            if (minify == magnify) {
+                if (pass) break;
+                these = weight > 0.0f;
+            }
+            if (!ANY(these)) continue;
+            int linear = pass ? magnify : minify;
+            rhi_filter(t, w, level, linear, compared, u, v, z, reference, one);
+            _Pragma("unroll") for (int c = 0; c < 4; ++c) {
+                UINT sum = as_UINT(fma(weight, as_FLOAT(one[c]), as_FLOAT(r[c])));
+                r[c] = SELECT(r[c], SELECT(sum, one[c], weight == 1.0f), these);
+            }
+        }
+    }
+}
+
+static RHI_INLINE void rhi_sampled(
+    rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod, UINT *r
+) {
+    if (w[RHI_ONE_FILTER]) rhi_filter(t, w, w + RHI_LEVELS, w[RHI_MINIFY], compared, u, v, z, reference, r);
+    else rhi_walk(t, w, compared, u, v, z, reference, lod, r);
+}
+
+static RHI_INLINE void rhi_sample(rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT lod, UINT *r) {
+    rhi_sampled(t, w, 0, u, v, z, u, lod, r);
+}
+
+static RHI_INLINE void rhi_sample_compare(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod, UINT *r
+) {
+    rhi_sampled(t, w, 1, u, v, z, reference, lod, r);
+}
+
+// log2 of what is positive, within 1.2e-4, FAST within 0.087; large of infinity and NaN, small of 0.
+static RHI_INLINE FLOAT rhi_level_log2(FLOAT x) {
+    INT bits = as_INT(x);
+    if (RHI_FAST) return fma(convert_FLOAT(bits), (FLOAT)0x1p-23f, (FLOAT)-127.0f);
+    FLOAT m = as_FLOAT((bits & 0x7fffff) | 0x3f800000) - 1.0f;
+    return convert_FLOAT((bits >> 23) - 127) + LOG2_CURVE;
+}
+
+// The level at which a step to the next pixel, in either direction, is a texel.
+static RHI_CALLED FLOAT rhi_level_of_detail(
+    rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias
+) {
+    if (w[RHI_ONE_FILTER]) return (FLOAT)0.0f;  // nobody asks
+    rhi_description level = w + RHI_LEVELS;
+    float width = level[RHI_WIDTH], height = level[RHI_HEIGHT];
+    float depth = RHI_SOLIDS && w[RHI_SHAPE] == RHI_SOLID ? level[RHI_DEPTH] : 0;
+    if (RHI_CUBES && w[RHI_SHAPE] == RHI_CUBE) {  // d(s / m) = (ds - s / m dm) / m, and a face is 2 wide
+        INT is_y, is_z, negative;
+        FLOAT s, t, m, ds, dt, dm;
+        rhi_axis(u, v, z, &is_y, &is_z, &negative);
+        rhi_turn(is_y, is_z, negative, u, v, z, &s, &t, &m);
+        FLOAT half_ = 0.5f / m;
+        s /= m;
+        t /= m;
+        rhi_turn(is_y, is_z, negative, ux, vx, zx, &ds, &dt, &dm);
+        ux = (ds - s * dm) * half_;
+        vx = (dt - t * dm) * half_;
+        rhi_turn(is_y, is_z, negative, uy, vy, zy, &ds, &dt, &dm);
+        uy = (ds - s * dm) * half_;
+        vy = (dt - t * dm) * half_;
+    }
+    ux *= width, vx *= height, uy *= width, vy *= height;
+    FLOAT across = ux * ux + vx * vx, down = uy * uy + vy * vy;
+    if (depth > 0.0f) {
+        across += zx * zx * (depth * depth);
+        down += zy * zy * (depth * depth);
+    }
+    return 0.5f * rhi_level_log2(SELECT(across, down, down > across)) + bias;
+}
+
+// -- single texels -----------------------------------------------------------------------------------------
+
+// The four texels around a place, as a square from its lower left corner on against the clock, seen with v up.
+static RHI_CALLED void rhi_square(
+    rhi_texture t, rhi_description w, int component, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, UINT *r
+) {
+    UINT taps[16];
+    FLOAT near[2];
+    rhi_description level = w + RHI_LEVELS;
+    if (RHI_CUBES && w[RHI_SHAPE] == RHI_CUBE) z = convert_FLOAT(rhi_face(&u, &v, z));
+    rhi_taps(t, w, level, u, v, rhi_layer(w, level, z), compared, reference, taps, near);
+    r[0] = taps[8 + component];
+    r[1] = taps[12 + component];
+    r[2] = taps[4 + component];
+    r[3] = taps[component];
+}
+
+static RHI_INLINE void rhi_gather(
+    rhi_texture t, rhi_description w, int component, FLOAT u, FLOAT v, FLOAT z, UINT *r
+) {
+    rhi_square(t, w, component, 0, u, v, z, u, r);
+}
+
+static RHI_INLINE void rhi_gather_compare(
+    rhi_texture t, rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, UINT *r
+) {
+    rhi_square(t, w, 0, 1, u, v, z, reference, r);
+}
+
+// Outside the texture: zeros.
+static RHI_CALLED void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
+    int count = w[RHI_LEVEL_COUNT];
+    rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
+    INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
+    INT inside = BOTH(BOTH(i == x, j == y), k == z);
+    rhi_texel(rhi_start(t, level), w, k * level[RHI_LAYER] + j * level[RHI_ROW] + i, r);
+    for (int c = 0; c < 4; ++c) r[c] = number >= 0 && number < count ? SELECT((UINT)0u, r[c], inside) : (UINT)0u;
+}
+
+// Each lane from a level of its own.
+static RHI_CALLED void rhi_load_each(rhi_texture t, rhi_description w, INT x, INT y, INT z, INT number, UINT *r) {
+    UINT one[4];
+    for (int c = 0; c < 4; ++c) r[c] = (UINT)0u;
+    for (int level = 0; level < w[RHI_LEVEL_COUNT]; ++level) {
+        INT these = number == level;
+        if (!ANY(these)) continue;
+        rhi_load(t, w, x, y, z, level, one);
+        for (int c = 0; c < 4; ++c) r[c] = SELECT(r[c], one[c], these);
+    }
+}
+
+// Along an axis; of a level that isn't there, that of the nearest one.
+static RHI_INLINE INT rhi_size_each(rhi_description w, INT number, int axis) {
+    INT level = rhi_within(number, w[RHI_LEVEL_COUNT]);
+    return as_INT(rhi_gather32((rhi_texture)(w + RHI_LEVELS + RHI_WIDTH + axis), level * RHI_LEVEL_WORDS));
+}
+
+static RHI_INLINE UINT rhi_scaled(UINT value, float low, float scale) {
+    FLOAT x = as_FLOAT(value);
+    x = SELECT((FLOAT)low, x, x > low);  // of NaN, too, where low is 0
+    x = SELECT((FLOAT)1.0f, x, x < 1.0f);
+    return as_UINT(convert_INT(rhi_round(x * scale)));
+}
+
+// Writes a texel for the lanes of a mask that lie inside.
+static RHI_CALLED void rhi_store(
+    rhi_image t, INT mask, rhi_description w, INT x, INT y, INT z, UINT r0, UINT r1, UINT r2, UINT r3
+) {
+    rhi_description level = w + RHI_LEVELS;
+    rhi_image p = t + (size_t)(uint)level[RHI_START] * RHI_GRAIN;
+    INT i = rhi_within(x, level[RHI_WIDTH]), j = rhi_within(y, level[RHI_HEIGHT]), k = rhi_within(z, level[RHI_DEPTH]);
+    mask = BOTH(mask, BOTH(BOTH(i == x, j == y), k == z));
+    i += k * level[RHI_LAYER] + j * level[RHI_ROW];
+    UINT r[4] = {r0, r1, r2, r3};
+    for (int c = 0; c < 4; ++c) {
+        switch (w[RHI_STORED]) {
+        case RHI_UNORM8: r[c] = rhi_scaled(r[c], 0.0f, 255.0f); break;
+        case RHI_SNORM8: r[c] = rhi_scaled(r[c], -1.0f, 127.0f) & 255u; break;
+        case RHI_UNORM16: r[c] = rhi_scaled(r[c], 0.0f, 65535.0f); break;
+        case RHI_HALF: r[c] = rhi_half_bits(as_FLOAT(r[c])); break;
+        case RHI_WHOLE8: r[c] &= 255u; break;
+        case RHI_WHOLE16: r[c] &= 65535u; break;
+        }
+    }
+    int texel = w[RHI_TEXEL], channel = texel / w[RHI_CHANNELS];
+    if (channel == 1) r[0] |= r[1] << 8u | r[2] << 16u | r[3] << 24u;
+    if (channel == 2) r[0] |= r[1] << 16u, r[1] = r[2] | r[3] << 16u;
+    switch (texel) {
+    case 1: rhi_scatter8(p, i, mask, r[0]); break;
+    case 2: rhi_scatter16(p, i, mask, r[0]); break;
+    default:
+        for (int word = 0; word < texel / 4; ++word) rhi_scatter32(p + 4 * word, i * (texel / 4), mask, r[word]);
+    }
+}

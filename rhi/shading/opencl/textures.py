@@ -1,0 +1,196 @@
+"""Textures and images in OpenCL lane code: the functions of `opencl_textures.cl`, for a kernel's lanes.
+
+- What a texture is (sizes, format, filters, wraps) is words in memory (`rhi.shading.ir.texture_words`), the same for
+  all lanes: branches on it are real, and a kernel's text doesn't depend on what will be bound.
+- Functions aren't inlined, so that a kernel holds each of them once however often it samples.
+- Two texels that lie side by side are one load; lanes that want different levels take turns, all others waiting.
+"""
+
+from __future__ import annotations
+
+import importlib.resources
+import re
+from collections.abc import Iterable
+from functools import cache
+from typing import Final
+
+from rhi.contract.descriptors import TextureKind
+from rhi.shading.ir.texture_words import enumerations
+from rhi.shading.language.builtins import Precision
+from rhi.shading.opencl.prelude import HEX
+
+__rhi_internal__ = True
+
+_HEAD: Final = """typedef global const uchar *rhi_texture;
+typedef global uchar *rhi_image;
+typedef global const int *rhi_description;
+typedef ulong rhi_wide __attribute__((aligned(4)));
+#define rhi_both(a, b) ((a) & (b))
+#define rhi_either(a, b) ((a) | (b))
+#define RHI_CALLED __attribute__((overloadable, noinline))
+#define RHI_INLINE __attribute__((overloadable, always_inline))
+#if __has_builtin(__builtin_elementwise_floor) && __has_builtin(__builtin_elementwise_roundeven)
+#define rhi_floor __builtin_elementwise_floor  // one instruction, where PoCL's own are fifteen
+#define rhi_round __builtin_elementwise_roundeven
+#else
+#define rhi_floor floor
+#define rhi_round rint
+#endif
+static RHI_INLINE rhi_texture rhi_start(rhi_texture t, rhi_description level) {
+    return t + (size_t)(uint)level[RHI_START] * RHI_GRAIN;
+}
+static RHI_INLINE int rhi_levels(rhi_description w) { return w[RHI_LEVEL_COUNT]; }
+static RHI_INLINE int rhi_size(rhi_description w, int number, int axis) {
+    return w[RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, w[RHI_LEVEL_COUNT] - 1) + RHI_WIDTH + axis];
+}"""
+
+# Minimax: sRGB's curve at the 256 stored values above its straight part, within 1.8e-6, 1 at 1; llvmpipe's, within a
+# third of a stored step; and log2 of 1…2, within 1.2e-4, exact at both ends.
+_SRGB: Final[tuple[float, ...]] = (
+    0.000873782, 0.034559786319732666, 0.4953084886074066, 0.7994788289070129, -0.6501849293708801,
+    0.5261836647987366, -0.264753520488739, 0.058533925563097,
+)  # fmt: skip
+_FAST_SRGB: Final[tuple[float, ...]] = (0.0023, 0.0030, 0.6935, 0.3012)
+_LOG2: Final = (-0.43872565031051636, 0.23905783891677856, -0.08213036507368088)
+
+
+def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precision) -> str:
+    """The functions for so many lanes and what serves textures of these shapes. FAST has shorter curves for sRGB and
+    for levels."""
+    known = set(shapes)
+    knows = {
+        "SOLIDS": TextureKind.D3 in known,
+        "CUBES": TextureKind.CUBE in known,
+        "FAST": precision is Precision.FAST,
+    }
+    has = "enum { " + ", ".join(f"RHI_{name} = {int(value)}" for name, value in knows.items()) + " };"
+    return "\n".join([enumerations(), has, _HEAD, _text(width)])
+
+
+@cache
+def _text(width: int) -> str:
+    template = importlib.resources.files(__package__).joinpath("textures.cl").read_text("utf-8")
+    for name, coefficients in (("FAST_SRGB_CURVE", _FAST_SRGB), ("SRGB_CURVE", _SRGB)):
+        scaled = tuple(coefficient / 255**power for power, coefficient in enumerate(coefficients))
+        template = template.replace(name, _polynomial(scaled, "c"))
+    curve = _polynomial(_LOG2, "m")
+    template = template.replace("LOG2_CURVE", f"m * fma(m - 1.0f, {curve}, (FLOAT)1.0f)")
+    return _sized("\n".join([_memory_text(width), template]), width)
+
+
+def _polynomial(coefficients: tuple[float, ...], name: str) -> str:
+    text = f"(FLOAT){coefficients[-1]!r}f"
+    for coefficient in coefficients[-2::-1]:
+        text = f"fma({name}, {text}, (FLOAT){coefficient!r}f)"
+    return text
+
+
+def _sized(text: str, width: int) -> str:
+    vector = width > 1
+    for name, wide, scalar in (
+        ("SELECT", "select", "rhi_select"),
+        ("ANY", "rhi_any", ""),
+        ("NOT", "~", "!"),
+        ("BOTH", "rhi_both", "rhi_both"),
+        ("EITHER", "rhi_either", "rhi_either"),
+    ):
+        text = re.sub(rf"\b{name}\(", f"{wide if vector else scalar}(", text)
+    suffix = str(width) if vector else ""
+    names = {"FLOAT": "float", "INT": "int", "UINT": "uint"}
+    return re.sub(r"(?<![A-Z])(UINT|INT|FLOAT)(?![A-Z])", lambda found: names[found[1]] + suffix, text)
+
+
+def _memory_text(width: int) -> str:
+    """What differs from lane to lane: loads and stores, written out."""
+    lanes = [f"i.s{HEX[lane]}" for lane in range(width)] if width > 1 else ["i"]
+    texts = [_machine_text(width)]
+    for bits, type in ((8, "uchar"), (16, "ushort"), (32, "uint")):
+        parts = ", ".join(f"q[{lane}]" for lane in lanes)
+        stores = " ".join(f"if (mask{lane[1:]}) q[{lane}] = ({type})v{lane[1:]};" for lane in lanes)
+        texts.append(
+            f"static RHI_INLINE UINT rhi_gather{bits}(rhi_texture p, INT i) {{\n"
+            f"#ifdef RHI_GATHER{bits}\n    return RHI_GATHER{bits}(p, i);\n#else\n"
+            f"    global const {type} *q = (global const {type} *)p;\n    return (UINT)({parts});\n#endif\n}}\n"
+            f"static RHI_INLINE void rhi_scatter{bits}(rhi_image p, INT i, INT mask, UINT v) {{\n"
+            f"    global {type} *q = (global {type} *)p;\n    {stores}\n}}"
+        )
+    texts += [_pair_text(lanes), _long_pair_text(lanes), _least_text(width)]
+    return "\n".join(texts)
+
+
+def _machine_text(width: int) -> str:
+    """What some machines do in one instruction and OpenCL C has no word for. Of loads that it finds by itself, the
+    compiler gathers a part and inserts the others; and `vload_half` goes through memory."""
+    texts = []
+    if width == 16:
+        texts.append("""#if defined(__AVX512F__) && __has_builtin(__builtin_ia32_gathersiv8di)
+#define RHI_GATHER32(p, i) as_uint16(__builtin_ia32_gathersiv16si((int16)0, (const void *)(size_t)(p), i, 65535, 4))
+#define RHI_GATHER64(p, i) as_ulong8(__builtin_ia32_gathersiv8di((long8)0, (const void *)(size_t)(p), i, 255, 4))
+#endif""")
+    if width > 1:
+        texts.append(f"""#ifdef __F16C__
+typedef __fp16 rhi_halves __attribute__((ext_vector_type({width})));
+#define RHI_FROM_HALF(x) __builtin_convertvector(__builtin_astype(convert_ushort{width}(x), rhi_halves), FLOAT)
+#endif""")
+    return "\n".join(texts)
+
+
+def _pair_text(lanes: list[str]) -> str:
+    """The two words from each lane's word number on."""
+    head = "static RHI_INLINE void rhi_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
+    half = len(lanes) // 2
+    if not half:
+        lines = [
+            "    ulong both = *(global const rhi_wide *)((global const uint *)p + i);",
+            "    *left = (uint)both, *right = (uint)(both >> 32);",
+        ]
+        return "\n".join([head, *lines, "}"])
+    loads, gathers = ["    global const uint *q = (global const uint *)p;"], []
+    for name, part, which in (("low", lanes[:half], "lo"), ("high", lanes[half:], "hi")):
+        parts = ", ".join(f"*(global const rhi_wide *)(q + {lane})" for lane in part)
+        loads.append(f"    ulong{half} {name} = (ulong{half})({parts});")
+        gathers.append(f"    ulong{half} {name} = RHI_GATHER64(p, i.{which});")
+    lines = ["#ifdef RHI_GATHER64", *gathers, "#else", *loads, "#endif"]
+    for name, which in (("left", "even"), ("right", "odd")):
+        lines.append(f"    *{name} = (UINT)(as_UINT(low).{which}, as_UINT(high).{which});")
+    return "\n".join([head, *lines, "}"])
+
+
+def _long_pair_text(lanes: list[str]) -> str:
+    """The two pairs of words from each lane's number of pairs on."""
+    head = "static RHI_INLINE void rhi_long_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
+    lines = ["    global const ulong *q = (global const ulong *)p;"]
+    half = len(lanes) // 2
+    if not half:
+        for name, texel in (("left", "q[i]"), ("right", "q[i + 1]")):
+            lines.append(f"    {name}[0] = (uint){texel}, {name}[1] = (uint)({texel} >> 32);")
+        return "\n".join([head, *lines, "}"])
+    for name, part in (("low", lanes[:half]), ("high", lanes[half:])):
+        parts = ", ".join(f"vload2(0, q + {lane})" for lane in part)
+        lines.append(f"    ulong{len(lanes)} {name} = (ulong{len(lanes)})({parts});")
+    for name, which in (("left", "even"), ("right", "odd")):
+        for number, word in enumerate(("even", "odd")):
+            words = ", ".join(f"as_UINT({half_lanes}.{which}).{word}" for half_lanes in ("low", "high"))
+            lines.append(f"    {name}[{number}] = (UINT)({words});")
+    return "\n".join([head, *lines, "}"])
+
+
+def _least_text(width: int) -> str:
+    """The least of all lanes."""
+    head = "static RHI_INLINE int rhi_least(INT x) {"
+    if width == 1:
+        return f"{head} return x; }}"
+    least = "x.s0"
+    for lane in range(1, width):
+        least = f"min({least}, x.s{HEX[lane]})"
+    return "\n".join(
+        [
+            head,
+            "#if __has_builtin(__builtin_reduce_min)",
+            "    return __builtin_reduce_min(x);",
+            "#else",
+            f"    return {least};",
+            "#endif",
+            "}",
+        ]
+    )

@@ -1,0 +1,494 @@
+"""Lane code as OpenCL C: scalars for what the lanes share, vectors for what varies.
+
+- A kernel's arguments are the shader's bindings in order: `constant uint *` for a uniform block, `global uint *` and
+  the number of elements for a buffer. Its work-items are a work-group's invocations divided by the width, in one
+  dimension; the groups may have three.
+- Memory is words, cast by `as_float` and `as_int`. A mask is an int vector of 0 and -1.
+- With a width of 1 there are no masks: loops, branches and returns are C's.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Final
+
+from rhi.contract.descriptors import Binding, BindingKind, TextureKind
+from rhi.shading.ir import lanes, tree
+from rhi.shading.ir.lanes import Affine, Code, Kind, Level, Literal, Memory, Space, Value, number
+from rhi.shading.ir.primitives import spelling
+from rhi.shading.ir.text import Lines, StageText, power_steps
+from rhi.shading.language.builtins import Precision
+from rhi.shading.opencl import prelude as prelude
+from rhi.shading.opencl.textures import textures_text
+
+__rhi_internal__ = True
+
+_NAMES: Final = {Kind.FLOAT: "float", Kind.INT: "int", Kind.UINT: "uint", Kind.BOOL: "int"}
+_ATOMICS: Final = {"exchange": "xchg", "compare_exchange": "cmpxchg"}
+_SPACES: Final = {
+    Space.STORAGE: "global",
+    Space.SHARED: "local",
+    Space.UNIFORM: "constant",
+    Space.PRIVATE: "private",
+    Space.CONSTANT: "constant",
+}
+_LONGEST_STRIDE: Final = 8
+_LARGEST_POWER: Final = 64
+"""An exponent up to which multiplying is faster than a logarithm, and more exact: a rounding for each factor."""
+
+
+def write_kernel(
+    code: Code, bindings: tuple[Binding, ...], precision: Precision, native: tree.Function | None = None
+) -> StageText:
+    """A compute stage as OpenCL C 1.2, a kernel named `compute`; `native`: its body is this function's in OpenCL C, and
+    `code` is empty."""
+    return Writer(code, precision, native).kernel(bindings)
+
+
+class Writer:
+    """Writes lane code; `rhi.shading.opencl.stages` adds the stages of a draw."""
+
+    uniform_space = "constant"
+    steps = ""
+    """Of a stage whose lanes may lie anywhere: the variable with how far each lies behind the first."""
+
+    def __init__(self, code: Code, precision: Precision, native: tree.Function | None = None) -> None:
+        self.code = code
+        self.native = native.native[f"opencl{code.width}"] if native is not None else None
+        self.native_file = native.file if native is not None else ""
+        self.width = code.width
+        self.suffix = str(code.width) if code.width > 1 else ""
+        self.precision = precision
+        self.lines = Lines()
+        self.helpers: dict[str, str] = {}
+        self.textures: set[TextureKind] = set()
+
+    def kernel(self, bindings: tuple[Binding, ...]) -> StageText:
+        size = math.prod(self.code.work_group)
+        items = -(-size // self.width)
+        parameters = [text for binding in bindings for text in self.parameters(binding)]
+        parameters += ["global int *rhi_faults"] if self.code.checked else []
+        self.lines.add(f"__attribute__((reqd_work_group_size({items}, 1, 1)))")
+        with self.lines.braces(f"kernel void compute({', '.join(parameters)})"):
+            self.lines.add("const int rhi_item = (int)get_local_id(0);")
+            for memory in self.code.memories:
+                if memory.space is Space.SHARED:
+                    self.lines.add(f"local uint {self.name(memory)}[{memory.length}];")
+            self.body()
+        return self.finish()
+
+    def body(self) -> None:
+        """What the stage does."""
+        self.block(self.code.block)
+        if self.native is not None:
+            for number, line in enumerate(self.native.body.splitlines()):
+                first = self.native.line
+                self.lines.add(line, self.native_file if first else "", first + number if first else 0)
+
+    def finish(self) -> StageText:
+        """What was written, and what it calls in front of it."""
+        head = self.head()
+        lines = [*head, *self.lines.text]
+        if self.code.checked:  # a rasteriser puts text in front, which __LINE__ would count
+            lines = [line.replace("RHI_HERE", str(number)) for number, line in enumerate(lines, 1)]
+        text = "\n".join(lines) + "\n"
+        return StageText(text, (("", 0),) * len(head) + tuple(self.lines.origins))
+
+    def head(self) -> list[str]:
+        body = "\n".join(self.lines.text)
+        texts = [f"// {self.code.name}, {self.width} lanes", prelude.SCALAR_SELECT]
+        if self.width > 1:
+            texts += [prelude.any_text(self.width), prelude.lanes_text(self.width)]
+            texts += [
+                prelude.gather_text(space, self.width) for space in ("global", "local", "constant", "private")
+            ]
+            texts.append(prelude.last_text(self.width))
+            texts += [prelude.QUADS] if any(name in body for name in prelude.QUAD_NAMES) else []
+        textures = textures_text(self.width, self.textures, self.precision) if self.textures else ""
+        called = prelude.functions_in(body + textures)
+        texts += [prelude.function_text(name, self.width) for name in called] + [textures] * bool(textures)
+        for memory in self.code.memories:
+            if memory.space is Space.CONSTANT:
+                words = ", ".join(self.word(memory.kind, value) for value in memory.values)
+                texts.append(f"constant uint {self.name(memory)}[{memory.length}] = {{{words}}};")
+        if self.native is not None:
+            texts.append(self.native.declarations)
+        return "\n".join([*texts, *self.helpers.values()]).split("\n")
+
+    def word(self, kind: Kind, value: float) -> str:
+        if kind is Kind.FLOAT:
+            return f"0x{struct.unpack('<I', struct.pack('<f', value))[0]:08x}u"
+        return f"{int(value) & 0xFFFFFFFF}u"
+
+    def parameters(self, binding: Binding) -> list[str]:
+        if binding.kind is BindingKind.UNIFORM:
+            return [f"{self.uniform_space} uint *{binding.name}_"]
+        if binding.kind is BindingKind.STORAGE:
+            access = "global uint *" if binding.writes else "global const uint *restrict "
+            return [f"{access}{binding.name}_", f"int {binding.name}__count"]
+        access = "global uchar *" if binding.kind is BindingKind.IMAGE else "global const uchar *"
+        return [f"{access}{binding.name}_", f"global const int *{binding.name}__words"]
+
+    # -- types and values
+
+    def type(self, kind: Kind, vector: bool) -> str:
+        return _NAMES[kind] + (self.suffix if vector else "")
+
+    def is_vector(self, value: Value) -> bool:
+        return value.level is Level.VARYING and self.width > 1
+
+    def wide(self, value: Value, vector: bool = True) -> str:
+        """A value as a vector, if that is wanted."""
+        text = self.value(value)
+        if not vector or self.is_vector(value) or self.width == 1:
+            return text
+        if value.kind is Kind.BOOL:
+            text = f"-({text})"
+        return f"({self.type(value.kind, True)})({text})"
+
+    def value(self, node: Value) -> str:
+        """A value as an expression that needs no parentheses around it."""
+        match node:
+            case Literal():
+                return self.literal(node)
+            case lanes.Get(variable=variable):
+                return variable.name
+            case lanes.Argument():
+                return self.argument(node)
+            case Affine(kind=kind, base=base, stride=stride):
+                steps = self.steps or "RHI_LANES"
+                steps = steps if stride == 1 else f"{steps} * {stride}"
+                steps = f"as_uint{self.width}({steps})" if kind is Kind.UINT else steps
+                return f"({self.value(base)} + {steps})"
+            case lanes.Count(memory=memory):
+                return f"{self.name(memory)}_count"
+            case lanes.Input(place=lanes.Place.ITEM):
+                return "rhi_item"
+            case lanes.Input(place=place, axis=axis):
+                function = "get_group_id" if place is lanes.Place.GROUP_ID else "get_num_groups"
+                return f"((int){function}({axis}))"
+            case lanes.Apply():
+                return self.apply(node)
+            case lanes.Load():
+                return self.load(node)
+        raise TypeError(f"no OpenCL C for {node}")
+
+    def argument(self, node: lanes.Argument) -> str:
+        """What the caller passes in."""
+        return node.name
+
+    def literal(self, node: Literal) -> str:
+        value = node.value
+        if node.kind is Kind.BOOL:
+            return "1" if value else "0"
+        if node.kind is Kind.UINT:
+            return f"{int(value) & 0xFFFFFFFF}u"
+        if node.kind is Kind.INT:
+            return (
+                "((int)0x80000000)"
+                if value == -(2**31)
+                else f"({int(value)})"
+                if value < 0
+                else str(int(value))
+            )
+        number = float(value)
+        if math.isnan(number):
+            return "NAN"
+        if abs(number) > 3.4028235677973366e38:
+            return "INFINITY" if number > 0 else "(-INFINITY)"
+        text = repr(number)
+        text = text if "." in text or "e" in text else f"{text}.0"
+        return f"{text}f" if math.copysign(1.0, number) > 0 else f"({text}f)"
+
+    def apply(self, node: lanes.Apply) -> str:
+        if self.precision is Precision.FAST and node.operation == "pow":
+            base, exponent = node.arguments
+            if isinstance(exponent, Literal) and exponent.value in range(1, _LARGEST_POWER + 1):
+                return self.whole_power(base, int(exponent.value))
+        row, vector = spelling(node.operation, self.precision), self.is_vector(node)
+        texts = [
+            self.wide(one, vector and (not row.infix or one.kind is Kind.BOOL)) for one in node.arguments
+        ]
+        template = row.vector if vector and row.vector else row.opencl
+        return template.format(*texts, type=self.type(node.kind, vector))
+
+    def whole_power(self, base: Value, exponent: int) -> str:
+        """Squares and factors, from the exponent's highest bit down."""
+        name = f"rhi_power_{exponent}"
+        type = self.type(Kind.FLOAT, self.is_vector(base))
+        head = f"inline __attribute__((overloadable, always_inline)) {type} {name}({type} x)"
+        self.helper(f"{name} {type}", f"{head} {{ {type} r = x; {power_steps(exponent)} return r; }}")
+        return f"{name}({self.value(base)})"
+
+    # -- memory
+
+    def name(self, memory: Memory) -> str:
+        """What a shader's class names ends in an underscore, since C has names of its own, such as `signed`."""
+        named = memory.space not in (Space.PRIVATE, Space.CONSTANT)
+        return f"{memory.name}_" if named else memory.name
+
+    def pointer(self, memory: Memory) -> str:
+        if memory.space is Space.PRIVATE:
+            return f"(private uint *){self.name(memory)}"
+        return self.name(memory)
+
+    def words(self, memory: Memory) -> str:
+        if memory.space is Space.STORAGE:
+            return f"{self.name(memory)}_count * {memory.stride}" if memory.stride > 1 else f"{self.name(memory)}_count"
+        return str(memory.length)
+
+    def address(self, index: Value, scale: int, offset: int) -> Value:
+        return index * number(scale) + number(offset)
+
+    def cast(self, kind: Kind, vector: bool, text: str) -> str:
+        if kind is Kind.UINT:
+            return text
+        return f"as_{self.type(kind, vector)}({text})"
+
+    def load(self, node: lanes.Load) -> str:
+        memory, index = node.memory, node.index
+        if memory.space is Space.PRIVATE:
+            return self.load_private(node)
+        if not self.is_vector(index):
+            return self.cast(
+                node.kind, False, f"{self.name(memory)}[{self.value(self.address(index, node.scale, node.offset))}]"
+            )
+        space = _SPACES[memory.space]
+        if isinstance(index, Affine) and memory.space in (Space.STORAGE, Space.SHARED):
+            stride = index.stride * node.scale
+            if 0 < stride <= _LONGEST_STRIDE:
+                first, offset = index.base * number(node.scale), node.offset
+                if offset >= stride:
+                    first, offset = first + number(offset), 0
+                name = f"rhi_load_{space}_{stride}_{offset}"
+                self.helper(name, prelude.load_text(name, space, self.width, stride, offset, bool(self.steps)))
+                steps = f", {self.steps}" if self.steps else ""
+                text = f"{name}({self.name(memory)}, {self.value(first)}, {self.words(memory)}{steps})"
+                return self.cast(node.kind, True, text)
+        place = self.wide(self.address(index, node.scale, node.offset))
+        if node.mask is not None:
+            place = f"{place} & {self.mask(node.mask)}"
+        return self.cast(node.kind, True, f"rhi_gather({self.name(memory)}, {place})")
+
+    def load_private(self, node: lanes.Load) -> str:
+        memory, index = node.memory, node.index
+        if not self.is_vector(index):
+            return f"{self.name(memory)}[{self.value(index)}]"
+        place = self.wide(index)
+        if node.mask is not None:
+            place = f"({place} & {self.mask(node.mask)})"
+        varying = memory.level is Level.VARYING
+        if varying:
+            place = f"{place} * {self.width} + RHI_LANES"
+        text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {place})")
+        return text if varying or node.kind is not Kind.BOOL else f"(-{text})"
+
+    def mask(self, mask: lanes.Variable | None) -> str:
+        return mask.name if mask is not None else f"(int{self.width})(-1)"
+
+    def helper(self, name: str, text: str) -> None:
+        self.helpers.setdefault(name, text)
+
+    # -- statements
+
+    def block(self, block: lanes.Block) -> None:
+        for statement in block:
+            self.statement(statement)
+
+    def add(self, node: lanes.Statement, text: str) -> None:
+        self.lines.add(text, *node.line)
+
+    def statement(self, node: lanes.Statement) -> None:
+        match node:
+            case lanes.Let(variable=variable, value=value):
+                vector = variable.level is Level.VARYING
+                name = f"{self.type(variable.kind, vector)} {variable.name}"
+                text = self.wide(value, vector) if value is not None else "0"
+                self.add(node, f"{name} = {text};")
+            case lanes.Begin(memory=memory, zeros=zeros):
+                self.begin(node, memory, zeros)
+            case lanes.Set():
+                self.add(node, f"{self.set(node)};")
+            case lanes.Store():
+                self.store(node)
+            case lanes.Atomic():
+                self.atomic(node)
+            case lanes.TextureAccess():
+                self.texture(node)
+            case lanes.Barrier(waits=waits):
+                word = "barrier" if waits else "mem_fence"
+                self.add(node, f"{word}(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);")
+            case lanes.Check(wrong=wrong, given=given, limit=limit, mask=mask):
+                self.check(node, wrong, given, limit, mask)
+            case lanes.If():
+                self.if_(node)
+            case lanes.Loop(body=body, advance=advance):
+                steps = ", ".join(self.set(step) for step in advance if isinstance(step, lanes.Set))
+                with self.lines.braces(f"for (;; {steps})", *node.line):
+                    self.block(body)
+            case lanes.Break(none=mask):
+                self.jump(node, "break", mask)
+            case lanes.Continue(none=mask):
+                self.jump(node, "continue", mask)
+            case lanes.Leave(body=body, none=mask):
+                self.jump(node, f"goto end_{body.label}", mask)
+            case lanes.Body(label=label, block=inner, is_left=is_left):
+                with self.lines.braces("", *node.line):
+                    self.block(inner)
+                    if is_left:
+                        self.add(node, f"end_{label}: ;")
+            case _:
+                raise TypeError(f"no OpenCL C for {node}")
+
+    def check(
+        self, node: lanes.Statement, wrong: Value, given: Value, limit: Value, mask: lanes.Variable | None
+    ) -> None:
+        """Host programs know the Python line of a text's line."""
+        bad = self.wide(wrong) if mask is None else f"{self.wide(wrong)} & {self.mask(mask)}"
+        self.add(node, f"rhi_check({bad}, {self.wide(given)}, {self.value(limit)}, rhi_faults, RHI_HERE);")
+
+    def begin(self, node: lanes.Statement, memory: Memory, zeros: bool) -> None:
+        vector = memory.level is Level.VARYING
+        self.add(node, f"{self.type(memory.kind, vector)} {self.name(memory)}[{memory.length}];")
+        if zeros:
+            fill = f"{self.name(memory)}[i] = 0"
+            self.add(node, f"for (int i = 0; i < {memory.length}; i++) {fill};")
+
+    def set(self, node: lanes.Set) -> str:
+        variable = node.variable
+        text = self.wide(node.value, variable.level is Level.VARYING)
+        if node.mask is not None:
+            text = f"select({variable.name}, {text}, {node.mask.name})"
+        return f"{variable.name} = {text}"
+
+    def jump(self, node: lanes.Statement, text: str, mask: lanes.Variable | None) -> None:
+        condition = f"if (!rhi_any({mask.name})) " if mask is not None else ""
+        self.add(node, f"{condition}{text};")
+
+    def if_(self, node: lanes.If) -> None:
+        condition = self.value(node.condition)
+        condition = f"rhi_any({condition})" if node.any_lane else condition
+        with self.lines.braces(f"if ({condition})", *node.line):
+            self.block(node.then)
+        if node.otherwise:
+            with self.lines.braces("else", *node.line):
+                self.block(node.otherwise)
+
+    def bits(self, value: Value, vector: bool) -> str:
+        text = self.wide(value, vector)
+        return text if value.kind is Kind.UINT else f"as_{self.type(Kind.UINT, vector)}({text})"
+
+    def store(self, node: lanes.Store) -> None:
+        memory, index = node.memory, node.index
+        if memory.space is Space.PRIVATE:
+            self.store_private(node)
+            return
+        if not self.is_vector(index):
+            self.store_scalar(node)
+            return
+        space, count = _SPACES[memory.space], len(node.values)
+        values = [self.bits(value, True) for value in node.values]
+        mask = self.mask(node.mask)
+        if isinstance(index, Affine) and index.stride * node.scale == count + node.padding and not self.steps:
+            values += [f"(uint{self.width})(0)"] * node.padding
+            name = f"rhi_store_{space}_{len(values)}"
+            self.helper(name, prelude.store_text(name, space, self.width, len(values)))
+            first = self.value(self.address(index.base, node.scale, node.offset))
+            self.add(node, f"{name}({self.name(memory)}, {first}, {mask}, {', '.join(values)});")
+            return
+        name = f"rhi_scatter_{space}_{count}"
+        self.helper(name, prelude.scatter_text(name, space, self.width, count))
+        place = self.wide(self.address(index, node.scale, node.offset))
+        self.add(node, f"{name}({self.name(memory)}, {place}, {mask}, {', '.join(values)});")
+
+    def store_scalar(self, node: lanes.Store) -> None:
+        """All lanes mean one address."""
+        sets = []
+        for k, value in enumerate(node.values):
+            text = self.bits(value, self.is_vector(value))
+            if self.is_vector(value):
+                text = f"rhi_last({text}, {self.mask(node.mask)})"
+            place = self.value(self.address(node.index, node.scale, node.offset + k))
+            sets.append(f"{self.name(node.memory)}[{place}] = {text};")
+        if node.mask is None:
+            self.add(node, " ".join(sets))
+        else:
+            self.add(node, f"if (rhi_any({node.mask.name})) {{ {' '.join(sets)} }}")
+
+    def store_private(self, node: lanes.Store) -> None:
+        memory, index, (value,) = node.memory, node.index, node.values
+        vector = memory.level is Level.VARYING
+        if not self.is_vector(index):
+            place = f"{self.name(memory)}[{self.value(index)}]"
+            text = self.wide(value, vector)
+            if node.mask is not None and self.width > 1:
+                text = f"select({place}, {text}, {node.mask.name})"
+            self.add(node, f"{place} = {text};")
+            return
+        name = "rhi_scatter_private_1"
+        self.helper(name, prelude.scatter_text(name, "private", self.width, 1))
+        place = f"{self.wide(index)} * {self.width} + RHI_LANES"
+        bits = self.bits(value, True)
+        self.add(node, f"{name}({self.pointer(memory)}, {place}, {self.mask(node.mask)}, {bits});")
+
+    def atomic(self, node: lanes.Atomic) -> None:
+        memory, space, kind = node.memory, _SPACES[node.memory.space], _NAMES[node.kind]
+        operation = _ATOMICS.get(node.operation, node.operation)
+        place = self.address(node.index, node.scale, node.offset)
+        result = (
+            f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
+        )
+        if self.width == 1:
+            values = ", ".join(self.value(value) for value in node.values)
+            call = f"atomic_{operation}((volatile {space} {kind} *){self.name(memory)} + {self.value(place)}, {values})"
+            self.add(node, f"{result}{call};")
+            return
+        values = ", ".join(self.wide(value) for value in node.values)
+        mask = self.mask(node.mask)
+        if operation == "add" and not self.is_vector(place):
+            name = f"rhi_atomic_add_all_{space}_{kind}"
+            self.helper(name, prelude.atomic_add_text(name, space, self.width, kind))
+            target = self.value(place)
+        else:
+            name = f"rhi_atomic_{operation}_{space}_{kind}"
+            self.helper(name, prelude.atomic_text(name, space, self.width, operation, kind))
+            target = self.wide(place)
+        call = f"{name}({self.name(memory)}, {target}, {mask}, {values});"
+        self.add(node, result + call)
+
+    def texture(self, node: lanes.TextureAccess) -> None:
+        """A call of the function of `opencl_textures.cl` that has the operation's name. Those that read texels are
+        made for the lanes alone: what all lanes want is the first one's."""
+        operation, name, results = node.operation, node.memory.name, node.results
+        self.textures.add(node.memory.shape)
+        each = self.width > 1
+        varies = each and bool(results) and results[0].level is Level.VARYING
+        first = ".s0" if each and not varies else ""
+        texts = [self.wide(value, each) for value in node.arguments]
+        if operation in ("size", "levels"):
+            texts = [self.wide(value, varies) for value in node.arguments]
+            function, first = f"rhi_{operation}{'_each' * varies}", ""
+        elif operation == "store":
+            mask, values = self.mask(node.mask) if each else "1", node.arguments[3:]
+            texts = [*texts[:3], *(self.bits(value, each) for value in values)]
+            self.add(node, f"rhi_store({name}_, {mask}, {name}__words, {', '.join(texts)});")
+            return
+        elif operation == "load" and self.is_vector(node.arguments[-1]):
+            function = "rhi_load_each"
+        else:
+            function, scalar = f"rhi_{operation}", {"gather": 0, "load": 3}.get(operation)
+            if scalar is not None:
+                texts[scalar] = self.value(node.arguments[scalar])
+        arguments = ", ".join([f"{name}__words", *texts])
+        if operation in ("size", "levels", "level_of_detail"):
+            axes = [f", {axis}" if operation == "size" else "" for axis in range(len(results))]
+            words = [f"{function}({arguments}{axis}){first}" for axis in axes]
+        else:
+            kind, whole = self.type(Kind.UINT, each), f"{results[0].name}_words"
+            self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
+            words = [
+                self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)
+            ]
+        for result, word in zip(results, words, strict=True):
+            self.add(node, f"{self.type(result.kind, varies)} {result.name} = {word};")

@@ -1,0 +1,453 @@
+"""From Python's syntax to typed expressions.
+
+`ExpressionParser` handles one function; what a name is depends on the function's variables
+(`rhi.shading.parser.statements`), and a call of another function on the stage being compiled (`Program`).
+"""
+
+from __future__ import annotations
+
+import ast
+import enum
+import numbers
+from types import ModuleType
+from typing import Any, Final, NoReturn, Protocol
+
+from rhi.contract.layout import (
+    BOOL,
+    FLOAT,
+    INT,
+    UINT,
+    ArrayType,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+)
+from rhi.shading.ir import tree
+from rhi.shading.ir.tree import Constant, Expression, Operator
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import Builtin
+from rhi.shading.language.shader import Declaration, Shader
+from rhi.shading.language.source import MISSING, Place, Source, place_of, suggest, suggest_name
+from rhi.shading.language.textures import methods_of
+from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, is_value, scalar_of
+from rhi.shading.language.vectors import Composite
+from rhi.shading.parser.operators import binary, convert, unary
+from rhi.shading.parser.signatures import Callee
+
+__rhi_internal__ = True
+
+BINARY: Final[dict[type[ast.operator], Operator]] = {
+    ast.Add: Operator.ADD,
+    ast.Sub: Operator.SUBTRACT,
+    ast.Mult: Operator.MULTIPLY,
+    ast.Div: Operator.DIVIDE,
+    ast.FloorDiv: Operator.FLOOR_DIVIDE,
+    ast.Mod: Operator.MODULO,
+    ast.Pow: Operator.POWER,
+    ast.MatMult: Operator.MATRIX_MULTIPLY,
+    ast.BitAnd: Operator.BIT_AND,
+    ast.BitOr: Operator.BIT_OR,
+    ast.BitXor: Operator.BIT_XOR,
+    ast.LShift: Operator.SHIFT_LEFT,
+    ast.RShift: Operator.SHIFT_RIGHT,
+}
+_UNARY: Final[dict[type[ast.unaryop], Operator]] = {
+    ast.USub: Operator.NEGATE,
+    ast.Invert: Operator.INVERT,
+    ast.Not: Operator.NOT,
+}
+_COMPARE: Final[dict[type[ast.cmpop], Operator]] = {
+    ast.Eq: Operator.EQUAL,
+    ast.NotEq: Operator.NOT_EQUAL,
+    ast.Lt: Operator.LESS,
+    ast.LtE: Operator.LESS_EQUAL,
+    ast.Gt: Operator.GREATER,
+    ast.GtE: Operator.GREATER_EQUAL,
+}
+_ORDER_FUNCTIONS: Final = {
+    "<": "less_than",
+    "<=": "less_than_equal",
+    ">": "greater_than",
+    ">=": "greater_than_equal",
+}
+_AXES: Final = ("xyzw", "rgba")
+
+
+class Program(Protocol):
+    """What an expression needs of the stage being compiled."""
+
+    shader: type[Shader]
+
+    def method(self, name: str, after: type | None) -> Callee | None:
+        """The shader's method of that name, or its bases' beyond `after`."""
+
+    def instance(
+        self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source
+    ) -> tree.Function:
+        """The function compiled for arguments of these types."""
+
+    def check_stage(self, builtin: Builtin, at: ast.Call, caller: Source) -> None:
+        """Refuse a built-in that the stage being compiled hasn't got."""
+
+
+class ExpressionParser:
+    """Parses the expressions of one function."""
+
+    def __init__(self, program: Program, source: Source, owner: type | None, self_name: str | None) -> None:
+        self.program = program
+        self.source = source
+        self.owner = owner
+        self.self_name = self_name
+
+    # -- what statements provide
+
+    def read(self, name: str, at: ast.Name) -> Expression | None:
+        """The variable of that name, or None if the function has none."""
+        return None
+
+    # -- entry points
+
+    def expression(self, node: ast.expr, wanted: Type | None = None) -> Expression:
+        """The typed expression; `wanted` gives a tuple its type and is not enforced otherwise."""
+        if isinstance(node, ast.Tuple) and isinstance(wanted, VectorType):
+            parts = tuple(self.converted(part, wanted.scalar) for part in node.elts)
+            if len(parts) != wanted.size:
+                self.refuse(rules.WRONG_TYPE, node, f"{len(parts)} components", str(wanted))
+            return tree.Construct(wanted, place_of(node), parts)
+        parse = getattr(self, f"_{type(node).__name__.lower()}", None)
+        if parse is None:
+            tip = "array(float, 4) makes an array of zeros; a constant one is a tuple of the module's or the class's"
+            self.unsupported(node, tip if isinstance(node, ast.List) else "")
+        result: Expression = parse(node)
+        return result
+
+    def converted(self, node: ast.expr, wanted: Type, what: str = "") -> Expression:
+        """The expression as a value of type `wanted`, or a refusal."""
+        value = self.expression(node, wanted)
+        return self.convert(value, wanted, node, what)
+
+    def convert(self, value: Expression, wanted: Type, at: ast.AST, what: str = "") -> Expression:
+        """`value` as `wanted`, or a refusal at `at`."""
+        result = convert(value, wanted)
+        if result is None:
+            given = f"{what}: {value.type}" if what else str(value.type)
+            self.refuse(rules.WRONG_TYPE, at, given, str(wanted), _conversion_tip(value.type, wanted))
+        return result
+
+    def condition(self, node: ast.expr) -> Expression:
+        """The expression as a bool."""
+        value = self.expression(node)
+        if value.type is not BOOL:
+            tip = "write the comparison: `!= 0`" if isinstance(value.type, ScalarType) else ""
+            if isinstance(value.type, VectorType) and value.type.scalar is BOOL:
+                tip = "use any(…) or all(…)"
+            self.refuse(rules.WRONG_TYPE, node, str(value.type), "bool", tip)
+        return value
+
+    def refuse(
+        self, rule: Any, at: ast.AST | Place, given: str = "", allowed: str = "", tip: str = ""
+    ) -> NoReturn:
+        self.source.refuse(rule, at, given, allowed, tip)
+
+    def unsupported(self, node: ast.AST, tip: str = "") -> NoReturn:
+        self.refuse(rules.SYNTAX, node, f"a {type(node).__name__} expression", tip=tip)
+
+    # -- leaves
+
+    def _constant(self, node: ast.Constant) -> Expression:
+        constant = self.constant(node.value, place_of(node), "")
+        if constant is None:
+            self.refuse(rules.SYNTAX, node, f"a {type(node.value).__name__}", "numbers and bools")
+        return constant
+
+    def _name(self, node: ast.Name) -> Expression:
+        variable = self.read(node.id, node)
+        if variable is not None:
+            return variable
+        return self._as_expression(self._static_name(node), node, node.id)
+
+    def _static_name(self, node: ast.Name) -> Any:
+        found = self.source.scope.find(node.id)
+        if found is MISSING:
+            tip = suggest_name(node.id, [*self.variable_names(), *self.source.scope.names()])
+            self.refuse(rules.UNKNOWN_NAME, node, repr(node.id), tip=tip)
+        return found
+
+    def variable_names(self) -> list[str]:
+        """The function's own names, for suggestions."""
+        return []
+
+    def _as_expression(self, found: Any, node: ast.expr, name: str) -> Expression:
+        constant = self.constant(found, place_of(node), name)
+        if constant is None:
+            self.refuse(
+                rules.NOT_SHADING,
+                node,
+                f"{name}, a {type(found).__name__}",
+                "numbers, vectors, and tuples of them",
+                "functions and types can be called, but not used as values" if callable(found) else "",
+            )
+        return constant
+
+    def constant(self, value: Any, place: Place, name: str) -> Expression | None:
+        """A Python value as a constant, or None if it can't be one."""
+        if isinstance(value, enum.Enum) and isinstance(value, int):
+            value = int(value)
+        if isinstance(value, bool):
+            return Constant(BOOL, place, value)
+        if isinstance(value, numbers.Integral):
+            if isinstance(getattr(type(value), "shading_type", None), ScalarType):
+                return Constant(UINT, place, int(value))
+            if not -(2**31) <= int(value) < 2**32:
+                self.refuse(rules.OUT_OF_RANGE, place, str(value), "32 bits")
+            return Constant(INT, place, int(value), literal=True)
+        if isinstance(value, numbers.Real):
+            return Constant(FLOAT, place, float(value))
+        if isinstance(value, Composite):
+            scalar = scalar_of(value.shading_type) or FLOAT
+            parts = [Constant(scalar, place, component) for component in value.components]
+            return tree.Construct(value.shading_type, place, tuple(parts))
+        if isinstance(value, tuple) and value:
+            return self._constant_array(value, place, name)
+        return None
+
+    def _constant_array(self, value: tuple[Any, ...], place: Place, name: str) -> Expression | None:
+        elements = [self.constant(part, place, name) for part in value]
+        types = [element.type for element in elements if element is not None]
+        if len(types) != len(elements):
+            return None
+        element_type = FLOAT if set(types) == {INT, FLOAT} else types[0]
+        converted = [convert(element, element_type) for element in elements if element is not None]
+        if any(element is None for element in converted) or not isinstance(
+            element_type, ScalarType | VectorType
+        ):
+            return None
+        parts = tuple(element for element in converted if element is not None)
+        return tree.ConstantArray(ArrayType(element_type, len(parts)), place, name, parts)
+
+    # -- operators
+
+    def _unaryop(self, node: ast.UnaryOp) -> Expression:
+        operand = self.expression(node.operand)
+        if isinstance(node.op, ast.UAdd):
+            return operand
+        op = _UNARY[type(node.op)]
+        result = unary(op, operand, place_of(node))
+        if result is None:
+            tip = "use invert(v)" if op is Operator.NOT and isinstance(operand.type, VectorType) else ""
+            self.refuse(rules.WRONG_TYPE, node, f"{op.value} {operand.type}", tip=tip)
+        return result
+
+    def _binop(self, node: ast.BinOp) -> Expression:
+        return self.binary(
+            BINARY[type(node.op)], self.expression(node.left), self.expression(node.right), node
+        )
+
+    def binary(self, op: Operator, left: Expression, right: Expression, at: ast.AST) -> Expression:
+        """A typed binary operation, or a refusal."""
+        try:
+            result = binary(op, left, right, place_of(at))
+        except (ZeroDivisionError, OverflowError, ValueError, TypeError) as error:
+            self.refuse(rules.OUT_OF_RANGE, at, str(error))
+        if result is None:
+            self.refuse(
+                rules.WRONG_TYPE,
+                at,
+                f"{left.type} {op.value} {right.type}",
+                tip=_operator_tip(op, left, right),
+            )
+        return result
+
+    def _boolop(self, node: ast.BoolOp) -> Expression:
+        op = Operator.AND if isinstance(node.op, ast.And) else Operator.OR
+        result = self.condition(node.values[0])
+        for value in node.values[1:]:
+            result = self.binary(op, result, self.condition(value), node)
+        return result
+
+    def _compare(self, node: ast.Compare) -> Expression:
+        left = self.expression(node.left)
+        result: Expression | None = None
+        for index, (op, right_node) in enumerate(zip(node.ops, node.comparators, strict=True)):
+            if type(op) not in _COMPARE:
+                self.refuse(rules.SYNTAX, node, f"`{ast.unparse(node)}`", "== != < <= > >=")
+            right = self.expression(right_node)
+            if index + 1 < len(node.ops) and tree.has_effect(right):
+                self.refuse(rules.EVALUATED_TWICE, right_node)
+            one = self.binary(_COMPARE[type(op)], left, right, node)
+            result = one if result is None else self.binary(Operator.AND, result, one, node)
+            left = right
+        assert result is not None
+        return result
+
+    def _ifexp(self, node: ast.IfExp) -> Expression:
+        condition = self.condition(node.test)
+        then, otherwise = self.expression(node.body), self.expression(node.orelse)
+        if isinstance(condition, Constant):
+            return then if condition.value else otherwise
+        for value, other in ((then, otherwise), (otherwise, then)):
+            converted = convert(value, other.type)
+            if converted is not None:
+                pair = (converted, other) if value is then else (other, converted)
+                return tree.Select(other.type, place_of(node), condition, *pair)
+        self.refuse(rules.WRONG_TYPE, node, f"{then.type} or {otherwise.type}", "one type")
+
+    # -- members and elements
+
+    def is_self(self, node: ast.expr) -> bool:
+        return isinstance(node, ast.Name) and node.id == self.self_name
+
+    def static(self, node: ast.expr) -> Any:
+        """The Python object that a dotted name means outside the shader, or `MISSING`."""
+        if isinstance(node, ast.Name):
+            if self.is_self(node) or self.has_variable(node.id):
+                return MISSING
+            return self._static_name(node)
+        if isinstance(node, ast.Attribute):
+            base = self.static(node.value)
+            if isinstance(base, ModuleType | type):
+                found = getattr(base, node.attr, MISSING)
+                if found is MISSING:
+                    tip = suggest(node.attr, dir(base))
+                    self.refuse(rules.UNKNOWN_NAME, node, repr(ast.unparse(node)), tip=tip)
+                return found
+        return MISSING
+
+    def has_variable(self, name: str) -> bool:
+        """Whether the function has a variable of that name."""
+        return False
+
+    def _attribute(self, node: ast.Attribute) -> Expression:
+        if self.is_self(node.value):
+            return self._field_of_shader(node)
+        found = self.static(node)
+        if found is not MISSING:
+            return self._as_expression(found, node, node.attr)
+        base = self.expression(node.value)
+        place = place_of(node)
+        if isinstance(base.type, StructType):
+            field = base.type.field(node.attr)
+            if field is None:
+                names = [field.name for field in base.type.fields]
+                tip = suggest(node.attr, names)
+                self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", ", ".join(names), tip)
+            return tree.Member(field.type, place, base, node.attr)
+        if isinstance(base.type, VectorType):
+            return self._swizzle(base, base.type, node)
+        self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=member_tip(base.type))
+
+    def _swizzle(self, base: Expression, type: VectorType, node: ast.Attribute) -> Expression:
+        for axes in _AXES:
+            places = tuple(axes[: type.size].find(letter) for letter in node.attr)
+            if len(places) <= 4 and min(places) >= 0:
+                result = type.scalar if len(places) == 1 else VECTORS[type.scalar, len(places)]
+                return tree.Swizzle(result, place_of(node), base, places)
+        allowed = " or ".join(axes[: type.size] for axes in _AXES)
+        self.refuse(rules.UNKNOWN_MEMBER, node, f"{type}.{node.attr}", f"up to 4 of {allowed}")
+
+    def _field_of_shader(self, node: ast.Attribute) -> Expression:
+        shader, place = self.program.shader, place_of(node)
+        declared: Declaration | None = shader._declared.get(node.attr)
+        if declared is not None:
+            return tree.BindingRead(declared.type, place, declared)
+        found = getattr(shader, node.attr, MISSING)
+        constant = self.constant(found, place, node.attr) if found is not MISSING else None
+        if constant is None:
+            names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
+            self.refuse(
+                rules.UNKNOWN_MEMBER, node, f"{shader.__name__}.{node.attr}", tip=suggest(node.attr, names)
+            )
+        return constant
+
+    def _subscript(self, node: ast.Subscript) -> Expression:
+        base = self.expression(node.value)
+        type, place = base.type, place_of(node)
+        if isinstance(type, StorageType | ArrayType):
+            element: Type = type.element
+        elif isinstance(type, VectorType):
+            element = type.scalar
+        elif isinstance(type, MatrixType):
+            element = VECTORS[FLOAT, type.size]
+        else:
+            self.refuse(rules.WRONG_TYPE, node, f"{type}[…]", "arrays, storage, vectors, matrices")
+        if isinstance(node.slice, ast.Slice):
+            self.refuse(rules.SYNTAX, node, "a slice", "one index")
+        if isinstance(node.slice, ast.Tuple):
+            self.refuse(
+                rules.SYNTAX, node, f"[{ast.unparse(node.slice)}]", "one index", "write m[row][column]"
+            )
+        index = self.expression(node.slice)
+        if index.type not in (INT, UINT):
+            self.refuse(rules.WRONG_TYPE, node.slice, str(index.type), "int or uint")
+        if isinstance(index, Constant):
+            index = self._constant_index(index, type, node)
+        return tree.Index(element, place, base, index)
+
+    def _constant_index(self, index: Constant, type: Type, node: ast.Subscript) -> Constant:
+        value = int(index.value)
+        if isinstance(type, StorageType):
+            if value < 0:
+                self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), "0 or more", "count from len(…)")
+            return index
+        length = type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
+        if not -length <= value < length:
+            self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), f"{-length} to {length - 1}")
+        return Constant(INT, index.place, value % length)
+
+    # -- for calls and statements
+
+    def cast(self, value: Expression, type: ScalarType | VectorType, place: Place) -> Expression:
+        """A conversion asked for by name."""
+        if value.type == type:
+            return value
+        if isinstance(value, Constant) and isinstance(type, ScalarType):
+            number = value.value
+            if type is UINT:
+                return Constant(UINT, place, int(number) & 0xFFFFFFFF)
+            made = {BOOL: bool, INT: int, FLOAT: float}[type](number)
+            return Constant(type, place, made)
+        return tree.Convert(type, place, value)
+
+    def check_value(self, value: Expression, at: ast.AST) -> None:
+        """Refuse what can't be held in a variable."""
+        if not is_value(value.type):
+            tip = "textures and buffers are used in place" if not isinstance(value, tree.Call) else ""
+            self.refuse(rules.WRONG_TYPE, at, str(value.type), "a value", tip)
+
+
+def _conversion_tip(source: Type, target: Type) -> str:
+    a, b = scalar_of(source), scalar_of(target)
+    if a is not None and b is not None and getattr(source, "size", 1) == getattr(target, "size", 1):
+        return f"convert it: {target}(…)"
+    return ""
+
+
+def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
+    a, b = scalar_of(left.type), scalar_of(right.type)
+    vectors = isinstance(left.type, VectorType) or isinstance(right.type, VectorType)
+    if op.value in _ORDER_FUNCTIONS and vectors:
+        return f"use {_ORDER_FUNCTIONS[op.value]}(a, b), which compares by component"
+    if op is Operator.MATRIX_MULTIPLY:
+        if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
+            size = left.type.size
+            return f"a mat{size} takes a vec{size}" + ("; of a point: vec4(v, 1.0)" if size == 4 else "")
+        return "@ multiplies matrices; use dot(a, b) for vectors" if vectors else ""
+    if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
+        return "use @ to multiply a matrix with a vector"
+    if {a, b} == {INT, UINT}:
+        return "convert one of them: int(…) or uint(…)"
+    if BOOL in (a, b) and op in (Operator.BIT_AND, Operator.BIT_OR):
+        return "use `and`, `or`"
+    if op is Operator.POWER and a in (INT, UINT):
+        return "an int's exponent must be a constant of 0 to 16; convert to float otherwise"
+    return ""
+
+
+def member_tip(type: Type) -> str:
+    """What to do with a value of this type, which has no fields."""
+    if isinstance(type, StorageType):
+        return "storage is an array: index it first"
+    if isinstance(type, TextureType | ImageType):
+        return "call its methods: " + ", ".join(methods_of(type))
+    return ""

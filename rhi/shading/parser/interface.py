@@ -1,0 +1,173 @@
+"""What flows between a shader's stages: vertex inputs, varyings, outputs.
+
+- The vertex stage takes structs of attributes and returns a `vec4`, the clip position, or a struct whose
+  first field is it; the other fields are varyings.
+- The fragment stage takes nothing, or a struct whose fields are among the vertex stage's by name and type; it
+  returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
+"""
+
+from __future__ import annotations
+
+import math
+
+from rhi.contract.descriptors import Attribute, FragmentOutput, Interpolation, StageVarying
+from rhi.contract.layout import (
+    BOOL,
+    FLOAT,
+    ArrayType,
+    MatrixType,
+    ScalarType,
+    StructType,
+    VectorType,
+    shape_of,
+)
+from rhi.shading.ir import tree
+from rhi.shading.ir.interface import Varying
+from rhi.shading.language import rules
+from rhi.shading.language.annotations import Role
+from rhi.shading.language.source import suggest
+from rhi.shading.language.types import VEC4, VOID, Type, scalar_of
+from rhi.shading.parser.signatures import Callee, struct_class
+
+__rhi_internal__ = True
+
+
+def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
+    """The attributes of the vertex stage's parameters, in order."""
+    attributes: list[Attribute] = []
+    source = vertex.source
+    for parameter in vertex.signature.parameters:
+        if not isinstance(parameter.type, StructType):
+            source.refuse(
+                rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "structs of attributes"
+            )
+        for field in parameter.type.fields:
+            if not isinstance(field.type, ScalarType | VectorType) or scalar_of(field.type) is BOOL:
+                source.refuse(
+                    rules.INTERFACE,
+                    source.node,
+                    f"vertex input {field.name}: {field.type}",
+                    "float, int, uint and their vectors",
+                    "a matrix per instance can be read from storage by instance_index()",
+                )
+            if any(attribute.name == field.name for attribute in attributes):
+                source.refuse(rules.INTERFACE, source.node, f"two vertex inputs named {field.name!r}")
+            attributes.append(Attribute(field.name, len(attributes), field.type))
+    return tuple(attributes)
+
+
+def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
+    """The name of the position field and all varyings of the vertex stage, the position as the last."""
+    described, source = vertex.signature, vertex.source
+    if described.result == VEC4:
+        return "", ()
+    cls = struct_class(described.result_host)
+    fields = cls.shading_type.fields if cls is not None else ()
+    if cls is None or not fields or fields[0].type != VEC4:
+        given = str(described.result)
+        if fields:
+            given += f" with {fields[0].name}: {fields[0].type} first"
+        source.refuse(
+            rules.INTERFACE,
+            source.node.returns or source.node,
+            given,
+            "a vec4, or a Struct whose first field is one",
+        )
+    varyings, location = [], 0
+    for field in (*fields[1:], fields[0]):
+        role = cls._roles.get(field.name)
+        if isinstance(field.type, StructType | ArrayType) or scalar_of(field.type) is BOOL:
+            given = f"varying {field.name}: {field.type}"
+            source.refuse(rules.INTERFACE, source.node, given, "numbers, vectors, matrices")
+        if scalar_of(field.type) not in (FLOAT, None):
+            role = Role.FLAT
+        varyings.append(Varying(field.name, field.type, role, location))
+        location += field.type.size if isinstance(field.type, MatrixType) else 1
+    return fields[0].name, tuple(varyings)
+
+
+def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> None:
+    """Refuse a fragment stage that wants what the vertex stage doesn't give."""
+    described, source = fragment.signature, fragment.source
+    if len(described.parameters) > 1:
+        source.refuse(
+            rules.INTERFACE, source.node, f"{len(described.parameters)} parameters", "at most one struct"
+        )
+    for parameter in described.parameters:
+        if not isinstance(parameter.type, StructType):
+            source.refuse(rules.INTERFACE, source.node, f"{parameter.name}: {parameter.type}", "a struct")
+        known = {varying.name: varying.type for varying in varyings}
+        for field in parameter.type.fields:
+            if known.get(field.name) != field.type:
+                given = f"{parameter.type}.{field.name}: {field.type}"
+                allowed = ", ".join(f"{name}: {type}" for name, type in known.items()) or "no varyings"
+                source.refuse(rules.STAGES, source.node, given, allowed, suggest(field.name, known))
+
+
+_INTERPOLATIONS = {
+    None: Interpolation.SMOOTH,
+    Role.FLAT: Interpolation.FLAT,
+    Role.NO_PERSPECTIVE: Interpolation.NO_PERSPECTIVE,
+}
+
+
+def varyings_read(fragment: tree.StageTree, varyings: tuple[Varying, ...]) -> tuple[StageVarying, ...]:
+    """Those of the vertex stage's varyings that the fragment stage reads, and their words."""
+    return words_of_varyings(varyings, _fields_read(fragment.entry))
+
+
+def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[StageVarying, ...]:
+    """Those of the varyings that have these names, and their words."""
+    found, word = [], 0
+    for varying in varyings:
+        if varying.name in names:
+            scalar, words = scalar_of(varying.type) or FLOAT, math.prod(shape_of(varying.type))
+            interpolation = _INTERPOLATIONS[varying.role]
+            found.append(StageVarying(varying.name, word, words, scalar.name, interpolation))
+            word += words
+    return tuple(found)
+
+
+def _fields_read(entry: tree.Function) -> set[str]:
+    """The fields of its parameter that an entry reads: all, if it reads the parameter as a whole."""
+    names: set[str] = set()
+    whole = 1 if entry.native else 0
+    for node in tree.walk(entry.body):
+        match node:
+            case tree.Member(base=tree.Read(local=local), name=name) if local in entry.parameters:
+                names.add(name)
+                whole -= 1
+            case tree.Read(local=local) if local in entry.parameters:
+                whole += 1
+    if whole:
+        types = [parameter.type for parameter in entry.parameters]
+        return {field.name for type in types if isinstance(type, StructType) for field in type.fields}
+    return names
+
+
+def fragment_outputs(fragment: Callee) -> tuple[str, tuple[FragmentOutput, ...]]:
+    """The name of the depth field and the colour outputs by location."""
+    described, source = fragment.signature, fragment.source
+    if described.result == VOID:
+        return "", ()
+    cls = struct_class(described.result_host)
+    roles = cls._roles if cls is not None else {}
+    fields: list[tuple[str, Type]] = [("color", described.result)]
+    if cls is not None:
+        fields = [(field.name, field.type) for field in cls.shading_type.fields]
+    outputs: list[FragmentOutput] = []
+    depth = ""
+    for name, type in fields:
+        if roles.get(name) is Role.FRAGMENT_DEPTH:
+            depth = name
+            continue
+        scalar = scalar_of(type)
+        if scalar is None or scalar is BOOL:
+            source.refuse(
+                rules.INTERFACE,
+                source.node.returns or source.node,
+                f"output {name}: {type}",
+                "float, int, uint and their vectors, FragmentDepth",
+            )
+        outputs.append(FragmentOutput(name, len(outputs), scalar.name, getattr(type, "size", 1)))
+    return depth, tuple(outputs)

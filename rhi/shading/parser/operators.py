@@ -1,0 +1,202 @@
+"""The typing rules of operators: operands in, a typed node with converted operands out, or None.
+
+- Python's meaning decides: `/` gives floats, a constant expression is computed by Python, and int meets float
+  as float.
+- Operands of different scalar types meet only as int with float, or an int literal with uint; two vectors
+  only when they agree.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable
+from typing import Any, Final
+
+from rhi.contract.layout import BOOL, FLOAT, INT, UINT, MatrixType, ScalarType, VectorType
+from rhi.shading.ir.tree import Binary, Constant, Convert, Expression, Operator, Unary
+from rhi.shading.language.source import Place
+from rhi.shading.language.types import Type, converts, scalar_of, with_scalar
+
+__rhi_internal__ = True
+
+_FOLD: Final[dict[Operator, Callable[[Any, Any], Any]]] = {
+    Operator.ADD: operator.add,
+    Operator.SUBTRACT: operator.sub,
+    Operator.MULTIPLY: operator.mul,
+    Operator.DIVIDE: operator.truediv,
+    Operator.FLOOR_DIVIDE: operator.floordiv,
+    Operator.MODULO: operator.mod,
+    Operator.POWER: operator.pow,
+    Operator.BIT_AND: operator.and_,
+    Operator.BIT_OR: operator.or_,
+    Operator.BIT_XOR: operator.xor,
+    Operator.SHIFT_LEFT: operator.lshift,
+    Operator.SHIFT_RIGHT: operator.rshift,
+    Operator.EQUAL: operator.eq,
+    Operator.NOT_EQUAL: operator.ne,
+    Operator.LESS: operator.lt,
+    Operator.LESS_EQUAL: operator.le,
+    Operator.GREATER: operator.gt,
+    Operator.GREATER_EQUAL: operator.ge,
+    Operator.AND: lambda a, b: a and b,
+    Operator.OR: lambda a, b: a or b,
+}
+BITWISE: Final = frozenset({Operator.BIT_AND, Operator.BIT_OR, Operator.BIT_XOR})
+SHIFTS: Final = frozenset({Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT})
+EQUALITY: Final = frozenset({Operator.EQUAL, Operator.NOT_EQUAL})
+ORDER: Final = frozenset({Operator.LESS, Operator.LESS_EQUAL, Operator.GREATER, Operator.GREATER_EQUAL})
+
+MAX_POWER: Final = 16
+"""Constant whole exponents up to this one become multiplications."""
+
+
+def convert(value: Expression, type: Type) -> Expression | None:
+    """`value` as `type`: itself, or with the conversions that happen by themselves; None if there is none."""
+    if value.type == type:
+        return value
+    literal = isinstance(value, Constant) and value.literal and int(value.value) >= 0
+    if not converts(value.type, type, literal):
+        return None
+    if isinstance(value, Constant):
+        return Constant(type, value.place, float(value.value) if type is FLOAT else value.value)
+    return Convert(type, value.place, value)
+
+
+def unary(op: Operator, operand: Expression, place: Place) -> Expression | None:
+    """`-x`, `~x` or `not x`."""
+    scalar = scalar_of(operand.type)
+    if op is Operator.NOT:
+        allowed = operand.type is BOOL
+    elif op is Operator.INVERT:
+        allowed = scalar in (INT, UINT)
+    else:
+        allowed = scalar in (INT, UINT, FLOAT) or isinstance(operand.type, MatrixType)
+    if not allowed:
+        return None
+    if isinstance(operand, Constant) and operand.type is not UINT:
+        value = operand.value
+        result = not value if op is Operator.NOT else ~int(value) if op is Operator.INVERT else -value
+        return Constant(operand.type, place, result, operand.literal)
+    return Unary(operand.type, place, op, operand)
+
+
+def binary(op: Operator, left: Expression, right: Expression, place: Place) -> Expression | None:
+    """`left op right`, folded if both are constants.
+
+    Raises:
+        ZeroDivisionError: a constant division by zero. OverflowError, ValueError: other constant nonsense.
+    """
+    node = _binary(op, left, right, place)
+    if isinstance(node, Binary) and isinstance(node.left, Constant) and isinstance(node.right, Constant):
+        if op in SHIFTS and not 0 <= node.right.value < 32:
+            raise ValueError(f"a shift by {node.right.value}")
+        value = _FOLD[op](node.left.value, node.right.value)
+        literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
+        if node.type is UINT:
+            value &= 0xFFFFFFFF
+        return Constant(node.type, place, value, literal)
+    if isinstance(node, Binary) and op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
+        divisor = node.right
+        if isinstance(divisor, Constant) and divisor.value == 0 and divisor.type is not FLOAT:
+            raise ZeroDivisionError("integer division by zero")
+    return node
+
+
+def _binary(op: Operator, left: Expression, right: Expression, place: Place) -> Expression | None:
+    if op is Operator.MATRIX_MULTIPLY:
+        return _matrix_multiply(left, right, place)
+    if op in (Operator.AND, Operator.OR):
+        both = left.type is BOOL and right.type is BOOL
+        return Binary(BOOL, place, op, left, right) if both else None
+    if isinstance(left.type, MatrixType) or isinstance(right.type, MatrixType):
+        return _with_matrix(op, left, right, place)
+    a, b = left.type, right.type
+    if not isinstance(a, ScalarType | VectorType) or not isinstance(b, ScalarType | VectorType):
+        return None
+    if op in EQUALITY and a == b:
+        return Binary(BOOL, place, op, left, right)
+    if op in EQUALITY | ORDER and (isinstance(a, VectorType) or isinstance(b, VectorType)):
+        return None
+    if scalar_of(a) is BOOL or scalar_of(b) is BOOL:
+        return None
+    if op in SHIFTS:
+        integers = scalar_of(a) in (INT, UINT) and scalar_of(b) in (INT, UINT)
+        shapes = isinstance(b, ScalarType) or (isinstance(a, VectorType) and a.size == b.size)
+        return Binary(a, place, op, left, right) if integers and shapes else None
+    if op is Operator.POWER and _is_whole_power(right):
+        # A constant whole exponent means multiplications: exact, and right for negative bases.
+        if scalar_of(a) is FLOAT or (isinstance(right, Constant) and right.value >= 0):
+            return Binary(a, place, op, left, right)
+        return None
+    if op is Operator.DIVIDE:
+        left, right = _to_float(left), _to_float(right)
+        a, b = left.type, right.type  # type: ignore[assignment]
+    shape = b if isinstance(a, ScalarType) else a
+    if isinstance(a, VectorType) and isinstance(b, VectorType) and a != b:
+        return None
+    scalar = _meet(left, right)
+    if scalar is None or (isinstance(shape, VectorType) and shape.scalar is not scalar):
+        return None
+    if (op in BITWISE and scalar is FLOAT) or (op is Operator.POWER and scalar is not FLOAT):
+        return None
+    if op is Operator.POWER and isinstance(a, ScalarType) and isinstance(b, VectorType):
+        return None
+    left_type, right_type = with_scalar(a, scalar), with_scalar(b, scalar)
+    converted_left, converted_right = convert(left, left_type), convert(right, right_type)
+    if converted_left is None or converted_right is None:
+        return None
+    result = BOOL if op in EQUALITY | ORDER else with_scalar(shape, scalar)
+    return Binary(result, place, op, converted_left, converted_right)
+
+
+def _is_whole_power(exponent: Expression) -> bool:
+    return (
+        isinstance(exponent, Constant)
+        and exponent.type in (INT, UINT)
+        and abs(int(exponent.value)) <= MAX_POWER
+    )
+
+
+def _to_float(value: Expression) -> Expression:
+    type = value.type
+    if not isinstance(type, ScalarType | VectorType) or scalar_of(type) is FLOAT:
+        return value
+    if isinstance(value, Constant):
+        return Constant(FLOAT, value.place, float(value.value))
+    return Convert(with_scalar(type, FLOAT), value.place, value)
+
+
+def _meet(left: Expression, right: Expression) -> ScalarType | None:
+    """The scalar type at which two operands meet."""
+    a, b = scalar_of(left.type), scalar_of(right.type)
+    if a is b:
+        return a
+    if {a, b} == {INT, FLOAT}:
+        return FLOAT
+    for one, other in ((left, right), (right, left)):
+        if isinstance(one, Constant) and one.literal and one.value >= 0 and scalar_of(other.type) is UINT:
+            return UINT
+    return None
+
+
+def _matrix_multiply(left: Expression, right: Expression, place: Place) -> Expression | None:
+    a, b = left.type, right.type
+    if isinstance(a, MatrixType) and a == b:
+        return Binary(a, place, Operator.MATRIX_MULTIPLY, left, right)
+    for matrix, vector in ((a, b), (b, a)):
+        if isinstance(matrix, MatrixType) and vector == VectorType(FLOAT, matrix.size):
+            return Binary(vector, place, Operator.MATRIX_MULTIPLY, left, right)
+    return None
+
+
+def _with_matrix(op: Operator, left: Expression, right: Expression, place: Place) -> Expression | None:
+    a, b = left.type, right.type
+    if a == b and op in (Operator.ADD, Operator.SUBTRACT, Operator.MULTIPLY):
+        return Binary(a, place, op, left, right)
+    if isinstance(a, MatrixType) and op in (Operator.MULTIPLY, Operator.DIVIDE):
+        factor = convert(right, FLOAT)
+        return Binary(a, place, op, left, factor) if factor is not None else None
+    if isinstance(b, MatrixType) and op is Operator.MULTIPLY:
+        factor = convert(left, FLOAT)
+        return Binary(b, place, op, factor, right) if factor is not None else None
+    return None

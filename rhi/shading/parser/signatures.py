@@ -1,0 +1,170 @@
+"""What a function takes and gives, from its annotations."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from types import FunctionType
+from typing import Any, Final, NoReturn, get_args, get_origin
+
+from rhi.contract.layout import ArrayType
+from rhi.shading.language import rules
+from rhi.shading.language.annotations import value_type
+from rhi.shading.language.bindings import Storage, StorageRW, Uniform
+from rhi.shading.language.shader import Shader
+from rhi.shading.language.source import Source, source_of, suggest_name
+from rhi.shading.language.structs import Struct
+from rhi.shading.language.textures import Texture
+from rhi.shading.language.types import VOID, Type
+from rhi.shading.language.vectors import Array, ReadOnlyArray
+
+__rhi_internal__ = True
+
+
+@dataclass(frozen=True, slots=True)
+class AnyLength:
+    """An array parameter: it takes arrays of every length, and the function is compiled for each."""
+
+    element: Type
+
+    def __str__(self) -> str:
+        return f"Array[{self.element}]"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter; `host` is the annotation, `default` the syntax of its default."""
+
+    name: str
+    type: Type | AnyLength
+    host: Any
+    default: ast.expr | None
+
+
+@dataclass(frozen=True, slots=True)
+class Signature:
+    """Parameters without `self`, its name if there is one, and the result with its annotation."""
+
+    parameters: tuple[Parameter, ...]
+    result: Type
+    result_host: Any
+    self_name: str | None
+
+
+_MISSING: Final = object()
+
+
+def signature_of(source: Source, is_method: bool) -> Signature:
+    """The signature of a function, or a refusal at the parameter that is wrong."""
+    arguments = source.node.args
+    for extra in (arguments.vararg, arguments.kwarg):
+        if extra is not None:
+            source.refuse(rules.SYNTAX, extra, f"*{extra.arg}", "named parameters")
+    positional = [*arguments.posonlyargs, *arguments.args]
+    defaults: list[ast.expr | None] = [None] * (len(positional) - len(arguments.defaults))
+    defaults += arguments.defaults
+    named = [*positional, *arguments.kwonlyargs]
+    defaults += arguments.kw_defaults
+    self_name = None
+    if is_method:
+        if not positional:
+            source.refuse(rules.ANNOTATION, source.node, "no self", "a method's first parameter is self")
+        self_name, named, defaults = named[0].arg, named[1:], defaults[1:]
+    parameters = []
+    for argument, default in zip(named, defaults, strict=True):
+        host = _annotation(source, argument.arg, argument, argument.annotation)
+        wanted = _parameter_type(host)
+        if wanted is None:
+            _refuse(source, argument.annotation or argument, host)
+        parameters.append(Parameter(argument.arg, wanted, host, default))
+    node = source.node
+    host = _annotation(source, "return", node, node.returns)
+    result: Type | None = VOID if host is None or host is type(None) else value_type(host)
+    if result is None:
+        _refuse(source, node.returns or node, host)
+    return Signature(tuple(parameters), result, host, self_name)
+
+
+def _annotation(source: Source, name: str, at: ast.AST, node: ast.expr | None) -> Any:
+    if node is None:
+        what = "a return annotation (`-> None` for none)" if name == "return" else f"a type for {name!r}"
+        source.refuse(rules.ANNOTATION, at, "none", what)
+    return evaluate_annotation(source, node, source.function.__annotations__.get(name, _MISSING))
+
+
+def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -> Any:
+    """What an annotation means: `known` unless that is text or missing."""
+    if known is not _MISSING and not isinstance(known, str):
+        return known
+    try:
+        return source.scope.evaluate(known if isinstance(known, str) else ast.unparse(node))
+    except NameError as error:
+        source.refuse(
+            rules.UNKNOWN_NAME, node, repr(error.name), tip=suggest_name(error.name or "", source.scope.names())
+        )
+    except Exception as error:
+        source.refuse(rules.ANNOTATION, node, f"{type(error).__name__}: {error}")
+
+
+def _parameter_type(host: Any) -> Type | AnyLength | None:
+    if isinstance(host, type) and issubclass(host, Texture):
+        return host.shading_type
+    if get_origin(host) in (Array, ReadOnlyArray):
+        element = value_type(get_args(host)[0])
+        return AnyLength(element) if element is not None else None
+    return value_type(host)
+
+
+def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
+    allowed = "float, int, uint, bool, vectors, matrices, Struct classes, textures"
+    tip = ""
+    if get_origin(host) in (Array, ReadOnlyArray):
+        tip = "arrays can't be returned; put one in a Struct"
+    elif get_origin(host) in (Uniform, Storage, StorageRW):
+        tip = "bindings are read through self: make the function a method, or pass an element"
+    source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)
+
+
+def fits(parameter: Type | AnyLength, given: Type) -> bool:
+    """Whether an argument's type is one that an array parameter takes."""
+    return (
+        isinstance(parameter, AnyLength)
+        and isinstance(given, ArrayType)
+        and given.element == parameter.element
+    )
+
+
+def struct_class(host: Any) -> type[Struct] | None:
+    """The Struct class that an annotation names, or None."""
+    return host if isinstance(host, type) and issubclass(host, Struct) else None
+
+
+@dataclass(frozen=True, slots=True)
+class Callee:
+    """A Python function to call; `owner` is the class that defines it, None for a module-level function."""
+
+    source: Source
+    owner: type | None
+    has_self: bool
+
+    @property
+    def signature(self) -> Signature:
+        """What the function takes and gives; its annotations are read once."""
+        source = self.source
+        if source.signature is None:
+            source.signature = signature_of(source, self.owner is not None and self.has_self)
+        known: Signature = source.signature
+        return known
+
+
+def find_method(shader: type[Shader], name: str, after: type | None = None) -> Callee | None:
+    """A method of the shader as written: the nearest class that has it, searched beyond `after`."""
+    classes = shader.__mro__
+    start = classes.index(after) + 1 if after is not None else 0
+    for cls in classes[start:]:
+        found = cls.__dict__.get(name)
+        has_self = not isinstance(found, staticmethod)
+        python = found.__func__ if isinstance(found, staticmethod) else found
+        if isinstance(python, FunctionType) and cls is not Shader:
+            return Callee(source_of(python), cls, has_self)
+    return None

@@ -1,0 +1,174 @@
+"""One stage of a shader, from the class to a `tree.StageTree`.
+
+- Methods are looked up along the shader's classes, so an override in a subclass is what a base's stage calls.
+- A function is compiled once per stage for the argument types it is called with.
+- What the stage uses is collected from the finished tree, so code that a constant switches off counts for
+  nothing.
+"""
+
+from __future__ import annotations
+
+import ast
+from types import FunctionType
+
+from rhi.contract.descriptors import Stage
+from rhi.contract.layout import INT, ArrayType, StructType
+from rhi.errors import CallSite, ShaderError
+from rhi.shading.ir import tree
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import Builtin, Effect
+from rhi.shading.language.shader import Memory, Shader
+from rhi.shading.language.source import Source, place_of, show
+from rhi.shading.language.types import StorageType, Type
+from rhi.shading.parser.signatures import AnyLength, Callee, find_method
+from rhi.shading.parser.statements import FunctionParser
+
+__rhi_internal__ = True
+
+
+class StageParser:
+    """Compiles one stage's functions."""
+
+    def __init__(self, shader: type[Shader], stage: Stage) -> None:
+        self.shader = shader
+        self.stage = stage
+        self.instances: dict[tuple[FunctionType, tuple[Type, ...]], tree.Function] = {}
+        self.finished: list[tree.Function] = []
+
+    def parse(self, entry: Callee) -> tree.StageTree:
+        """The stage whose entry is `entry`."""
+        types = []
+        for parameter in entry.signature.parameters:
+            if isinstance(parameter.type, AnyLength):
+                entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
+            types.append(parameter.type)
+        function = self._compile(entry, tuple(types))
+        return _collect(self.stage, function, self.finished, self.shader)
+
+    # -- what expressions ask for
+
+    def method(self, name: str, after: type | None) -> Callee | None:
+        return find_method(self.shader, name, after)
+
+    def instance(
+        self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source
+    ) -> tree.Function:
+        known = self.instances.get((callee.source.function, types))
+        if known is None:
+            return self._compile(callee, types)
+        if known not in self.finished:
+            caller.refuse(rules.RECURSION, at, f"{caller.name} calls {callee.source.name}")
+        return known
+
+    def check_stage(self, builtin: Builtin, at: ast.Call, caller: Source) -> None:
+        if self.stage not in builtin.stages:
+            allowed = ", ".join(sorted(stage.value for stage in builtin.stages))
+            given = f"{builtin.name} in the {self.stage.value} stage of {self.shader.__name__}"
+            caller.refuse(rules.STAGE, at, given, allowed)
+
+    def _compile(self, callee: Callee, types: tuple[Type, ...]) -> tree.Function:
+        source, described = callee.source, callee.signature
+        parameters = tuple(
+            tree.Local(parameter.name, type, is_parameter=True)
+            for parameter, type in zip(described.parameters, types, strict=True)
+        )
+        function = tree.Function(
+            source.node.name, source.file, place_of(source.node), parameters, described.result
+        )
+        self.instances[source.function, types] = function
+        FunctionParser(self, callee, types, function).parse()
+        self.finished.append(function)
+        return function
+
+
+# -- what a stage uses ---------------------------------------------------------------------------------------
+
+
+def _collect(
+    stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]
+) -> tree.StageTree:
+    used: set[tree.Function] = set()
+    structs: dict[StructType, None] = {}
+    declared: set[str] = set()
+    constants: dict[tuple[str, int], tree.ConstantArray] = {}
+    builtins: set[Builtin] = set()
+    stored: set[str] = set()
+    loaded: set[str] = set()
+    discards = False
+    queue = [entry]
+    while queue:
+        function = queue.pop()
+        if function in used:
+            continue
+        used.add(function)
+        for type in (function.result, *(parameter.type for parameter in function.parameters)):
+            _add_structs(type, structs)
+        if function.native:
+            # What its text uses isn't known: everything.
+            for declaration in shader._declared.values():
+                declared.add(declaration.name)
+                loaded.add(declaration.name)
+                writable = isinstance(declaration.type, StorageType) and declaration.type.writable
+                if writable or declaration.memory is Memory.IMAGE:
+                    stored.add(declaration.name)
+        for node in tree.walk(function.body):
+            match node:
+                case tree.Discard():
+                    discards = True
+                case tree.Declare(local=local):
+                    _add_structs(local.type, structs)
+                case tree.Assign(target=target):
+                    root = tree.root_of(target)
+                    if isinstance(root, tree.BindingRead):
+                        stored.add(root.declaration.name)
+                        declared.add(root.declaration.name)
+                case tree.Construct(type=type):
+                    _add_structs(type, structs)
+                case tree.BindingRead(declaration=declaration):
+                    declared.add(declaration.name)
+                    loaded.add(declaration.name)
+                case tree.ConstantArray():
+                    constants.setdefault((node.name, id(node)), node)
+                case tree.Call(function=callee):
+                    queue.append(callee)
+                case tree.BuiltinCall(builtin=builtin, arguments=arguments):
+                    builtins.add(builtin)
+                    if builtin.effect is Effect.WRITE:
+                        root = tree.root_of(arguments[0])
+                        if isinstance(root, tree.BindingRead):
+                            stored.add(root.declaration.name)
+                case tree.Constant(type=type, value=value) if type is INT and not -(2**31) <= value < 2**31:
+                    raise ShaderError(
+                        rules.OUT_OF_RANGE,
+                        f"{function.name}\n{show(function.file, node.place)}",
+                        str(value),
+                        "an int of 32 bits",
+                        "write uint(…) for numbers above 2147483647",
+                        CallSite(function.file, node.place.line, function.name),
+                    )
+    bindings = tuple(d for d in shader._declared.values() if d.name in declared)
+    for declaration in bindings:
+        type = declaration.type
+        _add_structs(type.element if isinstance(type, StorageType) else type, structs)
+    return tree.StageTree(
+        stage,
+        entry,
+        tuple(function for function in finished if function in used),
+        bindings,
+        tuple(structs),
+        tuple(constants.values()),
+        frozenset(builtins),
+        frozenset(stored),
+        frozenset(loaded),
+        discards,
+    )
+
+
+def _add_structs(type: Type, structs: dict[StructType, None]) -> None:
+    """Add a type's structs, those inside before those outside."""
+    if isinstance(type, ArrayType):
+        _add_structs(type.element, structs)
+    elif isinstance(type, StructType) and type not in structs:
+        for field in type.fields:
+            _add_structs(field.type, structs)
+        structs[type] = None

@@ -1,0 +1,493 @@
+"""From Python's statements to the typed tree: variables, their types and homes, and control flow.
+
+- A variable has the type of its first value. Python's variables belong to the function; in the tree each is
+  declared in the narrowest block that holds all its uses, found when the function is done.
+- Definite assignment is tracked along the way: a read that some path reaches without a value is refused, so
+  Python's UnboundLocalError can't happen on a device, where it would be silent.
+- A condition known now (`if self.has_fog:` with a class constant) keeps only the branch taken.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from rhi.contract.layout import INT, UINT, MatrixType
+from rhi.shading.ir import tree
+from rhi.shading.ir.tree import Constant, Expression, Local
+from rhi.shading.language import rules
+from rhi.shading.language.annotations import value_type
+from rhi.shading.language.builtins import Effect
+from rhi.shading.language.function import NATIVE
+from rhi.shading.language.shader import Memory
+from rhi.shading.language.source import Place, place_of
+from rhi.shading.language.types import VOID, StorageType, Type
+from rhi.shading.parser.calls import CallParser
+from rhi.shading.parser.expressions import BINARY, Program
+from rhi.shading.parser.operators import convert
+from rhi.shading.parser.signatures import Callee, evaluate_annotation
+
+__rhi_internal__ = True
+
+_STATEMENT_TIPS: Final = {
+    "With": "",
+    "Try": "devices have no exceptions",
+    "Raise": "devices have no exceptions; use discard() to drop a fragment",
+    "Assert": "test shading functions on the CPU instead",
+    "FunctionDef": "define it at module level with @function, or as a method",
+    "ClassDef": "define structs outside the shader's methods",
+    "Match": "use if and elif",
+    "Delete": "",
+    "Global": "bindings are the only state that shaders share",
+    "Nonlocal": "bindings are the only state that shaders share",
+    "Import": "import at the top of the module",
+    "ImportFrom": "import at the top of the module",
+}
+
+
+class Block(list[tree.Statement]):
+    """A block under construction: locals to be declared before the statement at an index, and statements
+    that go before all."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.declares: dict[int, list[Local]] = {}
+        self.prologue: tree.Block = []
+
+
+@dataclass(slots=True, eq=False)
+class Splice(tree.Statement):
+    """A block that goes into its parent as it is: the branch taken of a condition known now."""
+
+    block: Block
+
+
+@dataclass(slots=True, eq=False)
+class Variable:
+    """A local, where it was first assigned, and the narrowest block so far that holds all its uses."""
+
+    local: Local
+    path: list[Block]
+    indices: list[int]
+    first: tree.Statement | None = None
+    first_block: Block | None = None
+    loops: list[tree.For] = field(default_factory=list)
+
+
+class FunctionParser(CallParser):
+    """Parses one function into a `tree.Function`."""
+
+    def __init__(
+        self, program: Program, callee: Callee, types: tuple[Type, ...], function: tree.Function
+    ) -> None:
+        signature = callee.signature
+        super().__init__(program, callee.source, callee.owner, signature.self_name)
+        self.function = function
+        self.variables: dict[str, Variable] = {}
+        self.done: list[Variable] = []
+        self.assigned: set[Local] = set()
+        self.reachable = True
+        self.blocks: list[Block] = [Block()]
+        # For each loop we are in: the assigned sets at its breaks.
+        self.breaks: list[list[set[Local]]] = []
+        self.stored = _stored_names(callee.source.node)
+        for local in function.parameters:
+            self.variables[local.name] = Variable(local, [self.blocks[0]], [0])
+            self.assigned.add(local)
+
+    def parse(self) -> None:
+        """Fill in the function's body."""
+        body = self.source.node.body
+        for language, text in getattr(self.source.function, NATIVE, {}).items():
+            self.function.native[language] = replace(text, line=_native_line(self.source.node, text.body))
+        if self.function.native and _is_empty(body):
+            self.function.has_effect = True
+            return
+        self.statements(body)
+        if self.function.result != VOID and self.reachable:
+            wanted = str(self.function.result)
+            self.refuse(rules.MISSING_RETURN, _header(self.source.node), "the end is reached", wanted)
+        self.done.extend(self.variables.values())
+        for variable in self.done:
+            self._settle(variable)
+        self.function.body = _finish(self.blocks[0])
+
+    # -- variables
+
+    def read(self, name: str, at: ast.Name) -> Expression | None:
+        variable = self.variables.get(name)
+        if variable is None:
+            if name == self.self_name:
+                self.refuse(rules.WRONG_TYPE, at, "the shader itself", "its fields and methods")
+            if name in self.stored:
+                self.refuse(rules.UNASSIGNED, at, repr(name))
+            return None
+        if variable.local not in self.assigned and self.reachable:
+            self.refuse(rules.UNASSIGNED, at, repr(name))
+        self._use(variable)
+        return tree.Read(variable.local.type, place_of(at), variable.local)
+
+    def has_variable(self, name: str) -> bool:
+        return name in self.stored or name in self.variables
+
+    def variable_names(self) -> list[str]:
+        return list(self.variables)
+
+    def _use(self, variable: Variable) -> None:
+        depth = 0
+        for mine, now in zip(variable.path, self.blocks, strict=False):
+            if mine is not now:
+                break
+            depth += 1
+        del variable.path[depth:]
+        del variable.indices[depth:]
+
+    def _new_variable(self, name: str, type: Type) -> Variable:
+        local = Local(name, type)
+        variable = Variable(local, list(self.blocks), [len(block) for block in self.blocks])
+        if name in self.variables:
+            self.done.append(self.variables[name])
+        self.variables[name] = variable
+        return variable
+
+    def _settle(self, variable: Variable) -> None:
+        """Put the variable's declaration into its home block."""
+        if variable.local.is_parameter or not variable.path:
+            return
+        home, index = variable.path[-1], variable.indices[len(variable.path) - 1]
+        if variable.loops:
+            loop = variable.loops[0]
+            own = len(variable.loops) == 1 and home is loop.body
+            if own and variable.local.writes == 1:
+                return  # the loop declares it
+            for loop in variable.loops:
+                # The body assigns the variable, or it lives longer than the loop: the loop counts by itself.
+                loop.local = Local(f"{variable.local.name}_count", INT, writes=1)
+                count = tree.Read(INT, loop.place, loop.local)
+                assert isinstance(loop.body, Block)
+                loop.body.prologue.append(
+                    tree.Declare(loop.place, variable.local, count)
+                    if own
+                    else tree.Assign(loop.place, tree.Read(INT, loop.place, variable.local), count)
+                )
+            if own:
+                return
+        if variable.first is not None and variable.first_block is home:
+            assert isinstance(variable.first, tree.Assign)
+            at = next(i for i, statement in enumerate(home) if statement is variable.first)
+            home[at] = tree.Declare(variable.first.place, variable.local, variable.first.value)
+            return
+        home.declares.setdefault(index, []).append(variable.local)
+
+    # -- statements
+
+    def statements(self, nodes: list[ast.stmt]) -> None:
+        """Parse statements into the current block."""
+        for node in nodes:
+            parse = getattr(self, f"_{type(node).__name__.lower()}", None)
+            if parse is None:
+                name = type(node).__name__
+                tip = _STATEMENT_TIPS.get(name, "")
+                self.refuse(rules.SYNTAX, _header(node), f"`{_first_word(node)}`", tip=tip)
+            parse(node)
+
+    @contextmanager
+    def _block(self) -> Iterator[Block]:
+        block = Block()
+        self.blocks.append(block)
+        yield block
+        self.blocks.pop()
+
+    def _append(self, statement: tree.Statement) -> None:
+        self.blocks[-1].append(statement)
+
+    def _pass(self, node: ast.Pass) -> None:
+        pass
+
+    def _expr(self, node: ast.Expr) -> None:
+        if isinstance(node.value, ast.Constant) and (
+            node.value.value is ... or isinstance(node.value.value, str)
+        ):
+            return
+        if not isinstance(node.value, ast.Call):
+            self.refuse(rules.SYNTAX, node, "a value that nobody uses", "a call, an assignment")
+        value = self.expression(node.value)
+        if isinstance(value, tree.BuiltinCall) and value.builtin.effect is Effect.DISCARD:
+            self._append(tree.Discard(place_of(node)))
+            self.mark_effect()
+            self.reachable = False
+            return
+        if value.type != VOID and not tree.has_effect(value):
+            self.refuse(rules.SYNTAX, node, f"a {value.type} that nobody uses", "a call with an effect")
+        self._append(tree.Evaluate(place_of(node), value))
+
+    def _assign(self, node: ast.Assign) -> None:
+        if len(node.targets) != 1:
+            self.refuse(rules.SYNTAX, node, "several targets", "one target", "write one line for each")
+        target = node.targets[0]
+        if isinstance(target, ast.Tuple | ast.List):
+            self.refuse(rules.SYNTAX, target, "a tuple of targets", "one target", "write one line for each")
+        if isinstance(target, ast.Name):
+            known = self.variables.get(target.id)
+            value = self.expression(node.value, known.local.type if known is not None else None)
+            self._assign_name(target, value, node)
+            return
+        place = self._place(target)
+        self._append(tree.Assign(place_of(node), place, self.converted(node.value, place.type)))
+
+    def _annassign(self, node: ast.AnnAssign) -> None:
+        if not isinstance(node.target, ast.Name) or node.value is None:
+            self.refuse(rules.SYNTAX, node, "an annotation without a value", "name: type = value")
+        wanted = value_type(evaluate_annotation(self.source, node.annotation))
+        if wanted is None:
+            value = self.expression(node.value)
+            if not isinstance(value, tree.Zeros):
+                self.refuse(rules.ANNOTATION, node.annotation, ast.unparse(node.annotation), "a value type")
+        else:
+            value = self.converted(node.value, wanted)
+        self._assign_name(node.target, value, node)
+
+    def _assign_name(self, target: ast.Name, value: Expression, node: ast.stmt) -> None:
+        if target.id == self.self_name:
+            self.refuse(rules.NOT_WRITABLE, target, target.id)
+        if value.type == VOID or not isinstance(value, tree.Zeros):
+            self.check_value(value, node)
+        variable = self.variables.get(target.id)
+        new = variable is None
+        if variable is None:
+            variable = self._new_variable(target.id, value.type)
+        local = variable.local
+        if value.type != local.type:
+            converted = convert(value, local.type)
+            if converted is None:
+                self.refuse(rules.TYPE_CHANGED, node, f"{target.id}: {value.type}", str(local.type))
+            value = converted
+        self._use(variable)
+        statement = tree.Assign(place_of(node), tree.Read(local.type, place_of(target), local), value)
+        if new:
+            variable.first, variable.first_block = statement, self.blocks[-1]
+        local.writes += 1
+        self.assigned.add(local)
+        self._append(statement)
+
+    def _augassign(self, node: ast.AugAssign) -> None:
+        place = self._place(node.target)
+        if tree.has_effect(place):
+            self.refuse(rules.EVALUATED_TWICE, node.target)
+        value = self.binary(BINARY[type(node.op)], place, self.expression(node.value), node)
+        if isinstance(node.target, ast.Name):
+            self._assign_name(node.target, value, node)
+            return
+        self._append(tree.Assign(place_of(node), place, self.convert(value, place.type, node)))
+
+    def _place(self, node: ast.expr) -> Expression:
+        """An expression that can be assigned to, or a refusal."""
+        place = self.expression(node)
+        self._check_place(place, node)
+        if isinstance(place, tree.Index) and isinstance(place.base.type, MatrixType):
+            self.refuse(
+                rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix"
+            )
+        if isinstance(place, tree.Swizzle) and len(set(place.components)) < len(place.components):
+            self.refuse(rules.NOT_WRITABLE, node, "a component twice")
+        return place
+
+    def _check_place(self, place: Expression, node: ast.AST) -> Memory | None:
+        root = tree.root_of(place)
+        if isinstance(root, tree.Read):
+            root.local.writes += 1
+            return None
+        if not isinstance(root, tree.BindingRead):
+            self.refuse(
+                rules.NOT_WRITABLE, node, "a value that has no place", "variables, StorageRW, shared memory"
+            )
+        declaration = root.declaration
+        if declaration.memory is Memory.STORAGE:
+            assert isinstance(declaration.type, StorageType)
+            if not declaration.type.writable:
+                tip = f"declare it as StorageRW[{declaration.type.element}]"
+                self.refuse(rules.NOT_WRITABLE, node, f"{declaration.name}: {declaration.type}", tip=tip)
+            if root is place:
+                self.refuse(rules.NOT_WRITABLE, node, "a whole buffer", "its elements")
+        elif declaration.memory is not Memory.SHARED:
+            self.refuse(
+                rules.NOT_WRITABLE,
+                node,
+                f"{declaration.name}, a {declaration.memory.value}",
+                "StorageRW, shared",
+            )
+        self.mark_effect()
+        return declaration.memory
+
+    def check_memory(self, place: Expression, at: ast.AST) -> None:
+        if self._check_place(place, at) is None or isinstance(place, tree.Swizzle):
+            allowed = "an int or uint in storage or shared memory"
+            self.refuse(rules.NOT_WRITABLE, at, "a place that atomics can't reach", allowed)
+
+    def mark_effect(self) -> None:
+        self.function.has_effect = True
+
+    # -- control flow
+
+    def _if(self, node: ast.If) -> None:
+        condition = self.condition(node.test)
+        before, reachable = set(self.assigned), self.reachable
+        with self._block() as then:
+            self.statements(node.body)
+        after_then, then_reachable = self.assigned, self.reachable
+        self.assigned, self.reachable = set(before), reachable
+        with self._block() as otherwise:
+            self.statements(node.orelse)
+        if isinstance(condition, Constant):
+            if condition.value:
+                self.assigned, self.reachable = after_then, then_reachable
+            self._append(Splice(place_of(node), then if condition.value else otherwise))
+            return
+        if then_reachable and self.reachable:
+            self.assigned &= after_then
+        elif then_reachable:
+            self.assigned = after_then
+        self.reachable = then_reachable or self.reachable
+        self._append(tree.If(_header(node), condition, then, otherwise))
+
+    def _while(self, node: ast.While) -> None:
+        self._no_else(node)
+        condition = self.condition(node.test)
+        before, reachable = set(self.assigned), self.reachable
+        self.breaks.append([])
+        with self._block() as body:
+            self.statements(node.body)
+        breaks = self.breaks.pop()
+        self.assigned, self.reachable = before, reachable
+        if isinstance(condition, Constant) and condition.value:
+            # Only a break leads behind the loop.
+            self.reachable = reachable and bool(breaks)
+            if breaks:
+                self.assigned = set.intersection(*breaks)
+        self._append(tree.While(_header(node), condition, body))
+
+    def _for(self, node: ast.For) -> None:
+        self._no_else(node)
+        if not isinstance(node.target, ast.Name):
+            self.refuse(rules.SYNTAX, node.target, "several targets", "for name in range(…)")
+        call = node.iter
+        if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name) and call.func.id == "range"):
+            tip = "for i in range(len(values)): value = values[i]"
+            self.refuse(rules.SYNTAX, call, "a loop over values", "for name in range(…)", tip)
+        if call.keywords or not 1 <= len(call.args) <= 3:
+            self.refuse(
+                rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])"
+            )
+        bounds = [self._bound(argument) for argument in call.args]
+        place = place_of(node)
+        if len(bounds) == 1:
+            bounds.insert(0, Constant(INT, place, 0))
+        if len(bounds) == 2:
+            bounds.append(Constant(INT, place, 1))
+        if isinstance(bounds[2], Constant) and bounds[2].value == 0:
+            self.refuse(rules.OUT_OF_RANGE, call.args[2], "a step of 0", "any other")
+        before, reachable = set(self.assigned), self.reachable
+        self.breaks.append([])
+        with self._block() as body:
+            name = node.target.id
+            variable = self.variables.get(name)
+            if variable is None or (variable.local not in before and variable.local.type is INT):
+                # Nothing read it before, nothing can read it after: a variable of its own for each loop.
+                variable = self._new_variable(name, INT)
+            elif variable.local.type is not INT:
+                self.refuse(rules.TYPE_CHANGED, node.target, f"{name}: int", str(variable.local.type))
+            else:
+                self._use(variable)
+            variable.local.writes += 1
+            self.assigned.add(variable.local)
+            loop = tree.For(_header(node), variable.local, bounds[0], bounds[1], bounds[2], body)
+            variable.loops.append(loop)
+            self.statements(node.body)
+        self.breaks.pop()
+        self.assigned, self.reachable = before, reachable
+        self._append(loop)
+
+    def _bound(self, node: ast.expr) -> Expression:
+        value = self.expression(node)
+        if value.type is UINT:
+            return self.cast(value, INT, place_of(node))
+        return self.convert(value, INT, node, "bound")
+
+    def _no_else(self, node: ast.For | ast.While) -> None:
+        if node.orelse:
+            self.refuse(rules.SYNTAX, node.orelse[0], "else of a loop", tip="set a flag before break")
+
+    def _break(self, node: ast.Break) -> None:
+        if self.reachable:
+            self.breaks[-1].append(set(self.assigned))
+        self.reachable = False
+        self._append(tree.Break(place_of(node)))
+
+    def _continue(self, node: ast.Continue) -> None:
+        self.reachable = False
+        self._append(tree.Continue(place_of(node)))
+
+    def _return(self, node: ast.Return) -> None:
+        result = self.function.result
+        value = None
+        if result == VOID:
+            if node.value is not None:
+                self.refuse(rules.WRONG_TYPE, node, "a value", "-> None: no value")
+        elif node.value is None:
+            self.refuse(rules.WRONG_TYPE, node, "no value", str(result))
+        else:
+            value = self.converted(node.value, result)
+        self.reachable = False
+        self._append(tree.Return(place_of(node), value))
+
+
+def _finish(block: Block) -> tree.Block:
+    """The block with its declarations in place and branches spliced in."""
+    result: tree.Block = list(block.prologue)
+    for index, statement in enumerate(block):
+        result.extend(tree.Declare(statement.place, local, None) for local in block.declares.get(index, ()))
+        match statement:
+            case Splice(block=inner):
+                result.extend(_finish(inner))
+                continue
+            case tree.If(then=Block() as then, otherwise=Block() as otherwise):
+                statement.then, statement.otherwise = _finish(then), _finish(otherwise)
+            case tree.For(body=Block() as body) | tree.While(body=Block() as body):
+                statement.body = _finish(body)
+        result.append(statement)
+    return result
+
+
+def _stored_names(node: ast.FunctionDef) -> frozenset[str]:
+    return frozenset(
+        part.id for part in ast.walk(node) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
+    )
+
+
+def _is_empty(body: list[ast.stmt]) -> bool:
+    return all(
+        isinstance(node, ast.Pass) or (isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant))
+        for node in body
+    )
+
+
+def _native_line(node: ast.FunctionDef, body: str) -> int:
+    """Where a native body stands in the file, if it is written as one string, line by line."""
+    for decorator in node.decorator_list:
+        for argument in decorator.args if isinstance(decorator, ast.Call) else ():
+            if isinstance(argument, ast.Constant) and argument.value == body:
+                lines = (argument.end_lineno or 0) - argument.lineno
+                return argument.lineno if lines == body.count("\n") else 0
+    return 0
+
+
+def _header(node: ast.stmt) -> Place:
+    """The place of a statement's first line."""
+    return Place(node.lineno, node.col_offset, 0)
+
+
+def _first_word(node: ast.stmt) -> str:
+    return ast.unparse(node).split(maxsplit=1)[0].rstrip(":")

@@ -1,0 +1,76 @@
+"""Bindings that nobody uses: every draw would have to bind them, and a slot of the device would be gone for nothing.
+
+A binding counts as used where any method of the shader or of its bases names it, even in a branch that a constant takes
+away: a variant of a shader keeps the bindings of the whole. Only what the class itself declares is asked for, so that a
+base may declare what its subclasses use.
+"""
+
+from __future__ import annotations
+
+import ast
+import linecache
+from types import FunctionType
+
+from rhi.errors import CallSite, ShaderError
+from rhi.shading.language import rules
+from rhi.shading.language.function import NATIVE
+from rhi.shading.language.shader import Shader
+from rhi.shading.language.source import Place, place_of, show, source_of
+
+__rhi_internal__ = True
+
+
+def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
+    """Refuse a shader that declares a binding no method names; `used` are those that its stages read or write.
+
+    Raises:
+        ShaderError `shading-unused-binding`: with the line of the declaration.
+    """
+    own = [
+        name
+        for name in shader._declared
+        if name in vars(shader).get("__annotations__", {}) or name in vars(shader)
+    ]
+    unused = [name for name in own if name not in used]
+    if not unused:
+        return
+    methods = [
+        value for base in shader.__mro__ if issubclass(base, Shader) and base is not Shader
+        for value in vars(base).values() if isinstance(value, FunctionType)
+    ]  # fmt: skip
+    if any(hasattr(method, NATIVE) for method in methods):
+        return  # what a native text uses isn't known
+    named = {name for method in methods for name in _named(method)}
+    for name in unused:
+        if name not in named:
+            file, place = _declaration(shader, methods[0], name)
+            call = f"class {shader.__name__}: {name}\n{show(file, place)}"
+            site = CallSite(file, place.line, shader.__qualname__)
+            raise ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site)
+
+
+def _named(method: FunctionType) -> set[str]:
+    """The attributes of its first parameter that a method names."""
+    node = source_of(method).node
+    own = node.args.args[0].arg if node.args.args else "self"
+    return {
+        part.attr
+        for part in ast.walk(node)
+        if isinstance(part, ast.Attribute) and isinstance(part.value, ast.Name) and part.value.id == own
+    }
+
+
+def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple[str, Place]:
+    """Where a class declares a binding: the file of its methods, and the place of `name: …` or `name = …` in it."""
+    file = method.__code__.co_filename
+    for node in ast.walk(ast.parse("".join(linecache.getlines(file)))):
+        if isinstance(node, ast.ClassDef) and node.name == shader.__name__:
+            for statement in node.body:
+                targets = (
+                    statement.targets
+                    if isinstance(statement, ast.Assign)
+                    else [getattr(statement, "target", None)]
+                )
+                if any(isinstance(target, ast.Name) and target.id == name for target in targets):
+                    return file, place_of(statement)
+    return file, Place(method.__code__.co_firstlineno)

@@ -1,0 +1,1 @@
+"""Writers of the language's type stubs and of its reference page."""

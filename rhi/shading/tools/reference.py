@@ -1,0 +1,97 @@
+"""Writes the reference of built-ins into a page: `python -m rhi.shading.tools.reference docs/shading.md`.
+
+What stands between the two marks comes from the table; a test keeps the page current.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, Error
+
+__rhi_internal__ = True
+
+BEGIN: Final = "<!-- built-ins, written by `python -m rhi.shading.tools.reference` -->"
+END: Final = "<!-- end of built-ins -->"
+_SECTIONS: Final = {
+    "radians": "Angles",
+    "pow": "Exponentials",
+    "abs": "Common",
+    "length": "Geometry",
+    "transpose": "Matrices",
+    "less_than": "Comparisons by component",
+    "float_bits_to_int": "Bits",
+    "pack_half_2x16": "Packing",
+    "uniform": "Lanes",
+    "ddx": "Fragments",
+    "atomic_add": "Memory",
+    "vertex_index": "What a stage is given",
+}
+_DEFAULT: Final = Error().domain
+
+
+def write_reference() -> str:
+    """The sections of the built-ins, and the errors of the operators."""
+    return "\n".join(_lines()).strip()
+
+
+def _lines() -> Iterator[str]:
+    for name, row in BUILTINS.items():
+        if name in _SECTIONS:
+            yield f"\n**{_SECTIONS[name]}**\n"
+            yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |"
+            yield "|---|---|---|---|---|---|"
+        yield f"| `{_form(row)}` | {row.doc}{_domain(row.error)} | {' | '.join(_errors(row))} |"
+    yield "\n**Operators**\n"
+    yield "| | | OpenGL | `EXACT` | `FAST` | NumPy |"
+    yield "|---|---|---|---|---|---|"
+    for name, error in OPERATORS.items():
+        if error.exact:
+            yield f"| `{name}` | of floats{_domain(error)} | {' | '.join(_numbers(error))} |"
+
+
+def _form(row: Builtin) -> str:
+    """`name(F,F) -> F` for each signature of the row."""
+    forms = []
+    for signature in row.form.split(";"):
+        result, _, rest = signature.strip().partition("(")
+        given = ", ".join(part.strip().rstrip("&") for part in rest.rstrip(")").split(","))
+        forms.append(f"{row.name}({given})" + (f" -> {result}" if result != "None" else ""))
+    return "`<br>`".join(forms)
+
+
+def _errors(row: Builtin) -> list[str]:
+    without = not row.overloads[0].parameters or row.effect is not Effect.NONE or len(row.stages) == 1
+    return ["", "", "", ""] if without else _numbers(row.error)
+
+
+def _numbers(error: Error) -> list[str]:
+    glsl = f"{error.glsl:g}" + (f", or {error.glsl_absolute:g} absolutely" if error.glsl_absolute else "")
+    return [glsl, *(f"{units:g}" for units in (error.exact, error.fast, error.numpy))]
+
+
+def _domain(error: Error) -> str:
+    if error.domain == _DEFAULT or not (error.glsl or error.exact):
+        return ""
+    ranges = ", ".join(f"{_number(low)}…{_number(high)}" for low, high in error.domain)
+    return f" ({ranges})"
+
+
+def _number(number: float) -> str:
+    return "2^-126" if number == 2.0**-126 else f"{number:g}"
+
+
+def update(page: str) -> str:
+    """A page with the reference as the table has it now."""
+    text = f"{BEGIN}\n\n{write_reference()}\n\n{END}"
+    return re.sub(f"{re.escape(BEGIN)}.*{re.escape(END)}", lambda _: text, page, flags=re.DOTALL)
+
+
+if __name__ == "__main__":
+    for name in sys.argv[1:]:
+        path = Path(name)
+        path.write_text(update(path.read_text()))

@@ -1,0 +1,53 @@
+"""What the formats say about themselves."""
+
+import pickle
+import re
+
+import numpy as np
+import pytest
+
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, IndexFormat, Kind
+
+
+def test_formats_with_equal_parts_are_still_different():
+    assert Format.D24 is not Format.D32F
+    assert len(set(Format)) == len(Format.__members__) == len(list(Format))
+
+
+@pytest.mark.parametrize("format", COLOR_FORMATS, ids=lambda f: f.name)
+def test_a_color_texel_is_as_large_as_its_channels(format):
+    assert format.texel_bytes == format.channels * format.dtype.itemsize
+    assert not format.is_depth
+    assert not format.has_stencil
+
+
+@pytest.mark.parametrize("format", DEPTH_FORMATS, ids=lambda f: f.name)
+def test_a_depth_format_reads_as_one_float(format):
+    assert format.is_depth
+    assert (format.channels, format.dtype) == (1, np.float32)
+    assert format.has_stencil == format.name.endswith("S8")
+
+
+@pytest.mark.parametrize("format", COLOR_FORMATS, ids=lambda f: f.name)
+def test_a_formats_name_tells_its_channels_and_bits(format):
+    letters, bits, suffix = re.fullmatch(r"(RGBA|RG|R)(\d+)(F|UI|I|_SNORM|_SRGB|)", format.name).groups()
+    kinds = {"": "UNORM", "_SNORM": "SNORM", "_SRGB": "SRGB", "F": "FLOAT", "UI": "UINT", "I": "INT"}
+    assert (format.channels, format.dtype.itemsize * 8) == (len(letters), int(bits))
+    assert format.kind.name == kinds[suffix]
+
+
+def test_integer_formats_are_those_that_shaders_read_as_integers():
+    integers = {f for f in Format if f.is_integer}
+    assert integers == {f for f in Format if f.kind in (Kind.UINT, Kind.INT)}
+    assert all(f.name.endswith("I") for f in integers)
+
+
+@pytest.mark.parametrize("format", list(Format), ids=lambda f: f.name)
+def test_a_format_survives_pickling_as_itself(format):
+    assert pickle.loads(pickle.dumps(format)) is format
+
+
+@pytest.mark.parametrize(("format", "size"), [(IndexFormat.UINT16, 2), (IndexFormat.UINT32, 4)])
+def test_an_index_format_knows_its_size(format, size):
+    assert format.size == format.dtype.itemsize == size
+    assert format.dtype.kind == "u"

@@ -1,0 +1,300 @@
+"""Command buffers beyond what the kit asks of every backend: faults, traces, threads, and random programs."""
+
+from __future__ import annotations
+
+import gc
+import weakref
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from testing_kit import Corner, House, Light
+
+import rhi
+from rhi import (
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthBias,
+    DepthFunction,
+    Device,
+    Encoder,
+    Format,
+    FrontFace,
+    Op,
+    Primitive,
+)
+from rhi.backends.null import Faults, NullBackend, SimulatedBackend, Simulation, create_backend
+from rhi.commands.recorder import CommandMethods
+from rhi.conformance.compare import assert_same
+from rhi.errors.rules import DEVICE_DRIVER
+from rhi.testing import expect, watch
+from rhi.trace import load, replay, save
+
+# -- random programs ---------------------------------------------------------------------------------------
+
+STATES = (
+    CullMode.NONE, CullMode.FRONT, DepthBias(-2.0), ColorWrite(red=False), BlendFunction.ADDITIVE,
+    BlendFunction.ALPHA.at(1), DepthFunction.ALWAYS,
+)  # fmt: skip
+DRAW = st.tuples(
+    st.lists(st.sampled_from(STATES), unique_by=type, max_size=3),
+    st.booleans(),
+    st.integers(0, 2),
+    st.integers(0, 3),
+)
+PASS = st.tuples(st.booleans(), st.booleans(), st.text("ab", max_size=2), st.lists(DRAW, max_size=6))
+
+
+def give(encoder: Encoder, house: House, passes: list[Any]) -> None:
+    """A random frame."""
+    for clears, shadow, label, draws in passes:
+        target = {"depth": house.map} if shadow else {"color": house.image, "depth": house.depth}
+        with encoder.event(label), encoder.render_pass(**target, clear_depth=0 if clears else None):
+            for states, roof, first, instances in draws:
+                mesh = (house.roof if roof else house.walls).view(first)
+                with encoder.states(*states, FrontFace.CLOCKWISE):
+                    if shadow:
+                        encoder.draw(house.shadow, mesh, instances, light=house.light)
+                    else:
+                        encoder.draw(house.lit, mesh, instances, light=house.light, tint=house.tint)
+
+
+@settings(max_examples=60)
+@given(passes=st.lists(PASS, max_size=4))
+def test_any_frame_is_issued_later_as_it_is_at_once(passes: list[Any]) -> None:
+    with rhi.create_device("null") as device:
+        house = House(device)
+        give(device, house, passes)
+        with device.record() as empty:
+            pass
+        streams = []
+        for later in (False, True):
+            device.submit(empty)  # default states
+            since = len(device.stream)
+            if later:
+                with device.record() as commands:
+                    give(commands, house, passes)
+                device.submit(commands)
+            else:
+                give(device, house, passes)
+            streams.append([(command.op, command.values) for command in device.stream[since:]])
+        assert streams[0] == streams[1]
+
+
+# -- faults ------------------------------------------------------------------------------------------------
+
+
+def shadow_pass(encoder: Encoder, house: House) -> None:
+    with (
+        encoder.event("sun"),
+        encoder.render_pass(depth=house.map, clear_depth=0),
+        encoder.states(CullMode.FRONT),
+    ):
+        encoder.draw(house.shadow, house.walls, light=encoder.transient.uniform(Light(offset=(1, 2, 3, 4))))
+        with encoder.immediate(house.shadow, Primitive.TRIANGLES, light=house.light) as triangles:
+            triangles.vertices(np.zeros(3, Corner.dtype))
+
+
+def count_commands() -> tuple[int, int]:
+    """At which command of a clean run a submission begins and ends."""
+    with rhi.create_device("null") as device:
+        house = House(device)
+        with device.record() as commands:
+            shadow_pass(commands, house)
+        before = len(device.stream)
+        device.submit(commands)
+        return before, len(device.stream)
+
+
+@pytest.mark.parametrize("command", range(*count_commands()))
+def test_a_device_lost_in_a_submission_leaves_nothing_open(command: int) -> None:
+    device = rhi.create_device("null", faults=Faults(loss=command))
+    house = House(device)
+    with device.record() as commands:
+        shadow_pass(commands, house)
+    with pytest.raises(rhi.DeviceError) as caught:
+        device.submit(commands)
+    assert caught.value.rule.id == "device-lost"
+    assert device._core.render_pass is None
+    assert device._core.states.depth == 0
+    device.close()
+
+
+class Flaky(CommandMethods):
+    """A backend whose n-th call of some method fails once."""
+
+    METHOD = """\
+    self.countdown -= self.fails == '{method}'
+    if self.fails == '{method}' and self.countdown < 0:
+        self.fails = ''
+        raise self.error('{method}')
+    return self.backend.{method}({arguments})
+"""
+
+    @staticmethod
+    def error(method: str) -> rhi.DeviceError:
+        return rhi.DeviceError(DEVICE_DRIVER, method)
+
+    def __init__(self) -> None:
+        self.backend = create_backend()
+        self.fails = ""
+        self.countdown = 0
+
+    @property
+    def capabilities(self) -> Any:
+        return self.backend.capabilities
+
+    def completed(self) -> int:
+        return self.backend.completed()
+
+    def read_query(self, query: int) -> int | None:
+        return self.backend.read_query(query)
+
+    def close(self) -> None:
+        self.backend.close()
+
+
+@pytest.mark.parametrize("recorded", [False, True], ids=["direct", "recorded"])
+@pytest.mark.parametrize(("method", "after"), [
+    ("create_buffer", 0), ("create_vertex_array", 0), ("create_vertex_array", 1), ("write_buffer", 0),
+    ("bind_uniform", 0), ("draw", 0), ("draw", 1), ("end_pass", 0), ("set_states", 0),
+])  # fmt: skip
+def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(
+    method: str, after: int, recorded: bool
+) -> None:
+    flaky = Flaky()
+    with Device(rhi.Recorder(flaky) if recorded else flaky) as device:
+        house = House(device)
+        null = device.backend_as(NullBackend)
+        with device.record() as commands:
+            shadow_pass(commands, house)
+        flaky.fails, flaky.countdown = method, after
+        with pytest.raises(rhi.DeviceError):
+            device.submit(commands)
+        draws = null.statistics.draws
+        device.submit(commands)
+        house.render()
+        device.submit(commands)
+        assert null.statistics.draws == draws + 2 + 3 + 2
+        arena = commands._arena
+        assert bytes(null._resources.buffers[arena.buffer]) == bytes(arena.data)
+        state = null._state
+        assert state.labels == ()
+        assert state.render_pass is None
+        values = dict(zip(rhi.contract.states.STATE_TYPES, device._core.states.hardware.values, strict=True))
+        assert state.states == values  # the device knows what the hardware has
+
+
+# -- instruments -------------------------------------------------------------------------------------------
+
+
+def test_a_submission_is_part_of_a_trace(tmp_path: Any) -> None:
+    with rhi.create_device("null") as device:
+        house = House(device)
+        with device.record(label="shadows") as commands:
+            shadow_pass(commands, house)
+        for _ in range(2):
+            device.submit(commands)
+        device.present(house.image)
+        save(device, tmp_path / "trace.zip")
+    trace = load(tmp_path / "trace.zip")
+    expect(trace.stream).draws().within("shadows", "sun").exactly(4)
+    with rhi.create_device("null") as device:
+        replay(trace, on=device)
+        assert device.backend_as(NullBackend).statistics.draws == 4
+
+
+def test_what_a_submission_asks_for_is_seen_by_watch(null_device: Device) -> None:
+    house = House(null_device)
+    with null_device.record() as commands, commands.render_pass(depth=house.map):
+        for _ in range(5):
+            with commands.states(CullMode.NONE, DepthBias(-1.0)):
+                commands.draw(house.shadow, house.walls, light=house.light)
+    with watch(null_device) as work:
+        null_device.submit(commands)
+    assert (work.requested.states, work.issued.states) == (10, 2)
+    assert (work.requested.bindings, work.issued.bindings) == (5, 1)
+
+
+def test_a_simulated_gpu_takes_submissions_without_a_hazard() -> None:
+    with rhi.create_device("null", simulation=Simulation()) as device:
+        house = House(device)
+        with device.record() as commands:
+            shadow_pass(commands, house)
+        for _ in range(5):
+            device.submit(commands)
+            device.present(house.image)
+        device.finish()
+        assert not device.backend_as(SimulatedBackend).hazards
+
+
+def test_what_was_recorded_can_be_asserted_on_before_it_is_submitted(null_device: Device) -> None:
+    house = House(null_device)
+    with null_device.record(label="sun") as commands:
+        shadow_pass(commands, house)
+    assert len(commands) == len(commands.stream) > 5
+    expect(commands.stream).draws(program="Shadow").within("sun").with_states(CullMode.FRONT).exactly(2)
+    assert "sun" in repr(null_device.record(label="sun"))
+
+
+# -- life --------------------------------------------------------------------------------------------------
+
+
+def test_a_buffer_keeps_no_mesh_and_meshes_keep_no_buffer(null_device: Device) -> None:
+    house = House(null_device)
+    with null_device.record() as commands, commands.render_pass(depth=house.map):
+        view = house.walls.view(0, 3)
+        commands.draw(house.shadow, view, light=house.light)
+    seen, kept = weakref.ref(view), weakref.ref(commands)
+    del view
+    gc.collect()
+    assert seen() is None
+    null_device.submit(commands)
+    del commands
+    gc.collect()
+    assert kept() is None
+
+
+def test_a_buffer_that_was_never_submitted_leaves_nothing_behind(null_device: Device) -> None:
+    house = House(null_device)
+    before = len(null_device.stream)
+    with null_device.record() as commands:
+        shadow_pass(commands, house)
+    del commands
+    gc.collect()
+    null_device.finish()
+    assert not null_device.stream[before:].filter([Op.CREATE_BUFFER, Op.CREATE_VERTEX_ARRAY, Op.DESTROY])
+
+
+def test_two_buffers_made_before_the_first_submission_serve_one_mesh(null_device: Device) -> None:
+    house = House(null_device)
+
+    def draw(encoder: Encoder) -> None:
+        with encoder.render_pass(depth=house.map):
+            encoder.draw(house.shadow, house.walls, light=house.light)
+
+    buffers = []
+    for _ in range(2):
+        with null_device.record() as commands:
+            draw(commands)
+        buffers.append(commands)
+    before = len(null_device.stream)
+    null_device.submit(*buffers, *buffers)
+    draw(null_device)
+    made = null_device.stream[before:].filter(Op.CREATE_VERTEX_ARRAY)
+    assert len(made) == 2  # one for each, made before they knew of each other
+    house.walls.destroy()
+    null_device.finish()
+    gone = {command.values[0] for command in null_device.stream.filter(Op.DESTROY)}
+    assert {command.values[0] for command in made} <= gone
+
+
+def test_the_device_s_own_image_comes_from_a_submission(null_device: Device) -> None:
+    image = null_device.texture((4, 4), Format.R8)
+    with null_device.record() as commands, commands.render_pass(image, clear=(1, 0, 0, 0)):
+        pass
+    null_device.submit(commands)
+    assert_same(image.read(), 255)

@@ -1,0 +1,130 @@
+"""FixedStack and FixedQueue against list and collections.deque."""
+
+from collections import deque
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rhi.device.core.containers import FixedQueue, FixedStack
+from rhi.errors import ValidationError
+
+CAPACITIES = st.integers(1, 9)
+# A number is pushed, None pops, "clear" clears.
+STEPS = st.lists(st.one_of(st.integers(0, 9), st.none(), st.just("clear")), max_size=60)
+
+
+@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
+@pytest.mark.parametrize("capacity", [0, -1])
+def test_a_container_without_room_is_refused(container, capacity):
+    with pytest.raises(ValidationError) as caught:
+        container(capacity)
+    assert caught.value.rule.id == "container-capacity"
+
+
+@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
+@pytest.mark.parametrize("capacity", [1, 2, 3, 4, 5, 8, 9])
+def test_a_container_of_n_takes_n_elements_and_no_more(container, capacity):
+    room = container(capacity)
+    for value in range(capacity):
+        room.push(value)
+    assert list(room) == list(range(capacity))
+    with pytest.raises(ValidationError) as caught:
+        room.push(-1)
+    assert caught.value.rule.id == "container-full"
+    assert list(room) == list(range(capacity))
+
+
+@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
+def test_an_empty_container_refuses_a_pop_and_stays_usable(container):
+    room = container(1)
+    with pytest.raises(ValidationError) as caught:
+        room.pop()
+    assert caught.value.rule.id == "container-empty"
+    room.push(7)
+    assert room.pop() == 7
+
+
+@pytest.mark.parametrize(("container", "name"), [(FixedStack, "top"), (FixedQueue, "front")])
+def test_an_empty_container_has_no_first_element(container, name):
+    with pytest.raises(ValidationError) as caught:
+        getattr(container(1), name)
+    assert caught.value.rule.id == "container-empty"
+
+
+def test_a_full_queue_is_not_an_empty_one():
+    queue = FixedQueue(4)
+    assert (len(queue), queue.is_full) == (0, False)
+    for value in range(4):
+        queue.push(value)
+    assert (len(queue), queue.is_full) == (4, True)
+
+
+def test_n_pushes_fill_a_ring_wherever_it_stands():
+    for turned in range(8):
+        queue = FixedQueue(4)
+        for value in range(turned):
+            queue.push(value)
+            queue.pop()
+        for value in range(4):
+            queue.push(value)
+        assert queue.is_full
+        assert [queue.pop() for _ in range(4)] == [0, 1, 2, 3]
+
+
+@given(CAPACITIES, STEPS)
+@settings(max_examples=200)
+def test_a_queue_does_what_a_deque_does(capacity, steps):
+    queue, model = FixedQueue(capacity), deque()
+    for step in steps:
+        if step == "clear":
+            queue.clear()
+            model.clear()
+        elif step is None and model:
+            assert queue.front == model[0]
+            assert queue.pop() == model.popleft()
+        elif step is not None and len(model) < capacity:
+            queue.push(step)
+            model.append(step)
+        else:
+            with pytest.raises(ValidationError):
+                queue.pop() if step is None else queue.push(step)
+        assert list(queue) == list(model)
+        assert len(queue) == len(model)
+        assert queue.is_full == (len(model) == capacity)
+
+
+@given(CAPACITIES, STEPS)
+@settings(max_examples=200)
+def test_a_stack_does_what_a_list_does(capacity, steps):
+    stack, model = FixedStack(capacity), []
+    for step in steps:
+        if step == "clear":
+            stack.clear()
+            model.clear()
+        elif step is None and model:
+            assert stack.top == model[-1]
+            assert stack.pop() == model.pop()
+        elif step is not None and len(model) < capacity:
+            stack.push(step)
+            model.append(step)
+        else:
+            with pytest.raises(ValidationError):
+                stack.pop() if step is None else stack.push(step)
+        assert list(stack) == model
+        assert len(stack) == len(model)
+
+
+@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
+def test_a_container_lets_go_of_what_was_taken_out(container):
+    import weakref
+
+    class Thing:
+        pass
+
+    room, thing = container(2), Thing()
+    alive = weakref.ref(thing)
+    room.push(thing)
+    room.pop()
+    del thing
+    assert alive() is None

@@ -1,0 +1,50 @@
+"""Resources that are filled when they are made: all of it, or nothing is left."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from null_kit import Camera, Kit
+
+import rhi
+from rhi import Device, Format, Op
+from rhi.backends.null import NullBackend
+from rhi.errors.rules import DEVICE_MEMORY
+
+TEXELS = np.zeros((4, 4, 4), "u1")
+FILLED: list[tuple[str, Callable[[Device], object]]] = [
+    ("write_buffer", lambda device: device.buffer(np.arange(4))),
+    ("write_buffer", lambda device: device.storage(float, np.zeros(4, "f4"))),
+    ("write_buffer", lambda device: device.uniform(Camera(tint=(1, 1, 1, 1)))),
+    ("write_buffer", lambda device: device.mesh({"position": np.zeros((3, 2))})),
+    ("write_texture", lambda device: device.texture(TEXELS, Format.RGBA8)),
+    ("generate_mipmaps", lambda device: device.texture(TEXELS, Format.RGBA8, levels=None)),
+]
+
+
+@pytest.mark.parametrize(("method", "make"), FILLED)
+def test_what_cannot_be_filled_is_given_back(
+    kit: Kit, monkeypatch: pytest.MonkeyPatch, method: str, make: Callable[[Device], object]
+) -> None:
+    device = kit.device
+
+    def fail(*arguments: object) -> None:
+        raise rhi.DeviceError(DEVICE_MEMORY, method)
+
+    def count(op: Op) -> int:
+        return sum(command.op is op for command in device.stream)
+
+    made, destroyed = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE), count(Op.DESTROY)
+    with monkeypatch.context() as patch:
+        patch.setattr(device.backend_as(NullBackend), method, fail)
+        with pytest.raises(rhi.DeviceError):
+            make(device)
+    device.finish()
+    made = count(Op.CREATE_BUFFER) + count(Op.CREATE_TEXTURE) - made
+    assert made == 1
+    assert count(Op.DESTROY) - destroyed == made
+    make(device)
+    device.finish()
+    assert count(Op.DESTROY) - destroyed == made

@@ -1,0 +1,186 @@
+"""The generated draw: what it sends again, what it doesn't, and what it refuses without a trace."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from null_kit import Camera, Kit, Object, hand_made_program
+
+import rhi
+from rhi.contract.descriptors import Binding, BindingKind
+
+Op = rhi.Op
+BINDS = (Op.BIND_PROGRAM, Op.BIND_UNIFORM)
+
+
+def test_a_second_draw_sends_only_the_binding_that_changed(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        before = len(kit.device.stream)
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[1])
+    sent = list(kit.device.stream)[before:]
+    assert [c.op for c in sent] == [Op.BIND_UNIFORM, Op.DRAW, Op.END_PASS]
+    assert (sent[0]["slot"], sent[0]["offset"]) == (1, kit.objects[1].offset)
+
+
+def test_another_program_in_between_makes_everything_be_sent_again(kit: Kit) -> None:
+    other = kit.device.program(hand_made_program("other"))
+    arguments = {"camera": kit.camera, "object": kit.objects[0]}
+    with kit.device.render_pass(kit.image):
+        for program in (kit.program, other, kit.program):
+            kit.device.draw(program, kit.mesh, **arguments)
+    bound = [c["program"] for c in kit.ops(Op.BIND_PROGRAM)]
+    assert bound == [kit.program.id, other.id, kit.program.id]
+    assert len(kit.ops(Op.BIND_UNIFORM)) == 6
+
+
+def test_a_new_pass_makes_everything_be_sent_again(kit: Kit) -> None:
+    for _ in range(2):
+        with kit.device.render_pass(kit.image):
+            kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+    assert len(kit.ops(Op.BIND_UNIFORM)) == 4
+
+
+def test_a_refused_draw_sends_nothing(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image):
+        before = len(kit.device.stream)
+        with pytest.raises(rhi.ValidationError):
+            kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.camera)
+        assert [c.op for c in list(kit.device.stream)[before:]] in ([], [Op.CREATE_VERTEX_ARRAY])
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+    assert len(kit.ops(Op.DRAW)) == 1
+
+
+def test_a_range_of_another_struct_is_refused_with_both_names(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=r"Object[\s\S]*Camera") as caught:
+        kit.device.draw(kit.program, kit.mesh, camera=kit.objects[0], object=kit.objects[0])
+    assert caught.value.rule.id == "binding-type"
+
+
+def test_what_is_no_binding_is_refused_with_the_call_that_makes_one(kit: Kit) -> None:
+    for wrong in (np.eye(4), Camera(tint=(0, 0, 0, 0))):
+        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(kit.program, kit.mesh, camera=wrong, object=kit.objects[0])
+        assert "device.uniform(Camera(…))" in caught.value.tip
+
+
+def test_a_missing_binding_is_refused_by_both_draws(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image):
+        with pytest.raises(rhi.ValidationError) as by_device:
+            kit.device.draw(kit.program, kit.mesh, camera=kit.camera)
+        with pytest.raises(rhi.ValidationError) as by_program:
+            kit.program.draw(kit.mesh, camera=kit.camera)
+    assert by_device.value.rule.id == by_program.value.rule.id == "binding-missing"
+
+
+def test_a_binding_missing_after_a_complete_draw_is_refused(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        with pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(kit.program, kit.mesh, object=kit.objects[0])
+    assert caught.value.rule.id == "binding-missing"
+
+
+def test_an_unknown_binding_is_refused_by_name(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match="camra") as caught:
+        kit.device.draw(kit.program, kit.mesh, camra=kit.camera, object=kit.objects[0])
+    assert caught.value.rule.id == "binding-unknown"
+
+
+def test_a_range_destroyed_between_draws_is_refused(kit: Kit) -> None:
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+        kit.objects.destroy()
+        with pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+    assert caught.value.rule.id == "resource-destroyed"
+
+
+def test_a_mesh_whose_buffer_was_destroyed_is_refused_also_when_another_was_drawn_since(kit: Kit) -> None:
+    vertices = kit.device.buffer(np.zeros(3, [("position", "f4", (2,))]))
+    mesh = kit.device.mesh(vertices)
+    arguments = {"camera": kit.camera, "object": kit.objects[0]}
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, mesh, **arguments)
+        vertices.destroy()
+        kit.device.draw(kit.program, kit.mesh, **arguments)
+        with pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(kit.program, mesh, **arguments)
+    assert caught.value.rule.id == "resource-destroyed"
+
+
+def test_drawing_with_a_locked_resource_is_refused_and_works_after_the_lock(kit: Kit) -> None:
+    arguments = {"camera": kit.camera, "object": kit.objects[0]}
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, kit.mesh, **arguments)
+        with kit.objects.lock(rhi.Access.WRITE):
+            for _ in range(2):
+                with pytest.raises(rhi.ValidationError) as caught:
+                    kit.device.draw(kit.program, kit.mesh, **arguments)
+                assert caught.value.rule.id == "lock-open"
+        kit.device.draw(kit.program, kit.mesh, **arguments)
+
+
+def test_drawing_while_something_else_is_locked_works(kit: Kit) -> None:
+    other = kit.device.buffer(16)
+    with kit.device.render_pass(kit.image), other.lock(rhi.Access.WRITE):
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+    assert len(kit.ops(Op.DRAW)) == 1
+
+
+def test_a_range_of_another_device_is_refused(kit: Kit) -> None:
+    with rhi.create_device("null") as other:
+        foreign = other.uniform(Camera(tint=(0, 0, 0, 0)))
+        with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+            kit.device.draw(kit.program, kit.mesh, camera=foreign, object=kit.objects[0])
+    assert caught.value.rule.id == "resource-foreign"
+
+
+def test_the_refusal_names_the_line_of_the_call(kit: Kit) -> None:
+    with pytest.raises(rhi.ValidationError) as caught:
+        kit.device.draw(kit.program, kit.mesh, camera=kit.camera, object=kit.objects[0])
+    assert caught.value.rule.id == "draw-outside-pass"
+    assert caught.value.site is not None
+    assert caught.value.site.file == __file__
+    assert caught.value.site.line == caught.tb.tb_lineno
+
+
+@pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, "2"])
+def test_a_number_of_instances_that_is_none_is_refused(kit: Kit, instances: int) -> None:
+    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
+        kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])
+    assert caught.value.rule.id == "draw-count"
+
+
+@pytest.mark.parametrize("instances", [0, 2, np.int64(3), (1 << 31) - 1])
+def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> None:
+    with kit.device.render_pass(kit.image):
+        kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])
+    given = kit.ops(Op.DRAW)[0]["instances"]
+    assert given == instances
+    assert type(given) is int
+
+
+@pytest.mark.parametrize("name", ["class", "self"])
+def test_a_binding_that_no_keyword_can_give_is_refused(kit: Kit, name: str) -> None:
+    with pytest.raises(rhi.ValidationError) as caught:
+        kit.device.program(hand_made_program("bad", Binding(name, BindingKind.UNIFORM, 0, False, Camera, 16)))
+    assert caught.value.rule.id == "binding-name"
+    kit.device.program(hand_made_program("good", Binding("mesh", BindingKind.UNIFORM, 0, False, Camera, 16)))
+
+
+def test_a_mesh_without_a_field_the_program_reads_is_refused_with_both_lists(kit: Kit) -> None:
+    mesh = kit.device.mesh({"place": np.zeros((3, 2), np.float32)})
+    with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError, match=r"place[\s\S]*position") as caught:
+        kit.device.draw(kit.program, mesh, camera=kit.camera, object=kit.objects[0])
+    assert caught.value.rule.id == "mesh-attribute"
+
+
+def test_the_same_class_gives_the_same_program(kit: Kit) -> None:
+    descriptor = hand_made_program("once")
+    assert kit.device.program(descriptor) is kit.device.program(descriptor)
+
+
+def test_structs_of_equal_layout_are_different_types() -> None:
+    assert Camera.uniform_dtype.itemsize == Object.uniform_dtype.itemsize
+    assert Camera is not Object

@@ -1,0 +1,145 @@
+"""Finding a backend, and what is said when there is none."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+import rhi
+from rhi import Capabilities
+from rhi.__main__ import main
+from rhi.device.registry import BackendReport
+
+
+def test_the_null_device_is_never_chosen_by_itself() -> None:
+    assert rhi.backend_names()[-1] == "null"
+
+
+def test_an_unknown_name_is_refused_with_a_suggestion() -> None:
+    with pytest.raises(rhi.DeviceError, match="did you mean 'null'") as caught:
+        rhi.create_device("nul")
+    assert caught.value.rule.id == "device-unknown"
+
+
+def test_the_environment_names_the_backend(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "null")
+    with rhi.create_device() as device:
+        assert device.backend_name == "null"
+
+
+def test_an_argument_wins_over_the_environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "nothing-of-the-kind")
+    with rhi.create_device("null") as device:
+        assert device.backend_name == "null"
+
+
+def test_the_null_device_records_unless_told_not_to() -> None:
+    with rhi.create_device("null") as device:
+        assert len(device.stream) == 0
+    with rhi.create_device("null", record=False) as device, pytest.raises(rhi.ValidationError) as caught:
+        _ = device.stream
+    assert caught.value.rule.id == "device-not-recording"
+
+
+def test_options_are_the_backends_own() -> None:
+    with rhi.create_device("null", profile="gles-3") as device:
+        assert device.capabilities.device == "gles-3"
+    with pytest.raises(rhi.ValidationError) as caught:
+        rhi.create_device("null", profil="gles-3")
+    assert caught.value.rule.id == "device-argument"
+    assert "profil=" in caught.value.call
+    assert caught.value.allowed == "faults, profile, simulation"
+
+
+def test_a_backend_without_options_refuses_them() -> None:
+    with pytest.raises(rhi.ValidationError) as caught:
+        rhi.create_device("gl", profile="gles-3")
+    assert caught.value.allowed == "no options"
+
+
+def test_options_without_a_name_go_to_the_backends_that_are_tried() -> None:
+    with pytest.raises(rhi.DeviceError) as caught:
+        rhi.create_device(profile="gles-3")
+    assert "gl: profile" in caught.value.given
+
+
+def test_a_closed_device_refuses_work_by_name() -> None:
+    with rhi.create_device("null") as device:
+        pass
+    with pytest.raises(rhi.ValidationError) as caught:
+        device.buffer(16)
+    assert caught.value.rule.id == "device-closed"
+
+
+def test_a_lock_never_released_is_reported_when_the_device_closes() -> None:
+    device = rhi.create_device("null")
+    device.buffer(16).lock(rhi.Access.WRITE).__enter__()
+    with pytest.raises(rhi.ValidationError) as caught:
+        device.close()
+    assert caught.value.rule.id == "lock-open"
+    assert device.closed
+
+
+def test_the_report_names_every_backend(capsys: pytest.CaptureFixture[str]) -> None:
+    main([])
+    text = capsys.readouterr().out
+    assert all(name in text for name in rhi.backend_names())
+
+
+def report_of(name: str, device: str | None = None) -> BackendReport:
+    limits = Capabilities(name, device, "a driver") if device is not None else None
+    return BackendReport(name, limits is not None, "" if limits else "one reason\nanother", "a tip", limits)
+
+
+@pytest.mark.parametrize(
+    ("named", "reports", "says"),
+    [
+        ("", [report_of("gl", "a GPU"), report_of("cl", "a CPU")], "gl"),
+        ("", [report_of("gl"), report_of("cl", "a CPU")], "cl"),
+        ("", [report_of("gl")], "nothing; see the reasons above"),
+        ("cl", [report_of("gl", "a GPU"), report_of("cl", "a CPU")], "cl, as RHI_BACKEND says"),
+        ("cl", [report_of("gl", "a GPU"), report_of("cl")], "nothing: RHI_BACKEND names cl, which can't be used"),
+        ("", [report_of("gl", "llvmpipe"), report_of("cl")], "gl"),
+        (
+            "",
+            [report_of("gl", "llvmpipe"), report_of("cl", "a CPU")],
+            "gl\nllvmpipe draws on the CPU; RHI_BACKEND=cl does so several times as fast",
+        ),
+    ],
+)
+def test_the_report_says_what_would_be_chosen(
+    named: str,
+    reports: list[BackendReport],
+    says: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", named)
+    monkeypatch.setattr(rhi, "report", lambda: reports)
+    main([])
+    assert capsys.readouterr().out.endswith(f"would choose: {says}\n")
+
+
+def test_a_reason_of_several_lines_is_indented(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rhi, "report", lambda: [report_of("gl")])
+    main([])
+    assert "gl     not usable: one reason\n           another\n       a tip\n" in capsys.readouterr().out
+
+
+def test_the_report_as_json_has_capabilities(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--json"])
+    report = json.loads(capsys.readouterr().out)
+    null = next(b for b in report["backends"] if b["name"] == "null")
+    assert null["usable"]
+    assert null["capabilities"]["shading"] is False
+
+
+def test_importing_the_package_loads_no_driver() -> None:
+    code = "import sys, rhi; print([m for m in ('moderngl', 'pyopencl', 'glcontext') if m in sys.modules])"
+    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert output.strip() == "[]"

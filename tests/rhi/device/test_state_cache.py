@@ -1,0 +1,255 @@
+"""Scopes always restore, differences are minimal, memory is bounded (thesis 4.2)."""
+
+import dataclasses
+import sys
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from rhi.contract.states import (
+    DEFAULTS,
+    MAX_TARGETS,
+    PER_TARGET,
+    STATE_TYPES,
+    AlphaTest,
+    BlendFunction,
+    ColorWrite,
+    CullMode,
+    DepthBias,
+    DepthTest,
+    DepthWrite,
+    Scissor,
+    StateChange,
+    Viewport,
+)
+from rhi.device.core.state_cache import STACK_DEPTH, StateCache
+from rhi.errors import ValidationError
+
+VALUES = st.one_of(
+    st.sampled_from(list(CullMode)),
+    st.sampled_from(list(DepthWrite)),
+    st.sampled_from(list(DepthTest)),
+    st.sampled_from([ColorWrite.ON, ColorWrite.OFF, ColorWrite.OFF.at(0), ColorWrite.ON.at(7)]),
+    st.sampled_from([BlendFunction.OFF, BlendFunction.ALPHA, BlendFunction.ADDITIVE.at(3)]),
+    st.builds(Viewport, st.integers(0, 2), st.integers(0, 2), st.just(8), st.just(8)),
+    st.builds(Scissor, st.integers(0, 2)),
+    st.builds(DepthBias, st.sampled_from([0.0, -0.0, 1.0])),
+)
+SCOPES = st.lists(VALUES, min_size=1, max_size=4, unique_by=lambda s: (type(s), getattr(s, "target", None)))
+# A program: a scope to open, "close" the innermost one, or "draw" (a flush).
+PROGRAMS = st.lists(st.one_of(SCOPES.map(tuple), st.just("close"), st.just("draw")), max_size=40)
+
+
+def expand(value):
+    """A state as the hardware has it: per target for the types that exist per target."""
+    return (value,) * MAX_TARGETS if type(value) in PER_TARGET else value
+
+
+def apply(model, states):
+    """The plain model: a dict from state type to value."""
+    model = dict(model)
+    for state in states:
+        target = getattr(state, "target", None)
+        if target is None:
+            model[type(state)] = expand(state)
+        else:
+            row = list(model[type(state)])
+            row[target] = dataclasses.replace(state, target=None)
+            model[type(state)] = tuple(row)
+    return model
+
+
+def wanted(cache):
+    return dict(zip(STATE_TYPES, cache.wanted.values, strict=True))
+
+
+DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()}
+
+
+@given(PROGRAMS, st.sampled_from([16_384, 8, 1]))
+@settings(max_examples=150)
+def test_the_hardware_always_ends_up_with_what_the_scopes_ask_for(program, pool_entries):
+    cache = StateCache(pool_entries=pool_entries)
+    models, open_scopes, hardware = [DEFAULT_MODEL], [], dict(DEFAULT_MODEL)
+    software = sent = 0
+    for step in program:
+        if step == "draw":
+            changes = cache.flush()
+            assert len({change.type for change in changes}) == len(changes)
+            for change in changes:
+                assert change.value != hardware[change.type]  # nothing is sent that is already there
+                hardware[change.type] = change.value
+            sent += len(changes)
+            assert hardware == models[-1]
+            assert cache.flush() == ()
+        elif step == "close":
+            if open_scopes:
+                open_scopes.pop().__exit__(None, None, None)
+                models.pop()
+        else:
+            scope = cache.scope(step)
+            scope.__enter__()
+            open_scopes.append(scope)
+            models.append(apply(models[-1], step))
+            software += len(step)
+        assert wanted(cache) == models[-1]
+        assert cache.depth == len(open_scopes)
+        assert cache.vector_count <= pool_entries + 2
+    assert (cache.software_changes, cache.hardware_changes) == (software, sent)
+
+
+@given(st.lists(SCOPES.map(tuple), min_size=1, max_size=6), st.integers(0, 5))
+@settings(max_examples=80)
+def test_scopes_restore_when_an_exception_leaves_them(scopes, depth):
+    cache = StateCache()
+
+    def enter(level):
+        if level == min(depth, len(scopes)):
+            raise KeyError(level)
+        before = cache.wanted
+        try:
+            with cache.scope(scopes[level]):
+                enter(level + 1)
+        finally:
+            assert cache.wanted.values == before.values
+
+    with pytest.raises(KeyError):
+        enter(0)
+    assert wanted(cache) == DEFAULT_MODEL
+    assert cache.depth == 0
+
+
+def test_one_scope_may_be_entered_inside_itself():
+    cache = StateCache()
+    scope = cache.scope((CullMode.NONE,))
+    with scope, scope:
+        assert cache.wanted[CullMode] is CullMode.NONE
+    assert cache.wanted[CullMode] is CullMode.BACK
+
+
+def test_a_state_set_and_restored_before_a_draw_is_never_sent():
+    cache = StateCache()
+    with cache.scope((CullMode.NONE, DepthWrite.OFF)):
+        pass
+    assert cache.flush() == ()
+    assert (cache.software_changes, cache.hardware_changes) == (2, 0)
+
+
+def test_only_what_differs_is_sent():
+    cache = StateCache()
+    with cache.scope((CullMode.NONE, DepthWrite.ON)):  # DepthWrite is ON anyway
+        assert cache.flush() == (StateChange(CullMode, CullMode.NONE),)
+    assert cache.flush() == (StateChange(CullMode, CullMode.BACK),)
+
+
+def test_equal_combinations_are_one_vector_whichever_way_they_came_about():
+    cache = StateCache()
+    with cache.scope((CullMode.NONE,)), cache.scope((DepthTest.OFF,)):
+        first = cache.wanted
+    with cache.scope((DepthTest.OFF, CullMode.NONE)):
+        assert cache.wanted is first
+
+
+def test_a_state_for_one_target_leaves_the_others():
+    cache = StateCache()
+    with cache.scope((ColorWrite.OFF.at(2),)):
+        row = cache.wanted[ColorWrite]
+    assert [value == ColorWrite.OFF for value in row] == [target == 2 for target in range(MAX_TARGETS)]
+
+
+def test_a_state_for_all_targets_replaces_those_of_single_ones():
+    cache = StateCache()
+    with cache.scope((ColorWrite.OFF.at(2),)), cache.scope((ColorWrite.ON,)):
+        assert cache.flush() == ()
+
+
+def test_the_counters_start_anew_after_a_reset():
+    cache = StateCache()
+    with cache.scope((CullMode.NONE,)):
+        cache.flush()
+    assert (cache.software_changes, cache.hardware_changes) == (1, 1)
+    cache.reset_counters()
+    assert (cache.software_changes, cache.hardware_changes) == (0, 0)
+
+
+@pytest.mark.parametrize(
+    ("states", "rule"),
+    [
+        ((), "state-nothing"),
+        (("none",), "state-type"),
+        ((CullMode.NONE, 3), "state-type"),
+        (([],), "state-type"),
+        ((CullMode,), "state-type"),
+        ((CullMode.NONE, CullMode.BACK), "state-duplicate"),
+        ((ColorWrite.OFF.at(1), ColorWrite.ON.at(1)), "state-duplicate"),
+    ],
+)
+def test_a_bad_scope_is_refused_and_changes_nothing(states, rule):
+    cache = StateCache()
+    with pytest.raises(ValidationError) as caught, cache.scope(states):
+        pass
+    assert caught.value.rule.id == rule
+    assert wanted(cache) == DEFAULT_MODEL
+    assert (cache.depth, cache.software_changes) == (0, 0)
+
+
+def test_states_of_two_targets_are_no_duplicates():
+    cache = StateCache()
+    with cache.scope((ColorWrite.OFF.at(1), ColorWrite.OFF.at(2))):
+        assert cache.software_changes == 2
+
+
+def test_a_missing_capability_refuses_the_state_but_not_its_default():
+    cache = StateCache({AlphaTest: "alpha_test"})
+    with cache.scope((AlphaTest.OFF,)):
+        pass
+    with pytest.raises(ValidationError) as caught, cache.scope((AlphaTest.ON,)):
+        pass
+    assert caught.value.rule.id == "state-capability"
+    assert "alpha_test" in caught.value.allowed
+
+
+def test_the_deepest_scope_fits_and_one_more_is_refused():
+    cache = StateCache()
+    scope = cache.scope((CullMode.NONE,))
+    for _ in range(STACK_DEPTH):
+        scope.__enter__()
+    with pytest.raises(ValidationError) as caught:
+        scope.__enter__()
+    assert caught.value.rule.id == "container-full"
+    assert cache.software_changes == STACK_DEPTH
+    for _ in range(STACK_DEPTH):
+        scope.__exit__(None, None, None)
+    assert wanted(cache) == DEFAULT_MODEL
+
+
+def test_the_pool_of_vectors_stays_bounded():
+    cache = StateCache(pool_entries=50)
+    for x in range(500):
+        with cache.scope((Viewport(x, 0, 8, 8),)):
+            assert cache.flush() == (StateChange(Viewport, Viewport(x, 0, 8, 8)),)
+        assert cache.flush() == (StateChange(Viewport, Viewport.TARGET),)
+        assert cache.vector_count <= 52
+        assert len(cache.wanted.after) <= 52
+        assert len(cache.wanted.changes) <= 52
+
+
+def test_a_kept_scope_survives_a_full_pool():
+    cache = StateCache(pool_entries=4)
+    with cache.scope((CullMode.NONE,)):
+        for x in range(20):
+            with cache.scope((Scissor(x),)):
+                pass
+        assert cache.wanted[CullMode] is CullMode.NONE
+    assert wanted(cache) == DEFAULT_MODEL
+
+
+def test_stack_and_hardware_cache_fit_into_4_kilobytes():
+    """Thesis 4.2.3: about 4 kB, with room for more than 200 states."""
+    cache = StateCache()
+    stack, vector = cache._stack, cache.hardware
+    per_target = [vector[state_type] for state_type in PER_TARGET]
+    parts = [stack, stack._data, vector, vector.values, *per_target]
+    assert stack.capacity > 200
+    assert sum(map(sys.getsizeof, parts)) <= 4096

@@ -1,0 +1,47 @@
+"""docs/shading.md says what is true: its code runs and compiles, and it names every built-in."""
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+
+from rhi.contract.descriptors import Stage
+from rhi.shading import Shader, compile_shader
+from rhi.shading.language.builtins import BUILTINS
+from rhi.shading.tools.reference import update
+
+PAGE = Path(__file__).parents[4] / "docs" / "shading.md"
+
+
+def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_path, context):
+    path = tmp_path / "page.py"
+    path.write_text("\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)))
+    spec = importlib.util.spec_from_file_location("page", path)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["page"] = module
+    try:
+        spec.loader.exec_module(module)
+    finally:
+        del sys.modules["page"]
+    shaders = [
+        v for v in vars(module).values() if isinstance(v, type) and issubclass(v, Shader) and v is not Shader
+    ]
+    assert len(shaders) == 5
+    for shader in shaders:
+        program = compile_shader(shader)
+        texts = {f"{stage.value}_shader": program.emit("glsl", stage) for stage in program.stages}
+        if Stage.COMPUTE in program.stages:
+            context.compute_shader(texts["compute_shader"])
+        else:
+            context.program(**texts)
+
+
+def test_the_page_names_every_builtin():
+    words = set(re.findall(r"\w+", PAGE.read_text()))
+    assert set(BUILTINS) <= words
+
+
+def test_the_reference_of_the_builtins_is_what_the_table_says():
+    page = PAGE.read_text()
+    assert update(page) == page, "run python -m rhi.shading.tools.reference docs/shading.md"
+    assert update(page.replace("| sine (", "| sin (")) == page

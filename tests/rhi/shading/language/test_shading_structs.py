@@ -1,0 +1,239 @@
+"""Structs as layouts (checked by the device itself), as CPU values, and as classes."""
+
+import numpy as np
+import pytest
+
+from rhi.contract.descriptors import Stage
+from rhi.contract.layout import Layout
+from rhi.errors import ShaderError
+from rhi.shading import (
+    Array,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    array,
+    bvec2,
+    compile_shader,
+    ivec2,
+    mat2,
+    mat3,
+    mat4,
+    uint,
+    uvec3,
+    vec2,
+    vec3,
+    vec4,
+)
+
+
+class Part(Struct):
+    axis: vec3
+    size: float
+    flag: uint
+
+
+class Whole(Struct):
+    a: float
+    b: vec3
+    c: float
+    d: mat3
+    e: vec2
+    f: mat2
+    g: Array[float] = array(float, 3)
+    h: int
+    i: Array[vec3] = array(vec3, 2)
+    j: Part
+    k: Array[Part] = array(Part, 2)
+    m: uvec3
+    n: mat4
+    o: ivec2
+    p: Array[mat3] = array(mat3, 2)
+
+
+class Reader(Shader):
+    uniform_whole: Uniform[Whole]
+    wholes: Storage[Whole]
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        count = self.dump(self.uniform_whole, 0)
+        count = self.dump(self.wholes[0], count)
+        self.dump(self.wholes[1], count)
+
+    def dump_part(self, part: Part, start: int) -> int:
+        for i in range(3):
+            self.out[start + i] = part.axis[i]
+        self.out[start + 3] = part.size
+        self.out[start + 4] = float(part.flag)
+        return start + 5
+
+    def dump_mat3(self, m: mat3, start: int) -> int:
+        for i in range(3):
+            for j in range(3):
+                self.out[start + 3 * i + j] = m[i][j]
+        return start + 9
+
+    def dump(self, whole: Whole, start: int) -> int:
+        at = start
+        self.out[at] = whole.a
+        self.out[at + 1] = whole.b.x
+        self.out[at + 2] = whole.b.y
+        self.out[at + 3] = whole.b.z
+        self.out[at + 4] = whole.c
+        at = self.dump_mat3(whole.d, at + 5)
+        self.out[at] = whole.e.x
+        self.out[at + 1] = whole.e.y
+        at += 2
+        for i in range(2):
+            for j in range(2):
+                self.out[at] = whole.f[i][j]
+                at += 1
+        for i in range(len(whole.g)):
+            self.out[at] = whole.g[i]
+            at += 1
+        self.out[at] = float(whole.h)
+        at += 1
+        for i in range(2):
+            for j in range(3):
+                self.out[at] = whole.i[i][j]
+                at += 1
+        at = self.dump_part(whole.j, at)
+        for i in range(2):
+            at = self.dump_part(whole.k[i], at)
+        for i in range(3):
+            self.out[at] = float(whole.m[i])
+            at += 1
+        for i in range(4):
+            for j in range(4):
+                self.out[at] = whole.n[i][j]
+                at += 1
+        self.out[at] = float(whole.o.x)
+        self.out[at + 1] = float(whole.o.y)
+        at = self.dump_mat3(whole.p[0], at + 2)
+        return self.dump_mat3(whole.p[1], at)
+
+
+def whole_of(start):
+    """A Whole whose scalars count up from `start`, in order of its fields; and the next number."""
+    numbers = iter(range(start, start + 1000))
+
+    def take(*shape):
+        count = int(np.prod(shape, dtype=int))
+        return np.array([next(numbers) for _ in range(count)]).reshape(shape)
+
+    def part():
+        return Part(axis=take(3), size=next(numbers), flag=next(numbers))
+
+    value = Whole(
+        a=next(numbers), b=take(3), c=next(numbers), d=take(3, 3), e=take(2), f=take(2, 2), g=take(3),
+        h=next(numbers), i=take(2, 3), j=part(), k=[part(), part()], m=take(3), n=take(4, 4), o=take(2),
+        p=take(2, 3, 3),
+    )  # fmt: skip
+    return value, next(numbers)
+
+
+def test_the_device_reads_every_field_where_the_dtypes_put_it(run):
+    values, start = [], 0
+    for _ in range(3):
+        value, start = whole_of(start)
+        values.append(value)
+    wholes = np.frombuffer(b"".join(value.to_bytes(Layout.STD430) for value in values[1:]), Whole.dtype)
+    out = run(Reader, uniform_whole=values[0], wholes=wholes, out=start)["out"]
+    assert out.tolist() == list(range(start))
+    assert len(values[0].to_bytes()) == Whole.uniform_dtype.itemsize
+    assert Whole.dtype != Whole.uniform_dtype
+
+
+def test_rows_of_a_structs_dtype_take_plain_tuples():
+    class Corner(Struct):
+        position: vec2
+        color: vec3
+
+    corners = np.array([((1, 2), (3, 4, 5)), ((6, 7), (8, 9, 10))], Corner.dtype)
+    assert corners["position"].tolist() == [[1, 2], [6, 7]]
+    assert corners["color"][1].tolist() == [8, 9, 10]
+    assert Corner.dtype.itemsize == 32
+
+
+def test_fields_are_converted_and_read_back_as_their_types():
+    part = Part(axis=[1, 2, 3], size=np.float32(2), flag=True)
+    assert part.axis == vec3(1, 2, 3)
+    assert isinstance(part.axis, vec3)
+    assert (part.axis.zx, part.size, part.flag) == (vec2(3, 1), 2.0, 1)
+    part.axis = vec3(4.0)
+    assert np.asarray(part.axis).tolist() == [4, 4, 4]
+    assert repr(part) == "Part(axis=vec3(4.0, 4.0, 4.0), size=2.0, flag=1)"
+
+
+def test_a_struct_inherits_fields_in_front_of_its_own_and_may_have_defaults():
+    class Base(Struct):
+        clip: vec4 = (0, 0, 0, 1)
+
+    class More(Base):
+        uv: vec2
+
+    assert [field.name for field in More.shading_type.fields] == ["clip", "uv"]
+    assert More(uv=(1, 2)).clip == vec4(0, 0, 0, 1)
+
+    class Uses(Shader):
+        out: StorageRW[More]
+
+        def compute(self) -> None:
+            self.out[0] = More(uv=(1, 2))
+
+    assert "More(vec4(0.0, 0.0, 0.0, 1.0), vec2(1.0, 2.0))" in compile_shader(Uses).emit(
+        "glsl", Stage.COMPUTE
+    )
+
+
+def test_a_struct_with_bools_has_no_dtype_but_can_be_used_in_shaders(run):
+    class Flags(Struct):
+        both: bvec2
+        on: bool
+
+    class Uses(Shader):
+        out: StorageRW[int]
+
+        def flags(self) -> Flags:
+            return Flags(both=bvec2(True, False), on=True)
+
+        def compute(self) -> None:
+            flags = self.flags()
+            self.out[0] = 1 if flags.both.x and not flags.both.y and flags.on else 0
+
+    assert run(Uses, out=1)["out"].tolist() == [1]
+    with pytest.raises(ShaderError, match="uint"):
+        _ = Flags.dtype
+    with pytest.raises(ShaderError, match="uint"):
+        Flags(both=(True, False), on=True).to_bytes()
+    assert Part.dtype.itemsize == 32
+
+
+def test_structs_of_one_name_do_not_collide(run):
+    def first():
+        class Same(Struct):
+            x: float
+
+        return Same
+
+    def second():
+        class Same(Struct):
+            y: float
+            z: float
+
+        return Same
+
+    a, b = first(), second()
+
+    class Uses(Shader):
+        left: Storage[a]
+        right: Storage[b]
+        out: StorageRW[float]
+
+        def compute(self) -> None:
+            self.out[0] = self.left[0].x + self.right[0].z
+
+    left = np.ones(1, a.dtype)
+    assert run(Uses, left=left, right=np.array([(0, 5)], b.dtype), out=1)["out"].tolist() == [6]

@@ -1,0 +1,284 @@
+"""Which clip positions can be bounded before they are computed, and that the bounds hold."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from opencl_runner import queue
+from stage_runner import buffer
+
+from rhi.contract.descriptors import Stage
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    compile_shader,
+    cos,
+    dot,
+    instance_index,
+    mat3,
+    mat4,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+
+
+class Vertex(Struct):
+    position: vec3
+    uv: vec2
+    bone: int
+
+
+class View(Struct):
+    matrix: mat4
+    offset: vec3
+    time: float
+    turned: int
+
+
+class Place(Struct):
+    linear: mat3
+    offset: vec3
+
+
+class Base(Shader):
+    view: Uniform[View]
+    places: Storage[Place]
+
+    def vertex(self, v: Vertex) -> vec4:
+        return self.view.matrix @ vec4(self.place(v), self.places[instance_index()].offset.x)
+
+    def place(self, v: Vertex) -> vec3:
+        return v.position
+
+
+class Placed(Base):
+    def place(self, v: Vertex) -> vec3:
+        thing = self.places[instance_index()]
+        return thing.linear @ v.position + (thing.offset - self.view.offset)
+
+
+class Swayed(Base):
+    """What is not affine is the same for all vertices."""
+
+    def place(self, v: Vertex) -> vec3:
+        place = -v.position * cos(self.view.time)
+        place.y -= self.view.offset.x / self.view.time
+        place = place + vec3(0.0, dot(v.position, self.view.offset), 2.0)
+        return place.xyz
+
+
+class Flat(Base):
+    def place(self, v: Vertex) -> vec3:
+        return vec3(v.uv, 1.0)
+
+
+class Squared(Base):
+    def place(self, v: Vertex) -> vec3:
+        return v.position * v.uv.x
+
+
+class Divided(Base):
+    def place(self, v: Vertex) -> vec3:
+        return self.view.offset / v.position.x
+
+
+class Rounded(Base):
+    def place(self, v: Vertex) -> vec3:
+        return vec3(float(int(v.position.x)), v.uv)
+
+
+class Pulled(Base):
+    def place(self, v: Vertex) -> vec3:
+        return self.places[vertex_index()].offset
+
+
+class Skinned(Base):
+    def place(self, v: Vertex) -> vec3:
+        return self.places[v.bone].linear @ v.position
+
+
+class Folded(Base):
+    def place(self, v: Vertex) -> vec3:
+        place = v.position
+        if place.x < 0.0:
+            place.x = 0.0
+        return place
+
+
+class Chosen(Base):
+    """Affine in either case, but not plain assignments."""
+
+    def place(self, v: Vertex) -> vec3:
+        place = v.position
+        if self.view.turned != 0:
+            place = place.zyx
+        return place
+
+
+class Heights(Base):
+    heights: Texture2D
+
+    def place(self, v: Vertex) -> vec3:
+        return v.position + self.heights.sample_lod(v.uv, 0.0).xyz
+
+
+class Marking(Base):
+    marks: StorageRW[int]
+
+    def place(self, v: Vertex) -> vec3:
+        self.marks[vertex_index()] = 1
+        return v.position
+
+
+class Constant(Base):
+    def place(self, v: Vertex) -> vec3:
+        return self.view.offset
+
+
+class Checked(Base):
+    checked = True
+
+
+class Shaded(Struct):
+    clip: vec4
+    light: float
+    bent: vec3
+
+
+class ShadedVarying(Base):
+    """What isn't the position may be anything."""
+
+    def vertex(self, v: Vertex) -> Shaded:
+        return Shaded(
+            clip=self.view.matrix @ vec4(v.position, 1.0),
+            light=cos(v.uv.x) / v.uv.y,
+            bent=self.places[v.bone].offset,
+        )
+
+    def fragment(self, v: Shaded) -> vec4:
+        return vec4(v.bent, v.light)
+
+
+def boxed(shader: type[Shader]) -> list[int] | None:
+    """The words that positions are bounded by."""
+    text = compile_shader(shader).emit("opencl16", Stage.VERTEX)
+    lines = [line for line in text.splitlines() if line.startswith("#define RHI_BOXED")]
+    assert ("rhi_bounds(" in text) == bool(lines)
+    return [int(word[5:-1]) for line in lines for word in line.split()[2:]] if lines else None
+
+
+@pytest.mark.parametrize("shader", [Base, Placed, Swayed, ShadedVarying])
+def test_affine_positions_are_bounded_by_what_they_depend_on(shader: type[Shader]) -> None:
+    assert boxed(shader) == [0, 1, 2]
+
+
+def test_only_words_that_positions_depend_on_count() -> None:
+    assert boxed(Flat) == [3, 4]
+
+
+@pytest.mark.parametrize(
+    "shader",
+    [
+        Squared, Divided, Rounded, Pulled, Skinned, Folded, Chosen, Heights, Marking, Constant, Checked,
+    ],
+)  # fmt: skip
+def test_other_positions_are_not_bounded(shader: type[Shader]) -> None:
+    assert boxed(shader) is None
+
+
+def test_bounds_read_nothing_by_a_vertex() -> None:
+    """A corner's other inputs are unknown: an index among them would read anywhere."""
+    text = compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX)
+    whole, bounds = text.split("#define RHI_BOXED")
+    assert "places_" in whole.split("void rhi_vertex")[1].split("{", 1)[1]
+    assert "places_" not in bounds.split("{", 1)[1]
+
+
+# -- that they hold ------------------------------------------------------------------------------------------
+
+KERNEL = """
+kernel void run(global const uint *view, global const uint *places, int count, global const float *boxes,
+                global const float *shares, global float *out) {
+    int round = get_global_id(0);
+    boxes += 6 * round;
+    uint16 inputs[7], corners[8], whole[64];
+    uint reaches[7];
+    for (int k = 0; k < 3; ++k) {
+        float low = boxes[k], high = boxes[3 + k];
+        inputs[k] = as_uint16((RHI_LANES >> k & 1) == 0 ? (float16)(low) : (float16)(high));
+        reaches[k] = as_uint(fmax(fabs(low), fabs(high)));
+    }
+    rhi_bounds(view, places, count, inputs, reaches, RHI_LANES, round, 0, (int16)(-1), corners);
+    for (int k = 0; k < 3; ++k) {
+        float16 share = vload16(3 * round + k, shares);
+        float16 at = boxes[k] * (1.0f - share) + boxes[3 + k] * share;
+        inputs[k] = as_uint16(clamp(at, (float16)(boxes[k]), (float16)(boxes[3 + k])));
+    }
+    rhi_vertex(view, places, count, inputs, RHI_LANES, round, 0, (int16)(-1), whole);
+    for (int i = 0; i < 8; ++i) vstore16(as_float16(corners[i]), 12 * round + i, out);
+    for (int i = 0; i < 4; ++i) vstore16(as_float16(whole[i]), 12 * round + 8 + i, out);
+}
+"""
+ROUNDS = 512
+
+
+@pytest.fixture(scope="module", params=[Placed, Swayed])
+def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
+    text = compile_shader(request.param).emit("opencl16", Stage.VERTEX) + KERNEL
+    return cl.Kernel(cl.Program(queue().context, text).build(["-w"]), "run")
+
+
+@given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-8, 5), spread=st.floats(0, 12), flat=st.booleans())
+@example(seed=0, scale=-6.0, spread=1.0, flat=False)
+@example(seed=0, scale=5.0, spread=12.0, flat=False)
+def test_positions_lie_between_those_of_corners_but_for_the_slack(
+    kernel: cl.Kernel, seed: int, scale: float, spread: float, flat: bool
+) -> None:
+    """Terms of all sizes, which cancel or not; boxes of all sizes, down to a few steps of floats, some of them flat."""
+    rng = np.random.default_rng(seed)
+
+    def random(*shape: int) -> np.ndarray:
+        sizes = 10.0 ** np.clip(rng.normal(0.0, spread, shape), -42, 32)
+        return (rng.choice([-1, 1], shape) * sizes).astype(np.float32)
+
+    view = np.zeros(32, np.float32)
+    view[:20] = random(20)
+    places = random(ROUNDS, 16)
+    middle = random(ROUNDS, 3)
+    size = np.abs(middle) * np.float32(10.0**scale) * rng.random((ROUNDS, 3)).astype(np.float32)
+    if flat:
+        size[:, rng.integers(3)] = 0
+    boxes = np.stack([middle - size, middle + size], axis=1)
+    shares = rng.choice([rng.random((ROUNDS, 3, 16)), rng.integers(0, 2, (ROUNDS, 3, 16))]).astype(np.float32)
+    out = np.zeros((ROUNDS, 12, 16), np.float32)
+    target = buffer(out)
+    given_ = buffer(view), buffer(places), np.int32(ROUNDS), buffer(boxes), buffer(shares), target
+    kernel(queue(), (ROUNDS,), None, *given_).wait()
+    cl.enqueue_copy(queue(), out, target)
+    corners, slacks, found = out[:, :4], out[:, 4:8, :1], out[:, 8:]
+    known = np.isfinite(slacks[..., 0])
+    assert known.any() or spread > 2
+    pairs = (0, None), (1, None), (2, None), (3, None), (3, 0), (3, 1), (3, 2)
+    for sign, (one, other) in product((1, -1), pairs):
+        sure = known[:, one] if other is None else known[:, one] & known[:, other]
+        here, there = corners[sure, one], found[sure, one].astype(np.float64)
+        slack = slacks[sure, one].astype(np.float64)
+        if other is not None:  # in float32, as planes of the view are tested
+            with np.errstate(over="ignore"):
+                here = here + sign * corners[sure, other]
+            there, slack = there + sign * found[sure, other], slack + slacks[sure, other]
+        finite = np.isfinite(here).all(axis=1)  # a sum beyond the largest float has the right sign
+        here, there, slack = here[finite], there[finite], slack[finite]
+        assert (there >= here.min(axis=1, keepdims=True) - slack).all()
+        assert (there <= here.max(axis=1, keepdims=True) + slack).all()

@@ -1,0 +1,215 @@
+"""Checked shaders: an index outside is an error with its line; a shader that isn't checked is not a word longer."""
+
+import inspect
+import math
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pyopencl as cl
+import pytest
+from opencl_runner import queue
+
+import rhi
+from rhi.errors import ShaderError
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    array,
+    compile_shader,
+    global_id,
+    opencl_kernel,
+    run_compute,
+    uniform,
+    vec3,
+)
+from rhi.shading.evaluation.compute import storage_words
+from rhi.shading.ir.faults import FAULT_WORDS, find_fault
+from rhi.shading.language import rules
+
+
+def run_checked(shader, width, groups=1, **bindings):
+    """Run a kernel on OpenCL; raises what it found."""
+    kernel_text = opencl_kernel(shader, width)
+    kernel = cl.Kernel(cl.Program(queue().context, kernel_text.text).build(["-w"]), "compute")
+    arguments, results = [], {}
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    for binding in compile_shader(shader).bindings:
+        whole, words = storage_words(
+            shader._declared[binding.name].type.element, bindings[binding.name], binding.name
+        )
+        padded = np.zeros(max(64, words.size), np.uint32)
+        padded[: words.size] = words
+        arguments += [cl.Buffer(queue().context, flags, hostbuf=padded), np.int32(len(whole))]
+        results[binding.name] = whole, arguments[-2]
+    faults = np.zeros(FAULT_WORDS, np.int32)
+    arguments.append(cl.Buffer(queue().context, flags, hostbuf=faults))
+    kernel.set_args(*arguments)
+    items = -(-math.prod(shader.work_group) // width)
+    cl.enqueue_nd_range_kernel(queue(), kernel, (groups * items,), (items,)).wait()
+    cl.enqueue_copy(queue(), faults, arguments[-1])
+    error = find_fault(faults.tolist(), kernel_text.origins)
+    if error is not None:
+        raise error
+    for whole, buffer in results.values():
+        if whole.size:
+            cl.enqueue_copy(queue(), whole, buffer)
+    return {name: whole for name, (whole, _) in results.items()}
+
+
+WAYS = {
+    "one lane": lambda shader, **values: run_checked(shader, 1, **values),
+    "16 lanes": lambda shader, **values: run_checked(shader, 16, **values),
+    "numpy": run_compute,
+}
+
+
+@pytest.fixture(params=WAYS)
+def run(request):
+    return WAYS[request.param]
+
+
+class Plain(Shader):
+    work_group = (32,)
+    which: Storage[int]
+    a: Storage[float]
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        i = global_id().x
+        table = array(float, 4)
+        table[i & 3] = 1.0
+        v = vec3(float(i), 2.0, 3.0)
+        if i != 5:
+            x = self.a[self.which[i]]
+            y = table[self.which[i] & 3] + v[self.which[i] % 3]
+            self.out[self.which[i]] = x + y
+
+
+class Checked(Plain):
+    checked = True
+
+
+class TooFarInArray(Checked):
+    def compute(self) -> None:
+        i = global_id().x
+        table = array(float, 4)
+        table[self.which[i]] = 1.0
+        self.out[i] = table[3] + self.a[0]
+
+
+class TooFarInVector(Checked):
+    def compute(self) -> None:
+        i = global_id().x
+        v = vec3(float(i), 2.0, 3.0)
+        self.out[i] = v[self.which[i]] + self.a[0]
+
+
+def line_of(shader, text):
+    lines, first = inspect.getsourcelines(shader)
+    return first + next(number for number, line in enumerate(lines) if text in line)
+
+
+def values(**changes):
+    which = np.arange(32, dtype="i4")
+    for at, index in changes.items():
+        which[int(at[1:])] = index
+    return {"which": which, "a": np.ones(32, "f4"), "out": 32}
+
+
+@pytest.mark.parametrize("index", [32, -1, 1 << 30, -(1 << 31)])
+def test_an_index_outside_a_buffer_is_an_error_with_its_line(run, index):
+    with pytest.raises(ShaderError) as caught:
+        run(Checked, **values(i9=index))
+    assert caught.value.rule is rules.INDEX
+    assert f"index {index}" in str(caught.value)
+    assert "0 to 31" in str(caught.value)
+    assert caught.value.site.file == __file__
+    assert caught.value.site.line == line_of(Plain, "x = self.a[")
+
+
+def test_indices_up_to_the_last_one_are_not_errors(run):
+    out = run(Checked, **values(i9=31))["out"]
+    np.testing.assert_array_equal(out, run_compute(Plain, **values(i9=31))["out"])
+
+
+def test_an_index_of_an_invocation_that_does_not_take_part_is_not_one(run):
+    run(Checked, **values(i5=99))
+    with pytest.raises(ShaderError):
+        run(Checked, **values(i4=99))
+
+
+@pytest.mark.parametrize(
+    ("shader", "text", "first_outside"), [(TooFarInArray, "table[self", 4), (TooFarInVector, "v[self", 3)]
+)
+def test_an_index_outside_an_array_or_a_vector_is_an_error(run, shader, text, first_outside):
+    inside = {**values(), "which": np.arange(32, dtype="i4") % first_outside}
+    run(shader, **inside)
+    inside["which"][17] = first_outside
+    with pytest.raises(ShaderError, match=f"0 to {first_outside - 1}") as caught:
+        run(shader, **inside)
+    assert caught.value.site.line == line_of(shader, text)
+
+
+class StoresTooFar(Checked):
+    def compute(self) -> None:
+        self.out[global_id().x + self.which[0]] = self.a[0]
+
+
+def test_a_store_outside_is_found_and_touches_nothing_behind_the_buffer(run):
+    run(StoresTooFar, **values(i0=0))
+    with pytest.raises(ShaderError) as caught:
+        run(StoresTooFar, **values(i0=1))
+    assert caught.value.site.line == line_of(StoresTooFar, "self.out[")
+
+
+class Same(Checked):
+    def compute(self) -> None:
+        i = global_id().x
+        self.out[i] = self.a[uniform(self.which[i])]
+
+
+@pytest.mark.parametrize("width", [4, 16])
+def test_uniform_of_values_that_differ_is_an_error(width):
+    same = {**values(), "which": np.repeat([3, 4], 16).astype("i4")}
+    run_checked(Same, width, **same)
+    same["which"][20] = 5
+    with pytest.raises(ShaderError) as caught:
+        run_checked(Same, width, **same)
+    assert caught.value.rule is rules.DIFFERENT
+    assert caught.value.site.line == line_of(Same, "uniform(")
+
+
+def test_a_shader_that_is_not_checked_is_not_a_word_longer():
+    for width in (1, 4, 8, 16):
+        plain, checked = opencl_kernel(Plain, width).text, opencl_kernel(Checked, width).text
+        assert "rhi_check" not in plain
+        assert "rhi_faults" not in plain
+        assert checked.count("rhi_check(") > 5
+        without = type("Plain", (Checked,), {"checked": False, "__module__": __name__})
+        assert opencl_kernel(without, width).text.splitlines()[1:] == plain.splitlines()[1:]
+    assert not compile_shader(Plain).checked
+    assert compile_shader(Checked).checked
+
+
+def test_the_environment_turns_it_on():
+    code = "from rhi.shading import Shader; print(Shader.checked)"
+    for value, expected in (("1", "True"), ("0", "False"), ("", "False")):
+        environment = {**os.environ, "RHI_SHADING_CHECKED": value}
+        run = subprocess.run(
+            [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
+        )
+        assert run.stdout.strip() == expected
+
+
+def test_a_device_raises_what_a_dispatch_found_and_goes_on():
+    with rhi.create_device("cl") as device:
+        program = device.program(Checked)
+        a, out = device.storage(float, np.ones(32, "f4")), device.storage(float, 32)
+        wrong, right = (device.storage(int, values(i9=at)["which"]) for at in (77, 3))
+        with pytest.raises(ShaderError, match="index 77"):
+            device.dispatch(program, 1, which=wrong, a=a, out=out)
+        device.dispatch(program, 1, which=right, a=a, out=out)
+        np.testing.assert_array_equal(out.read(), run_compute(Plain, **values(i9=3))["out"])

@@ -1,0 +1,676 @@
+"""Vertex and fragment stages on 16 lanes: what flows in and out, who takes part, what is left."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from opencl_runner import run_opencl
+from stage_runner import run_fragment_lanes, run_fragment_numpy, run_vertex_lanes, run_vertex_numpy, view
+
+from rhi.contract.descriptors import Interpolation, Stage, StageVarying
+from rhi.contract.formats import Format
+from rhi.errors import ShaderError, ValidationError
+from rhi.shading import (
+    Flat,
+    FragmentDepth,
+    HostTexture,
+    NoPerspective,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Uniform,
+    array,
+    atomic_add,
+    compile_shader,
+    ddx,
+    ddy,
+    discard,
+    draw_index,
+    fragment_coordinate,
+    front_facing,
+    fwidth,
+    instance_index,
+    ivec2,
+    mat2,
+    mat4,
+    native,
+    primitive_index,
+    run_fragment,
+    run_vertex,
+    uint,
+    uniform,
+    uvec2,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+from rhi.shading.language import rules
+
+SHAPE = (8, 12)
+ROWS, COLUMNS = np.mgrid[: SHAPE[0], : SHAPE[1]]
+
+
+class Corner(Struct):
+    position: vec2
+    id: int
+
+
+class PerInstance(Struct):
+    weight: uint
+
+
+class Surface(Struct):
+    clip: vec4
+    uv: vec2
+    unread: vec3
+    turn: mat2
+    tint: Flat[vec3]
+    id: int
+    screen: NoPerspective[vec2]
+
+
+class Targets(Struct):
+    color: vec4
+    ids: uvec2
+    level: float
+    depth: FragmentDepth
+
+
+class Draws(Shader):
+    camera: Uniform[mat4]
+    offsets: Storage[vec2]
+
+    def vertex(self, v: Corner, n: PerInstance) -> Surface:
+        place = v.position + self.offsets[vertex_index() % len(self.offsets)]
+        if v.id % 3 == 0:
+            place = -place
+        return Surface(
+            clip=self.camera @ vec4(place, 0.5, 1.0),
+            uv=place,
+            unread=vec3(1.0),
+            turn=mat2(1.0, 2.0, 3.0, float(v.id)),
+            tint=vec3(float(instance_index()), float(draw_index()), float(vertex_index())),
+            id=v.id + int(n.weight),
+            screen=v.position * 2.0,
+        )
+
+    def fragment(self, s: Surface) -> Targets:
+        at = fragment_coordinate()
+        color = vec4(s.uv, s.turn[1][0], s.screen.y)
+        if front_facing():
+            color.x += 1000.0
+        return Targets(
+            color=color + vec4(s.tint, 0.0),
+            ids=uvec2(uint(s.id), uint(primitive_index())),
+            level=at.x + 100.0 * at.y + 10000.0 * at.w,
+            depth=at.z * 0.5,
+        )
+
+
+def test_varyings_are_those_that_the_fragment_stage_reads():
+    flat, linear = Interpolation.FLAT, Interpolation.NO_PERSPECTIVE
+    assert compile_shader(Draws).varyings == (
+        StageVarying("uv", 0, 2, "float"),
+        StageVarying("turn", 2, 4, "float"),
+        StageVarying("tint", 6, 3, "float", flat),
+        StageVarying("id", 9, 1, "int", flat),
+        StageVarying("screen", 10, 2, "float", linear),
+    )
+
+
+def test_a_vertex_stage_gives_positions_and_varyings():
+    count = 37  # the last group isn't full
+    camera = np.arange(16, dtype="f4").reshape(4, 4)
+    offsets = np.arange(10, dtype="f4").reshape(5, 2)
+    position = np.random.default_rng(1).random((count, 2), "f4")
+    ids = np.arange(count, dtype="i4")
+    weights = np.full(count, 7, "u4")
+    out = run_vertex_lanes(
+        Draws, {"position": position, "id": ids, "weight": weights}, count,
+        first=100, instance=3, draw=2, camera=camera, offsets=offsets,
+    )  # fmt: skip
+    vertex = 100 + ids
+    place = position + offsets[vertex % 5]
+    place[ids % 3 == 0] *= -1
+    clip = np.concatenate([place, np.full((count, 1), 0.5), np.ones((count, 1))], axis=1) @ camera.T
+    np.testing.assert_allclose(out["position"], clip, rtol=1e-5)
+    np.testing.assert_array_equal(out["uv"], place)
+    np.testing.assert_array_equal(out["turn"], np.stack([ids * 0 + 1, ids * 0 + 2, ids * 0 + 3, ids], axis=1))
+    np.testing.assert_array_equal(out["tint"], np.stack([ids * 0 + 3, ids * 0 + 2, vertex], axis=1))
+    np.testing.assert_array_equal(out["id"][:, 0], ids + 7)
+    np.testing.assert_array_equal(out["screen"], position * 2)
+
+
+@pytest.mark.parametrize("front", [True, False])
+def test_a_fragment_stage_gives_all_its_outputs(front):
+    uv = np.random.default_rng(2).random((*SHAPE, 2), "f4")
+    out = run_fragment_lanes(
+        Draws,
+        {
+            "uv": uv,
+            "turn": np.broadcast_to(np.arange(4, dtype="f4"), (*SHAPE, 4)),
+            "tint": np.array([1, 2, 3], "f4"),
+            "id": np.array(11, "i4"),
+            "screen": uv * 3,
+        },
+        SHAPE,
+        depth=COLUMNS / 16.0,
+        w=0.25,
+        front=front,
+        primitive=5,
+        camera=np.eye(4, dtype="f4"),
+        offsets=1,
+    )
+    x, y = uv[..., 0] + (1000 if front else 0) + 1, uv[..., 1] + 2
+    np.testing.assert_allclose(out["color"][..., :2], np.stack([x, y], axis=-1), rtol=1e-6)
+    np.testing.assert_allclose(out["color"][..., 2], 2 + 3)
+    np.testing.assert_allclose(out["color"][..., 3], uv[..., 1] * 3, rtol=1e-6)
+    assert (out["ids"] == (11, 5)).all()
+    np.testing.assert_array_equal(out["level"][..., 0], COLUMNS + 0.5 + 100 * (ROWS + 0.5) + 2500)
+    np.testing.assert_array_equal(out["depth"], COLUMNS / 32.0)
+    assert out["kept"].all()
+
+
+class Depths(Shader):
+    """No fragment stage, as in a depth pass."""
+
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, float(v.id), 1.0)
+
+
+def test_a_vertex_stage_alone_gives_positions():
+    ids = np.arange(5, dtype="i4")
+    position = np.arange(10, dtype="f4").reshape(5, 2)
+    out = run_vertex_lanes(Depths, {"position": position, "id": ids}, 5)
+    np.testing.assert_array_equal(out["position"], np.c_[position, ids, ids * 0 + 1])
+    assert compile_shader(Depths).varyings == ()
+
+
+class Values(Struct):
+    clip: vec4
+    value: vec2
+
+
+class Placed(Struct):
+    clip: vec4
+    value: float
+
+
+class Holes(Shader):
+    """Discards in a helper's loop, under conditions that vary and that don't."""
+
+    limits: Uniform[vec2]
+    hits: StorageRW[int]
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+
+    def search(self, x: float) -> float:
+        for i in range(8):
+            if x < float(i) and i > 2:
+                if x < 3.5:
+                    discard()
+                return float(i)
+        return 9.0
+
+    def fragment(self, v: Values) -> vec4:
+        if self.limits.x > 1.0:
+            discard()
+        found = self.search(v.value.x)
+        if v.value.y > self.limits.y:
+            return vec4(1.0)
+        atomic_add(self.hits[0], 1)
+        self.hits[1 + int(v.value.x)] = 1
+        return vec4(found)
+
+
+def holes(x):
+    """(found, discarded) of `Holes.search`."""
+    found, discarded = np.full(x.shape, 9.0), np.zeros(x.shape, bool)
+    for i in (7, 6, 5, 4, 3):
+        found[x < i] = i
+        discarded[x < i] = x[x < i] < 3.5
+    return found, discarded
+
+
+def test_discarded_lanes_stop_and_are_reported():
+    value = np.stack([COLUMNS % 11, ROWS], axis=-1).astype("f4")
+    mask = (ROWS + COLUMNS) % 3 != 0
+    out = run_fragment_lanes(
+        Holes, {"value": value}, SHAPE, mask=mask, limits=np.array([0, 4], "f4"), hits=20
+    )
+    found, discarded = holes(value[..., 0])
+    np.testing.assert_array_equal(out["kept"], mask & ~discarded)
+    expected = np.where(ROWS > 4, 1.0, found)
+    np.testing.assert_array_equal(out["color"][..., 0][out["kept"]], expected[out["kept"]])
+    counted = out["kept"] & (ROWS <= 4)
+    assert out["hits"][0] == counted.sum()
+    np.testing.assert_array_equal(np.flatnonzero(out["hits"][1:]), np.unique(value[..., 0][counted]))
+
+
+def test_a_discard_that_all_lanes_reach_ends_the_stage():
+    value = np.zeros((*SHAPE, 2), "f4")
+    out = run_fragment_lanes(Holes, {"value": value}, SHAPE, limits=np.array([2, 4], "f4"), hits=20)
+    assert not out["kept"].any()
+    assert not out["hits"].any()
+    text = compile_shader(Holes).emit("opencl16", Stage.FRAGMENT)
+    assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end
+
+
+class Endless(Shader):
+    """A loop that nothing but a discard in a called function ends."""
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+
+    def check(self, value: float, n: float) -> None:
+        if n > value:
+            discard()
+
+    def fragment(self, v: Values) -> vec4:
+        n = 0.0
+        while True:
+            self.check(v.value.x, n)
+            n += 1.0
+            if n > 9.0:
+                return vec4(n)
+
+
+@pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
+def test_a_loop_ends_when_its_last_lane_is_discarded(run):
+    value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
+    assert not run(Endless, {"value": value % 8}, SHAPE)["kept"].any()
+    out = run(Endless, {"value": value}, SHAPE)
+    np.testing.assert_array_equal(out["kept"], COLUMNS >= 9)
+    assert (out["color"][out["kept"]] == 10).all()
+
+
+class Slopes(Shader):
+    table: Storage[float]
+    hits: StorageRW[int]
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+
+    def fragment(self, v: Values) -> vec4:
+        squared = v.value.x * v.value.y
+        wide = 0.0
+        if v.value.x > 100.0:
+            wide = 1.0
+        read = self.table[int(v.value.x) * 4]
+        self.hits[int(v.value.x)] = 1
+        atomic_add(self.hits[19], 1)
+        return vec4(ddx(squared), ddy(squared), fwidth(wide + 3.0), ddx(read))
+
+
+def test_differences_are_those_of_each_row_and_column_of_a_quad():
+    value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
+    table = np.arange(48, dtype="f4") ** 2
+    out = run_fragment_lanes(Slopes, {"value": value}, SHAPE, table=table, hits=20)
+    even = COLUMNS // 2 * 2
+    np.testing.assert_array_equal(out["color"][..., 0], ROWS)
+    np.testing.assert_array_equal(out["color"][..., 1], COLUMNS)
+    np.testing.assert_array_equal(out["color"][..., 2], 0)
+    np.testing.assert_array_equal(out["color"][..., 3], table[(even + 1) * 4] - table[even * 4])
+
+
+class CutSlopes(Shader):
+    """A discard, and then what the helpers of discarded fragments should not do."""
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+
+    def fragment(self, v: Values) -> vec4:
+        slope = ddx(v.value.y)
+        if v.value.x < 4.0:
+            discard()
+        n = 0.0
+        while n < v.value.y and n < 100.0:
+            n += 1.0
+        return vec4(n, slope, 0.0, 0.0)
+
+
+@pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
+def test_helpers_leave_with_the_last_fragment_of_their_quad(run):
+    value = np.stack([COLUMNS, np.full(SHAPE, 3.0)], axis=-1).astype("f4")
+    mask = (COLUMNS % 2 == 0) & (ROWS % 2 == 0)
+    value[~mask & (COLUMNS < 4), 0] = 9.0  # isn't discarded itself,
+    value[~mask & (COLUMNS < 4), 1] = 1e9  # and would go round for long
+    out = run(CutSlopes, {"value": value}, SHAPE, mask=mask)
+    kept = mask & (COLUMNS >= 4)
+    np.testing.assert_array_equal(out["kept"], kept)
+    np.testing.assert_array_equal(out["color"][kept][:, :2], np.broadcast_to([3.0, 0.0], (kept.sum(), 2)))
+    text = compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT)
+    assert re.search(r"= rhi_quads\(kept_\d+\);", text)
+
+
+def test_helper_lanes_are_read_and_never_write():
+    value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
+    value[:, 5, 0] = 1e8  # outside the triangle: read within bounds, whatever the index
+    table = np.arange(48, dtype="f4")
+    mask = (COLUMNS % 2 == 0) & (COLUMNS < 6)
+    out = run_fragment_lanes(Slopes, {"value": value}, SHAPE, mask=mask, table=table, hits=20)
+    np.testing.assert_array_equal(out["color"][:, [0, 2], 0], ROWS[:, :2])
+    np.testing.assert_array_equal(out["color"][:, [0, 2], 3], 4)
+    np.testing.assert_array_equal(out["color"][:, 4, 3], table[-1] - table[16])
+    assert np.flatnonzero(out["hits"]).tolist() == [0, 2, 4, 19]
+    assert out["hits"][19] == mask.sum()
+    np.testing.assert_array_equal(out["kept"], mask)
+
+
+class NativeOnly(Shader):
+    def vertex(self, v: Corner) -> vec4:
+        return vec4(v.position, 0.0, 1.0)
+
+    @native("glsl", "return vec4(1.0);")
+    def fragment(self) -> vec4: ...
+
+
+def test_a_stage_that_is_native_in_another_language_has_no_lanes():
+    assert compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX)
+    with pytest.raises(ShaderError):
+        compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
+
+
+class Pulled(Shader):
+    """Reads its vertices from buffers, as mesh shaders' predecessors do."""
+
+    places: Storage[vec3]
+    words: Storage[int]
+    marks: StorageRW[int]
+
+    def vertex(self) -> Placed:
+        i = vertex_index()
+        self.marks[i] = i + 1
+        return Placed(clip=vec4(self.places[i], 1.0), value=float(self.words[i * 2 + 1]))
+
+    def fragment(self, v: Placed) -> vec4:
+        return vec4(v.value)
+
+
+@pytest.mark.parametrize("indices", ["consecutive", "scattered", "backwards"])
+def test_a_vertex_stage_reads_buffers_whatever_the_order_of_its_vertices(indices):
+    count, total = 40, 64
+    vertex = np.arange(count) + 5
+    if indices == "scattered":
+        vertex = np.random.default_rng(3).integers(0, total, count)
+    elif indices == "backwards":
+        vertex = vertex[::-1]
+    places = np.zeros((total, 4), "f4")
+    places[:, :3] = np.random.default_rng(4).random((total, 3))
+    words = np.arange(2 * total, dtype="i4") ** 2
+    out = run_vertex_lanes(Pulled, {}, count, vertices=vertex, places=places, words=words, marks=total)
+    np.testing.assert_array_equal(out["position"][:, :3], places[vertex, :3])
+    np.testing.assert_array_equal(out["value"][:, 0], words[vertex * 2 + 1])
+    np.testing.assert_array_equal(np.flatnonzero(out["marks"]), np.unique(vertex))
+    assert out["marks"].max() == vertex.max() + 1
+
+
+def test_consecutive_vertices_are_read_with_vector_loads():
+    assert "rhi_load_global_4_0(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX)
+
+
+class Value(Struct):
+    value: float
+
+
+class NativeLanes(Shader):
+    scale: Uniform[vec2]
+
+    @native("opencl16", "for (int i = 0; i < 4; i++) outputs[i] = inputs[i % 2];\noutputs[4] = inputs[2];")
+    def vertex(self, v: Corner) -> Placed:
+        return Placed(clip=vec4(v.position, v.position), value=float(v.id))
+
+    @native("opencl16", "outputs[0] = as_uint16(twice(as_float16(inputs[0])) * as_float(scale_[1]));\nreturn mask;",
+            declarations="float16 twice(float16 x) { return x + x; }")  # fmt: skip
+    def fragment(self, v: Value) -> float: ...
+
+
+def test_a_stage_may_be_opencl_c_in_the_same_form():
+    position = np.arange(10, dtype="f4").reshape(5, 2)
+    ids = np.arange(5, dtype="i4")
+    scale = np.array([1, 3], "f4")
+    out = run_vertex_lanes(NativeLanes, {"position": position, "id": ids}, 5, scale=scale)
+    np.testing.assert_array_equal(out["position"], np.c_[position, position])
+    np.testing.assert_array_equal(view(out["value"], "int")[:, 0], ids)  # the words as they are
+    value = (ROWS * 12 + COLUMNS).astype("f4")
+    mask = ROWS > 2
+    out = run_fragment_lanes(NativeLanes, {"value": value}, SHAPE, mask=mask, scale=scale)
+    np.testing.assert_array_equal(out["color"][..., 0], value * 6)
+    np.testing.assert_array_equal(out["kept"], mask)
+
+
+class NativeKernel(Shader):
+    out: StorageRW[int]
+    work_group = (32,)
+
+    @native("opencl16", "vstore16(RHI_LANES + rhi_item, rhi_item, (global int *)out_);")
+    def compute(self) -> None:
+        self.out[0] = 1
+
+
+def test_a_kernel_may_be_opencl_c_for_one_number_of_lanes():
+    out = run_opencl(NativeKernel, 16, out=32)["out"]
+    np.testing.assert_array_equal(out, np.arange(32) % 16 + np.arange(32) // 16)
+    assert run_opencl(NativeKernel, 4, out=32)["out"][0] == 1  # its Python body
+
+
+class Camera(Struct):
+    turn: mat4
+    eye: vec3
+
+
+class Surface2(Struct):
+    clip: vec4
+    near: vec4
+
+
+class DepthPass(Shader):
+    camera: Uniform[Camera]
+
+    def place(self, v: Corner) -> vec4:
+        position = vec3(v.position, float(v.id)) * 1.7 - self.camera.eye
+        return self.camera.turn @ vec4(position, 1.0)
+
+    def vertex(self, v: Corner) -> vec4:
+        return self.place(v)
+
+
+class ColorPass(DepthPass):
+    """Needs parts of the same sums and products for something else."""
+
+    def vertex(self, v: Corner) -> Surface2:  # type: ignore[override]
+        position = vec3(v.position, float(v.id)) * 1.7
+        turn = self.camera.turn
+        near = turn[0] * position.x + vec4(
+            position - self.camera.eye, turn[0].x * (position.x - self.camera.eye.x)
+        )
+        return Surface2(clip=self.place(v), near=near)
+
+    def fragment(self, s: Surface2) -> vec4:
+        return s.near
+
+
+def test_the_same_position_in_two_programs_is_the_same_bits():
+    rng, count = np.random.default_rng(6), 4096
+    attributes = {"position": rng.normal(size=(count, 2)).astype("f4"), "id": np.arange(count, dtype="i4")}
+    camera = Camera(turn=rng.normal(size=(4, 4)), eye=rng.normal(size=3))
+    first = run_vertex_lanes(DepthPass, attributes, count, camera=camera)["position"]
+    second = run_vertex_lanes(ColorPass, attributes, count, camera=camera)["position"]
+    np.testing.assert_array_equal(view(first, "uint"), view(second, "uint"))
+    exact = run_vertex_numpy(DepthPass, attributes, count, camera=camera)["position"]
+    np.testing.assert_array_equal(first, exact)  # nothing is fused
+
+
+def test_lines_of_a_stage_lead_back_to_python():
+    descriptor = compile_shader(Slopes)
+    lines = descriptor.emit("opencl16", Stage.FRAGMENT).splitlines()
+    origins = descriptor.lines[Stage.FRAGMENT]
+    assert len(lines) == len(origins)
+    at = next(i for i, line in enumerate(lines) if "rhi_ddy(" in line and "inline" not in line)
+    file, number = origins[at]
+    assert file == __file__
+    with open(file) as text:
+        assert "ddy(squared)" in text.read().splitlines()[number - 1]
+
+
+class OwnArray(Shader):
+    """An array of its own, read and written at a place that the inputs say."""
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+
+    def fragment(self, v: Values) -> vec4:
+        table = array(int, 4)
+        table[int(v.value.x)] = int(v.value.y)
+        return vec4(float(table[0]), float(table[1]), float(table[int(v.value.x)]), self.slope(v.value.y))
+
+    def slope(self, y: float) -> float:
+        return 0.0
+
+
+class OwnArrayWithHelpers(OwnArray):
+    def slope(self, y: float) -> float:
+        return ddy(y)
+
+
+@pytest.mark.parametrize("shader", [OwnArray, OwnArrayWithHelpers])
+def test_lanes_outside_the_mask_leave_memory_alone(shader):
+    value = np.stack([COLUMNS % 4, ROWS], axis=-1).astype("f4")
+    mask = (COLUMNS % 4 != 1) & (ROWS % 2 == 0)
+    value[~mask, 0] = np.where(ROWS % 3 == 0, 1e8, -1e7)[~mask]
+    out = run_fragment_lanes(shader, {"value": value}, SHAPE, mask=mask)
+    x, y = (COLUMNS % 4)[mask], ROWS[mask]
+    expected = np.stack([y * (x == 0), y * (x == 1), y, y * 0 + (shader is OwnArrayWithHelpers)], axis=-1)
+    np.testing.assert_array_equal(out["color"][mask], expected)
+
+
+class Lookup(Shader):
+    """A row by a varying that is the same for all covered pixels."""
+
+    rows: Storage[float]
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, self.rows[v.id], 1.0), value=v.position)
+
+    def fragment(self, v: Values) -> vec4:
+        row = uniform(int(v.value.x + 0.5))
+        return vec4(self.rows[row], self.rows[int(v.value.y)], ddx(v.value.y), 1.0)
+
+
+class CheckedLookup(Lookup):
+    checked = True
+
+
+def test_helpers_have_no_say_in_what_is_uniform():
+    value = np.stack([np.full(SHAPE, 3.0), ROWS % 4], axis=-1).astype("f4")
+    mask = (COLUMNS % 4 != 0) & (ROWS > 0)
+    value[~mask] = -1000.0
+    rows = np.arange(5, dtype="f4") + 10
+    out = run_fragment_lanes(Lookup, {"value": value}, SHAPE, mask=mask, rows=rows)
+    assert (out["color"][mask][:, 0] == 13).all()
+    np.testing.assert_array_equal(out["color"][mask][:, 1], 10 + ROWS[mask] % 4)
+
+
+def test_a_checked_stage_reports_the_indices_of_covered_fragments_only():
+    value = np.stack([np.full(SHAPE, 3.0), ROWS % 4], axis=-1).astype("f4")
+    mask = COLUMNS > 3
+    value[~mask] = -1000.0
+    run_fragment_numpy(CheckedLookup, {"value": value}, SHAPE, mask=mask, rows=5)
+    value[2, 7, 1] = 9
+    with pytest.raises(ShaderError, match="index 9") as caught:
+        run_fragment_numpy(CheckedLookup, {"value": value}, SHAPE, mask=mask, rows=5)
+    assert caught.value.rule is rules.INDEX
+    run_fragment_numpy(Lookup, {"value": value}, SHAPE, mask=mask, rows=5)
+
+
+def test_a_checked_vertex_stage_reports_its_indices():
+    position, ids = np.zeros((8, 2), "f4"), np.arange(8, dtype="i4")
+    run_vertex_numpy(CheckedLookup, {"position": position, "id": ids}, 8, rows=8)
+    with pytest.raises(ShaderError, match="index 7") as caught:
+        run_vertex_numpy(CheckedLookup, {"position": position, "id": ids}, 8, rows=7)
+    assert __file__ in str(caught.value)
+
+
+class PassesTextures(Shader):
+    first: Texture2D
+    second: Texture2D
+
+    def vertex(self, v: Corner) -> Values:
+        return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
+
+    def red(self, source: Texture2D, at: vec2) -> float:
+        return source.load(ivec2(at)).x
+
+    def sum(self, a: Texture2D, b: Texture2D, at: vec2) -> float:
+        return self.red(a, at) + 10.0 * self.red(b, at)
+
+    def fragment(self, v: Values) -> vec4:
+        first = self.sum(self.first, self.second, v.value)
+        return vec4(first, self.sum(self.second, self.first, v.value), 0.0, 0.0)
+
+
+@pytest.mark.parametrize("run", [run_fragment_lanes, run_fragment_numpy])
+def test_textures_are_passed_to_functions(run):
+    first, second = (np.random.default_rng(n).random((*SHAPE, 4), "f4") for n in range(2))
+    value = np.stack([COLUMNS, ROWS], axis=-1).astype("f4")
+    textures = {"first": HostTexture(first, Format.RGBA32F), "second": HostTexture(second, Format.RGBA32F)}
+    out = run(PassesTextures, {"value": value}, SHAPE, **textures)["color"]
+    a, b = first[..., 0], second[..., 0]
+    np.testing.assert_allclose(out[..., :2], np.stack([a + 10 * b, b + 10 * a], axis=-1), rtol=1e-6)
+
+
+# -- arguments of the runs on NumPy ------------------------------------------------------------------------
+
+GOOD = {"position": np.zeros((4, 2)), "id": np.arange(4)}
+
+
+@pytest.mark.parametrize(
+    "attributes",
+    [
+        {"position": np.zeros((4, 2))},
+        {**GOOD, "color": np.zeros(4)},
+        {**GOOD, "id": np.arange(5)},
+        {**GOOD, "position": np.zeros((4, 3))},
+    ],
+    ids=["missing", "unknown", "another length", "another size"],
+)
+def test_attributes_that_a_stage_hasnt_got_are_refused(attributes):
+    assert run_vertex(Depths, GOOD).position.shape == (4, 4)
+    with pytest.raises(ValidationError) as caught:
+        run_vertex(Depths, attributes)
+    assert caught.value.rule is rules.WRONG_ARGUMENTS
+
+
+def test_a_structured_array_gives_attributes_and_varyings():
+    corners = np.zeros(3, Corner.dtype)
+    corners["position"] = [(1, 2), (3, 4), (5, 6)]
+    assert run_vertex(Depths, corners).position[:, :2].tolist() == corners["position"].tolist()
+
+
+def test_quads_have_even_rows_and_columns():
+    def run(rows, columns, shader=Slopes):
+        values = {"value": np.zeros((rows, columns, 2))}
+        return run_fragment(shader, values, table=64, hits=20).kept.shape
+
+    assert run(2, 4) == (2, 4)
+    for size in ((3, 4), (2, 5)):
+        with pytest.raises(ValidationError) as caught:
+            run(*size)
+        assert caught.value.rule is rules.WRONG_ARGUMENTS
+    values = {"value": np.zeros((3, 5, 2))}  # no differences, no quads
+    assert run_fragment(Endless, values).kept.shape == (3, 5)
+
+
+def test_a_stage_that_a_shader_hasnt_got_doesnt_run():
+    with pytest.raises(ValidationError) as caught:
+        run_fragment(Depths, {})
+    assert caught.value.rule is rules.STAGES
+    with pytest.raises(ValidationError) as caught:
+        run_fragment(Endless, {"value": np.zeros((2, 2, 2))}, dtype=np.float16)
+    assert caught.value.rule is rules.WRONG_ARGUMENTS

@@ -1,0 +1,60 @@
+"""What a work-group may not do: part of it at a barrier, all of it storing to one place."""
+
+from __future__ import annotations
+
+import pytest
+
+from rhi.contract.descriptors import Stage
+from rhi.errors import ShaderError
+from rhi.shading import Shader, StorageRW, barrier, compile_shader, local_index
+from rhi.shading.language.rules import BARRIER, RACE
+
+
+class Meets(Shader):
+    target: StorageRW[int]
+    work_group = (4, 1, 1)
+
+    def compute(self) -> None:
+        if len(self.target) > 3:  # the same for all
+            barrier()
+        self.target[local_index()] = local_index()
+
+
+class PartlyMeets(Shader):
+    target: StorageRW[int]
+    work_group = (4, 1, 1)
+
+    def compute(self) -> None:
+        if local_index() > 1:
+            barrier()
+        self.target[local_index()] = 1
+
+
+class OneStores(Shader):
+    target: StorageRW[int]
+    work_group = (4, 1, 1)
+
+    def compute(self) -> None:
+        if local_index() == 0:
+            self.target[0] = local_index()
+
+
+class AllStore(Shader):
+    target: StorageRW[int]
+    work_group = (4, 1, 1)
+
+    def compute(self) -> None:
+        self.target[0] = local_index()
+
+
+@pytest.mark.parametrize("shader", [Meets, OneStores])
+def test_what_a_work_group_does_as_a_whole_is_allowed(shader: type[Shader]) -> None:
+    assert compile_shader(shader).emit("opencl4", Stage.COMPUTE)
+
+
+@pytest.mark.parametrize(("shader", "rule"), [(PartlyMeets, BARRIER), (AllStore, RACE)])
+def test_what_a_work_group_must_not_do_is_refused(shader: type[Shader], rule: object) -> None:
+    with pytest.raises(ShaderError) as caught:
+        compile_shader(shader).emit("opencl4", Stage.COMPUTE)
+    assert caught.value.rule is rule
+    assert "test_shading_work_groups.py" in str(caught.value)

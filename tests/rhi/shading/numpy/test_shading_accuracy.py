@@ -1,0 +1,161 @@
+"""Every built-in and operator keeps its stated error, in every language, on a dense sample and on hard inputs: numbers
+that are not, zeros of both signs, denormals, infinities, extremes, negative operands of // and %."""
+
+from functools import partial
+
+import numpy as np
+import pytest
+from glsl_runner import run_glsl
+from opencl_runner import run_opencl
+
+from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, judge
+from rhi.shading import Precision, opencl_kernel, run_compute
+from rhi.shading.language.builtins import BUILTINS, Effect
+
+PROBES = all_probes()
+
+
+def call(run, probe, given, precision=Precision.EXACT):
+    """Results of a probe's shader; rows are filled up to whole work-groups, so that lanes of every kind stand side by
+    side."""
+    rows = np.concatenate([given, np.repeat(given[:1], -len(given) % WORK_GROUP, axis=0)])
+    size = probe.evaluate(given[:1], np.float32).shape[1]
+    results = run(
+        probe.shader("Once", precision), len(rows) // WORK_GROUP, given=rows.ravel(), results=len(rows) * size
+    )
+    return probe.numbers(results["results"].reshape(len(rows), size))[: len(given)]
+
+
+def lanes(width, shader, groups, **values):
+    return run_opencl(shader, width, groups, **values)
+
+
+@pytest.fixture
+def ways(context):
+    return {
+        "glsl": ("glsl", partial(run_glsl, context), Precision.EXACT),
+        "one lane": ("exact", partial(lanes, 1), Precision.EXACT),
+        "16 lanes": ("exact", partial(lanes, 16), Precision.EXACT),
+        "16 lanes, fast": ("fast", partial(lanes, 16), Precision.FAST),
+        "numpy": ("numpy", run_compute, Precision.EXACT),
+    }
+
+
+def excess(way, probe):
+    """What is wrong with a probe, or ""."""
+    name, run, precision = way
+    if precision is Precision.FAST and not is_other_code(probe):
+        return ""
+    given = np.concatenate([probe.sample(4096), probe.hard()])
+    results = call(run, probe, given, precision)
+    units = judge(probe, given, results, name)
+    worst = int(units.argmax())
+    if units[worst] <= getattr(probe.error, name):
+        return ""
+    arguments = {name: column[worst] for name, column in probe.columns(given).items()}
+    exact = probe.evaluate(given[worst : worst + 1], np.float64)
+    return f"{probe}: {units[worst]} units at {arguments}: {results[worst]}, not {exact[0]}"
+
+
+def is_other_code(probe):
+    texts = {
+        opencl_kernel(probe.shader("Once", precision), 16).text.partition("\n")[2] for precision in Precision
+    }
+    return len(texts) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("way", ["glsl", "one lane", "16 lanes", "16 lanes, fast", "numpy"])
+def test_every_builtin_and_operator_keeps_its_stated_error(ways, way):
+    wrong = list(filter(None, (excess(ways[way], probe) for probe in PROBES)))
+    assert not wrong, "\n".join(wrong)
+
+
+def test_every_function_of_its_arguments_is_probed():
+    probed = {probe.name for probe in PROBES}
+    inputs = {name for name, row in BUILTINS.items() if not row.overloads[0].parameters}
+    effects = {name for name, row in BUILTINS.items() if row.effect is not Effect.NONE}
+    assert probed >= set(BUILTINS) - inputs - effects - {"ddx", "ddy", "fwidth", "uniform"}
+
+
+def test_float64_agrees_with_the_standard_librarys_functions():
+    """The reference isn't NumPy's word alone: `VALUES` of the built-ins' tests are Python's, in float64, too."""
+    import math
+
+    for name, function in {
+        "sin": math.sin,
+        "exp": math.exp,
+        "log": math.log,
+        "atan2": math.atan2,
+        "pow": math.pow,
+    }.items():
+        (probe,) = builtin_probes(BUILTINS[name])
+        given = probe.sample(256)
+        expected = [function(*map(float, row)) for row in zip(*probe.columns(given).values(), strict=True)]
+        np.testing.assert_allclose(probe.evaluate(given, np.float64)[:, 0], expected, rtol=1e-15)
+
+
+def words(*rows):
+    return np.array(rows, np.float32).view(np.uint32)
+
+
+(SINE,) = builtin_probes(BUILTINS["sin"])
+(LOG,) = builtin_probes(BUILTINS["log"])
+(DOT,) = builtin_probes(BUILTINS["dot"])
+
+
+def test_a_unit_is_one_in_the_last_place_of_the_exact_float():
+    exact = np.float32(np.sin(1.0))
+    next_one = np.nextafter(exact, np.float32(2))
+    (units,) = count_units(SINE, words([1.0]), np.array([[next_one]]))[0]
+    assert 0.5 < units < 1.5
+    assert count_units(SINE, words([1.0]), np.array([[exact]]))[0, 0] <= 0.5
+
+
+def test_of_what_is_made_from_others_a_unit_is_also_that_of_an_argument():
+    given = words([1.0, 1.0, 0.0, 1.0, -1.0 + 1e-6, 0.0])  # two products that cancel
+    off = DOT.evaluate(given, np.float64) + 1e-7
+    assert count_units(DOT, given, off)[0, 0] < 2
+    assert count_units(DOT, given, off + 1e-5)[0, 0] > 20
+
+
+@pytest.mark.parametrize(
+    ("given", "result", "units"),
+    [(np.nan, np.nan, 0), (np.nan, 0.0, np.inf), (1.0, np.nan, np.inf), (1e-40, 0.0, 0), (np.inf, np.nan, 0)],
+)
+def test_what_is_not_a_number_must_not_be_one_and_denormals_may_be_zero(given, result, units):
+    assert count_units(SINE, words([given]), np.array([[result]], np.float32))[0, 0] == units
+
+
+def test_a_bound_says_nothing_of_results_that_are_undefined():
+    assert judge(LOG, words([-1.0]), np.array([[5.0]]), "exact")[0] == 0
+    assert judge(LOG, words([2.0]), np.array([[5.0]]), "exact")[0] > 1e6
+    assert judge(SINE, words([1e9]), np.array([[5.0]]), "fast")[0] == 0
+    assert judge(SINE, words([1e9]), np.array([[5.0]]), "exact")[0] > 1e6
+
+
+@pytest.mark.parametrize("width", [1, 4, 8])
+def test_fast_functions_keep_their_error_with_any_number_of_lanes(width):
+    for name, row in BUILTINS.items():
+        if row.fast:
+            (probe,) = builtin_probes(row)
+            assert not excess(("fast", partial(lanes, width), Precision.FAST), probe), name
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "tan"])
+@pytest.mark.parametrize("width", [4, 8, 16])
+def test_an_angle_does_not_depend_on_those_of_other_lanes(name, width):
+    """PoCL 3.1's vector functions are off by .008 in all lanes if one is above 1e7."""
+    (probe,) = builtin_probes(BUILTINS[name])
+    alone, beside = words(*[[6e-8]] * WORK_GROUP), words(*[[6e-8]] * WORK_GROUP)
+    beside[::width] = words([1e20])
+    results = [call(partial(lanes, width), probe, given) for given in (alone, beside)]
+    changed = np.flatnonzero(results[0] != results[1])
+    np.testing.assert_array_equal(changed, np.arange(0, WORK_GROUP, width))
+
+
+def test_fast_angles_are_never_above_one():
+    given = words(*[[x] for x in (1e9, -1e20, 3e38, 1e5, 12345.0)])
+    for name in ("sin", "cos"):
+        (probe,) = builtin_probes(BUILTINS[name])
+        assert (np.abs(call(partial(lanes, 16), probe, given, Precision.FAST)) <= 1).all()

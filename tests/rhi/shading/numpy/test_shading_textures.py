@@ -1,0 +1,888 @@
+"""Textures and images in lanes and on NumPy, against OpenGL.
+
+What an answer may be off by, and why:
+- lanes against float64: 2e-6 of values up to 1 (float32 coordinates times a size, a curve of sRGB within 1.8e-6).
+- llvmpipe filters formats of 8 bits with weights of 8 bits, once for each of two directions and once for levels:
+  2/256 in all; its sRGB is a cubic within 1.3e-3. Everything else of it is float32, as the lanes are.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from opencl_runner import Kernel, run_opencl
+from stage_runner import run_fragment_lanes, run_vertex_lanes
+from texture_kit import assert_agree, nearest, random_levels, read_everywhere
+
+import rhi
+from rhi import Comparison, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
+from rhi.conformance.shaders import Corner
+from rhi.contract.formats import COLOR_FORMATS, Kind
+from rhi.errors import DeviceError, ShaderError, ValidationError
+from rhi.shading import (
+    DepthTexture2D,
+    DepthTexture2DArray,
+    DepthTextureCube,
+    HostTexture,
+    Image2D,
+    Image3D,
+    IntImage2D,
+    IntTexture2D,
+    Precision,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Texture2DArray,
+    Texture3D,
+    TextureCube,
+    UintImage2D,
+    UintTexture2D,
+    global_id,
+    image,
+    ivec2,
+    ivec3,
+    run_compute,
+    run_fragment,
+    run_vertex,
+    uvec4,
+    vec2,
+    vec3,
+    vec4,
+)
+
+NEAREST, LINEAR = Filter.NEAREST, Filter.LINEAR
+D2, ARRAY, D3, CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
+EIGHT_BITS = 2 / 256
+COUNT = 512
+
+
+@pytest.fixture(scope="module")
+def device() -> Iterator[Device]:
+    try:
+        made = rhi.create_device("gl")
+    except DeviceError as error:
+        pytest.skip(f"no OpenGL: {error}")
+    with made:
+        yield made
+
+
+def name(value: Any) -> str:
+    return value.name if hasattr(value, "name") else str(value)
+
+
+class At(Shader):
+    work_group = (64,)
+    places: Storage[vec4]
+    results: StorageRW[vec4]
+
+
+class Sample2D(At):
+    source: Texture2D
+
+    def compute(self) -> None:
+        at = self.places[global_id().x]
+        self.results[global_id().x] = self.source.sample_lod(at.xy, at.w)
+
+
+class SampleArray(At):
+    source: Texture2DArray
+
+    def compute(self) -> None:
+        at = self.places[global_id().x]
+        self.results[global_id().x] = self.source.sample_lod(at.xyz, at.w)
+
+
+class Sample3D(At):
+    source: Texture3D
+
+    def compute(self) -> None:
+        at = self.places[global_id().x]
+        self.results[global_id().x] = self.source.sample_lod(at.xyz, at.w)
+
+
+class SampleCube(At):
+    source: TextureCube
+
+    def compute(self) -> None:
+        at = self.places[global_id().x]
+        self.results[global_id().x] = self.source.sample_lod(at.xyz, at.w)
+
+
+SHAPES: dict[TextureKind, tuple[type[Shader], int]] = {
+    D2: (Sample2D, 1),
+    ARRAY: (SampleArray, 5),
+    D3: (Sample3D, 6),
+    CUBE: (SampleCube, 6),
+}
+
+
+def places(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
+    """Coordinates in and around the texture, levels in and around those there are."""
+    rng = np.random.default_rng(seed)
+    return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype(
+        "f4"
+    )
+
+
+def places_by_block(seed: int = 0) -> NDArray[Any]:
+    """Blocks of 16 whose neighbours all lie inside, or over the upper and lower edge alone, or anywhere."""
+    at, rng = places(seed), np.random.default_rng([seed, 1])
+    at[: COUNT // 2, :2] = rng.uniform(0.1, 0.9, (COUNT // 2, 2))
+    at[COUNT // 4 : COUNT // 2, 1] = rng.uniform(-2, 3, COUNT // 4)
+    return at
+
+
+def sample(device: Device, texture: HostTexture, at: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    shader, _ = SHAPES[texture.kind]
+    return read_everywhere(device, shader, {"source": texture}, len(at) // 64, places=at, results=len(at))
+
+
+# -- formats, filters, edges -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=name)
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
+def test_every_format_is_decoded_and_filtered(device: Device, format: Format, filter: Filter) -> None:
+    """A block inside has loads of its own for each size of a texel."""
+    texture = HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
+    slack = EIGHT_BITS if format.dtype.itemsize == 1 and filter is LINEAR else 2e-6
+    slack = max(slack, 1.3e-3) if format.kind is Kind.SRGB else slack
+    assert_agree(sample(device, texture, places_by_block()), slack)
+
+
+@pytest.mark.parametrize("mip", [None, NEAREST, LINEAR], ids=name)
+@pytest.mark.parametrize(
+    ("minify", "magnify"), [(NEAREST, LINEAR), (LINEAR, NEAREST), (LINEAR, LINEAR)], ids=name
+)
+@pytest.mark.parametrize("kind", list(SHAPES), ids=name)
+def test_levels_and_filters_are_chosen_by_the_level_of_detail(
+    device: Device, kind: TextureKind, minify: Filter, magnify: Filter, mip: Filter | None
+) -> None:
+    size = (8, 8) if kind is CUBE else (16, 5)
+    texels = random_levels(Format.RG32F, *size, SHAPES[kind][1], kind)
+    at = places(1)
+    at[:8, 3] = (-1, 0, 0.25, 0.5, 1, 1.5, 2.5, 99)
+    sampler = SamplerDescriptor(minify, magnify, mip)
+    assert_agree(sample(device, HostTexture(texels, Format.RG32F, kind, sampler), at), 3e-6, 3e-6)
+
+
+@pytest.mark.parametrize("wrap", list(Wrap), ids=name)
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
+@pytest.mark.parametrize("kind", [D2, ARRAY, D3], ids=name)
+@pytest.mark.parametrize("format", [Format.RGBA8, Format.R32F, Format.RG8_SNORM], ids=name)
+def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filter, format: Format) -> None:
+    """A border has the channels of the format and lies within its range."""
+    texels = random_levels(format, 5, 6, SHAPES[kind][1], kind, levels=1)
+    sampler = SamplerDescriptor(filter, filter, None, wrap, wrap, wrap, border=(0.25, -0.5, 2.0, 0.5))
+    slack = EIGHT_BITS if format is Format.RGBA8 and filter is LINEAR else 3e-6
+    assert_agree(sample(device, HostTexture(texels, format, kind, sampler), places_by_block(2)), slack, 3e-6)
+
+
+@pytest.mark.parametrize("wrap", list(Wrap), ids=name)
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
+@pytest.mark.parametrize("size", [(1, 1), (4, 4), (3, 5), (1, 7)], ids=str)
+def test_hard_coordinates_read_the_same_texels_everywhere(
+    device: Device, wrap: Wrap, filter: Filter, size: tuple[int, int]
+) -> None:
+    """Exactly on texels' borders and centers, one step beside them, denormals, thousands of repetitions."""
+    hard = [0.0, -0.0, 1e-40, -1e-40, -1e-9, 0.5, 0.25, 0.125, 0.0625, 1.0, -1.0, 2.0, 1 - 2**-24, 1 + 2**-23]
+    hard += [1e4 + 0.375, -1e4 - 0.375]
+    at = np.zeros((256, 4), "f4")
+    at[:, :2] = np.stack(np.meshgrid(hard, hard), -1).reshape(-1, 2)
+    texture = HostTexture(
+        random_levels(Format.RG32F, *size, levels=1),
+        Format.RG32F,
+        D2,
+        SamplerDescriptor(filter, filter, None, wrap, wrap, border=(0.25, 0.5, 0, 0)),
+    )
+    results = sample(device, texture, at)
+    results["float64"] = results["float32"]  # which texel a border belongs to is decided in float32
+    assert_agree(results, 2e-6)
+
+
+@pytest.mark.parametrize("wrap", list(Wrap), ids=name)
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
+def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filter) -> None:
+    """NaN, infinities and what is beyond integers: OpenGL says nothing (llvmpipe overflows); here all ways read the
+    same texels or the border, and nothing else."""
+    hard = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 0.3, 2.0**31], "f4")
+    at = np.zeros((64, 4), "f4")
+    at[:, :2] = np.stack(np.meshgrid(hard, hard), -1).reshape(-1, 2)
+    at[:, 3] = np.resize(hard, 64)
+    texels = random_levels(Format.R8, 7, 3)
+    sampler = SamplerDescriptor(filter, filter, LINEAR, wrap, wrap, border=(0.5, 0, 0, 0))
+    given: dict[str, Any] = {
+        "source": HostTexture(texels, Format.R8, D2, sampler), "places": at, "results": 64
+    }  # fmt: skip
+    expected = run_compute(Sample2D, 1, **given)["results"]
+    assert np.isfinite(expected).all()
+    assert expected.max() <= 1
+    for width in (1, 16):
+        found = run_opencl(Sample2D, width, 1, **given)["results"]
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("width", [4, 8])
+def test_other_widths_give_the_same(width: int) -> None:
+    for kind, (shader, layers) in SHAPES.items():
+        texels = random_levels(Format.RGBA8, 8, 8, layers, kind)
+        given = {"source": HostTexture(texels, Format.RGBA8, kind), "places": places(3), "results": COUNT}
+        one = run_opencl(shader, 1, COUNT // 64, **given)["results"]
+        np.testing.assert_array_equal(run_opencl(shader, width, COUNT // 64, **given)["results"], one)
+
+
+@st.composite
+def textures(draw: st.DrawFn) -> HostTexture:
+    """Any format, shape, size and sampler that can be read as floats."""
+    kind = draw(st.sampled_from(list(SHAPES)))
+    format = draw(
+        st.sampled_from([f for f in Format if not f.is_integer and not (f.is_depth and kind is D3)])
+    )
+    width, height, layers = (draw(st.integers(1, 9)) for _ in range(3))
+    if kind is CUBE:
+        height, layers = width, 6
+    texels = random_levels(
+        format, width, height, 1 if kind is D2 else layers, kind, seed=draw(st.integers(0, 99))
+    )
+    filters = st.sampled_from(Filter)
+    wraps = (draw(st.sampled_from(Wrap)) for _ in range(3))
+    border = tuple(draw(st.sampled_from([-0.5, 0.0, 0.25, 1.0])) for _ in range(4))
+    mip = draw(st.one_of(st.none(), filters))
+    sampler = SamplerDescriptor(draw(filters), draw(filters), mip, *wraps, border=border)  # type: ignore[arg-type]
+    return HostTexture(texels[: draw(st.integers(1, len(texels)))], format, kind, sampler)
+
+
+@given(textures(), st.integers(0, 1000))
+@settings(max_examples=50)
+def test_any_texture_is_the_same_everywhere(device: Device, texture: HostTexture, seed: int) -> None:
+    """Within 8-bit weights for each of three directions, as llvmpipe may filter, and where that rounds coordinates
+    to 8 bits between texels, too; lanes within float32."""
+    at = places(seed)
+    small = texture.format.dtype.itemsize == 1
+    assert_agree(sample(device, texture, at), 3 / 256 if small else 1e-5, 1e-5)
+
+
+# -- cubes -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("size", [1, 2, 5], ids=str)
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
+def test_cubes_are_seamless_at_edges_and_corners(device: Device, size: int, filter: Filter) -> None:
+    """Also where two or three components are equally long."""
+    corners = np.stack(np.meshgrid(*[(-1, 0, 1, 0.999)] * 3), -1).reshape(-1, 3)
+    rng = np.random.default_rng(4)
+    directions = np.r_[corners, rng.normal(size=(COUNT - len(corners), 3))]
+    directions[np.all(directions == 0, axis=1)] = (0, 0, 1)
+    at = np.c_[directions, np.zeros(COUNT)].astype("f4")
+    texels = random_levels(Format.RG32F, size, size, 6, CUBE, levels=1)
+    texture = HostTexture(texels, Format.RG32F, CUBE, SamplerDescriptor(filter, filter, None))
+    assert_agree(sample(device, texture, at), 3e-6, 3e-6)
+
+
+# -- levels from derivatives -------------------------------------------------------------------------------
+
+
+class Graded2D(At):
+    source: Texture2D
+
+    def compute(self) -> None:
+        step = self.places[global_id().x]
+        self.results[global_id().x] = self.source.sample_grad(vec2(0.3, 0.3), step.xy, step.zw)
+
+
+class Graded3D(At):
+    source: Texture3D
+
+    def compute(self) -> None:
+        step = self.places[global_id().x]
+        self.results[global_id().x] = self.source.sample_grad(
+            vec3(0.3, 0.3, 0.3), vec3(step.xy, 0.0), step.zwx
+        )
+
+
+class GradedCube(At):
+    source: TextureCube
+
+    def compute(self) -> None:
+        step = self.places[global_id().x]
+        at = vec3(0.3, -1.0, 0.5)
+        self.results[global_id().x] = self.source.sample_grad(at, vec3(0.0, step.xy), step.zwx)
+
+
+@pytest.mark.parametrize(
+    ("shader", "kind", "layers"), [(Graded2D, D2, 1), (Graded3D, D3, 16), (GradedCube, CUBE, 6)], ids=name
+)
+def test_derivatives_choose_the_level(
+    device: Device, shader: type[Shader], kind: TextureKind, layers: int
+) -> None:
+    """Every level is one number, its own: the answer is the level. Lanes: a logarithm within 1.2e-4. llvmpipe's is
+    linear between powers of 2: up to 0.043 less."""
+    rng = np.random.default_rng(5)
+    steps = (rng.normal(size=(64, 4)) * 2 ** rng.uniform(-6, 1, (64, 1))).astype("f4")
+    texels = random_levels(Format.R32F, 16, 16, layers, kind)
+    for level, each in enumerate(texels):
+        each[:] = level
+    texture = HostTexture(texels, Format.R32F, kind, SamplerDescriptor(LINEAR, LINEAR, LINEAR))
+    results = read_everywhere(device, shader, {"source": texture}, 1, places=steps, results=64)
+    assert_agree(results, 0.045, 2e-4)
+    assert len(np.unique(np.round(results["float64"][:, 0]))) > 1
+
+
+# -- error and time ----------------------------------------------------------------------------------------
+
+
+class FastSample2D(Sample2D):
+    precision = Precision.FAST
+
+
+class FastGraded2D(Graded2D):
+    precision = Precision.FAST
+
+
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)  # each decodes in a place of its own
+@pytest.mark.parametrize("width", [1, 16])
+def test_srgb_is_decoded_as_exactly_as_is_asked_for(width: int, filter: Filter) -> None:
+    """All 256 stored values: within 2e-6, or within 1.3e-3 and 0.35 of the step to the next one. White is white."""
+    texels = np.repeat(np.arange(256, dtype="u1"), 4).reshape(1, 256, 4)
+    sampler = SamplerDescriptor(filter, filter, None)
+    given: dict[str, Any] = {"source": HostTexture(texels, Format.RGBA8_SRGB, sampler=sampler)}
+    given["places"] = np.zeros((256, 4), "f4")
+    given["places"][:, 0] = (np.arange(256) + 0.5) / 256
+    truth = run_compute(Sample2D, 4, dtype=np.float64, results=256, **given)["results"]
+    exact, fast = (
+        run_opencl(shader, width, 4, results=256, **given)["results"] for shader in (Sample2D, FastSample2D)
+    )
+    step = np.diff(truth[:, :3], axis=0, append=truth[-1:, :3] + 1.0)
+    np.testing.assert_allclose(exact, truth, rtol=0, atol=2e-6)
+    np.testing.assert_allclose(fast, truth, rtol=0, atol=1.3e-3)
+    assert (np.abs(fast[:, :3] - truth[:, :3]) <= 0.35 * step).all()
+    assert np.abs(fast - truth).max() > 1e-3  # what is stated is what is paid
+    for found in (exact, fast):
+        assert (found[-1] == 1).all()
+        assert (found[0] == 0).all()
+
+
+@pytest.mark.parametrize("width", [1, 16])
+def test_fast_levels_are_up_to_a_23rd_less(width: int) -> None:
+    """A logarithm that is linear between powers of 2, where it is exact; the other is within 1.2e-4."""
+    steps = np.zeros((256, 4), "f4")
+    steps[:, 0] = 2.0 ** np.linspace(-3, 3, 256) / 16
+    texels = random_levels(Format.R32F, 16, 16)
+    for level, each in enumerate(texels):
+        each[:] = level
+    given: dict[str, Any] = {"source": HostTexture(texels, Format.R32F), "places": steps}
+    truth = run_compute(Graded2D, 4, dtype=np.float64, results=256, **given)["results"][:, 0]
+    exact, fast = (
+        run_opencl(shader, width, 4, results=256, **given)["results"][:, 0]
+        for shader in (Graded2D, FastGraded2D)
+    )
+    np.testing.assert_allclose(exact, truth, rtol=0, atol=1.2e-4)
+    less = truth - fast
+    assert less.min() > -1e-6
+    assert 0.04 < less.max() < 0.0434
+    powers = [0, 85, 170, 255]
+    np.testing.assert_allclose(fast[powers], truth[powers], rtol=0, atol=1e-6)
+
+
+class Surface(Struct):
+    clip: vec4
+    uv: vec2
+    material: int
+
+
+class Textured(Shader):
+    """Levels that the stage finds by itself, with and without a bias; a comparison; and one for the whole block."""
+
+    source: Texture2D
+    around: TextureCube
+    shadow: DepthTexture2D
+
+    def vertex(self, v: Corner) -> Surface:
+        return Surface(clip=v.position, uv=v.position.xy, material=0)
+
+    def fragment(self, s: Surface) -> vec4:
+        if s.material == 1:
+            return vec4(self.source.sample(vec2(0.5, 0.5)).x, 0.0, 0.0, 0.0)
+        biased = self.source.sample_bias(s.uv, 1.5).x
+        cube = self.around.sample(vec3(s.uv, -0.75)).x
+        return vec4(self.source.sample(s.uv).x, biased, cube, self.shadow.sample_compare(s.uv, 0.5))
+
+
+def test_a_fragment_finds_its_level_from_its_quad() -> None:
+    """Every level is its number. On the diagonal of a quad 2 texels at level 0 are a step: 1 for `sample`."""
+    rows, columns = np.mgrid[:8, :16]
+    uv = np.stack([columns * 2 / 32, rows * 0.5 / 32], -1).astype("f4")
+
+    def ladder(format: Format, kind: TextureKind, layers: int) -> list[NDArray[Any]]:
+        levels = random_levels(format, 32, 32, layers, kind)
+        for level, each in enumerate(levels):
+            each[:] = level
+        return levels
+
+    shadow = SamplerDescriptor(NEAREST, NEAREST, NEAREST, compare=Comparison.LESS)
+    given: dict[str, Any] = {
+        "source": HostTexture(ladder(Format.R32F, D2, 1), Format.R32F),
+        "around": HostTexture(ladder(Format.R32F, CUBE, 6), Format.R32F, CUBE),
+        "shadow": HostTexture(ladder(Format.D32F, D2, 1), Format.D32F, D2, shadow),
+    }
+    varyings: dict[str, Any] = {"uv": uv, "material": np.int32(0)}
+    exact = run_fragment(Textured, varyings, dtype=np.float64, **given).outputs
+    (output,) = exact
+    expected = exact[output]
+    np.testing.assert_allclose(expected[..., 0], 1, atol=1e-6)
+    np.testing.assert_allclose(expected[..., 1], 2.5, atol=1e-6)
+    assert (expected[..., 3] == 1).all()
+    assert len(np.unique(expected[..., 2].round(3))) > 2
+    lanes = run_fragment_lanes(Textured, varyings, (8, 16), **given)[output]
+    np.testing.assert_allclose(lanes, expected, rtol=0, atol=3e-4)
+    flat = run_fragment_lanes(Textured, {**varyings, "material": np.int32(1)}, (8, 16), **given)[output]
+    assert (flat[..., 0] == 0).all()
+
+
+class Heights(Shader):
+    """A vertex stage has no quads: level 0."""
+
+    source: Texture2D
+
+    def vertex(self, v: Corner) -> vec4:
+        return self.source.sample(v.position.xy) + self.source.load(ivec2(v.position.xy * 8.0))
+
+
+def test_a_vertex_stage_reads_textures() -> None:
+    texture = HostTexture(random_levels(Format.RGBA16F, 8, 8), Format.RGBA16F)
+    at = np.zeros((20, 4), "f4")
+    at[:, :2] = np.random.default_rng(15).random((20, 2))
+    attributes = {"position": at, "color": at}
+    expected = run_vertex(Heights, attributes, dtype=np.float64, source=texture).position
+    found = run_vertex_lanes(Heights, attributes, 20, source=texture)["position"]
+    np.testing.assert_allclose(found, expected, rtol=0, atol=3e-6)
+
+
+# -- single texels -----------------------------------------------------------------------------------------
+
+
+class Gather2D(At):
+    source: Texture2D
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i].xy
+        self.results[i] = self.source.gather(at) + 2.0 * self.source.gather(at, 2)
+
+
+class GatherCube(At):
+    source: TextureCube
+
+    def compute(self) -> None:
+        self.results[global_id().x] = self.source.gather(self.places[global_id().x].xyz, 1)
+
+
+@pytest.mark.parametrize(("shader", "kind"), [(Gather2D, D2), (GatherCube, CUBE)], ids=name)
+def test_gather_gives_a_component_of_four_texels(
+    device: Device, shader: type[Shader], kind: TextureKind
+) -> None:
+    texels = random_levels(Format.RGBA32F, 5, 5, SHAPES[kind][1], kind, levels=1)
+    texture = HostTexture(texels, Format.RGBA32F, kind, SamplerDescriptor(LINEAR, LINEAR, None))
+    results = read_everywhere(device, shader, {"source": texture}, 8, places=places(6), results=COUNT)
+    assert_agree(results, 1e-6, 1e-6)
+
+
+class Load2D(At):
+    source: Texture2D
+    volume: Texture3D
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        texel = ivec2(int(at.x), int(at.y))
+        flat = self.source.load(texel, int(at.w))
+        solid = self.volume.load(ivec3(texel, int(at.z)))
+        self.results[i] = flat + 2.0 * solid
+
+
+def test_loads_name_texel_and_level_and_give_zeros_outside(device: Device) -> None:
+    at = places(7)
+    at[:, :3] *= 3
+    textures = {
+        "source": HostTexture(random_levels(Format.RGBA32F, 6, 9), Format.RGBA32F),
+        "volume": HostTexture(random_levels(Format.RGBA32F, 5, 5, 5, D3), Format.RGBA32F, D3),
+    }
+    results = read_everywhere(device, Load2D, textures, 8, places=at, results=COUNT)
+    assert (results["float64"] == 0).all(axis=1).any()
+    assert_agree(results, 0.0, 0.0)
+
+
+class LoadUint(At):
+    source: UintTexture2D
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        texel = self.source.sample_lod(at.xy, at.w)
+        self.results[i] = vec4(vec2(texel.xy % uvec4(10007).xy), vec2(texel.zw // uvec4(65536).zw))
+
+
+class LoadInt(At):
+    source: IntTexture2D
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        texel = self.source.sample_lod(at.xy, at.w)
+        self.results[i] = vec4(float(texel.x // 65536), float(texel.y % 9973), float(texel.z), float(texel.w))
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=name)
+def test_integers_are_read_whole(device: Device, format: Format) -> None:
+    shader = LoadUint if format.kind is Kind.UINT else LoadInt
+    sampler = SamplerDescriptor(NEAREST, NEAREST, NEAREST)
+    texture = HostTexture(random_levels(format, 7, 5), format, D2, sampler)
+    results = read_everywhere(device, shader, {"source": texture}, 8, places=places(8), results=COUNT)
+    if format is Format.RGBA32I:  # whose last components are beyond what a float holds
+        results = {way: found.astype("f4") for way, found in results.items()}
+    assert_agree(results, 0.0, 0.0)
+
+
+class Sizes(At):
+    flat: Texture2D
+    layers: Texture2DArray
+    volume: Texture3D
+    around: TextureCube
+
+    def compute(self) -> None:
+        i = global_id().x
+        total = vec4(0.0)
+        for level in range(3):
+            flat = self.flat.size(level)
+            total = total * 100.0 + vec4(
+                float(flat.x + 1000 * self.flat.levels()),
+                float(flat.y + self.layers.size().z * 1000),
+                float(self.around.size(level).x),
+                float(self.volume.size(level).z + self.volume.size().x * 1000),
+            )
+        self.results[i] = total
+
+
+class SizesOfLanes(At):
+    source: Texture3D
+
+    def compute(self) -> None:
+        i = global_id().x
+        size = self.source.size(i % 4)
+        self.results[i] = vec4(vec3(size), float(i % 4))
+
+
+def test_sizes_are_those_of_each_level(device: Device) -> None:
+    textures = {
+        "flat": HostTexture(random_levels(Format.R8, 13, 7), Format.R8),
+        "layers": HostTexture(random_levels(Format.R8, 4, 4, 5, ARRAY), Format.R8, ARRAY),
+        "volume": HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3),
+        "around": HostTexture(random_levels(Format.R8, 4, 4, 6, CUBE), Format.R8, CUBE),
+    }
+    at = np.zeros((64, 4), "f4")
+    assert_agree(read_everywhere(device, Sizes, textures, 1, places=at, results=64), 0.0, 0.0)
+
+
+def test_each_lane_may_ask_for_another_level_s_size() -> None:
+    """llvmpipe gives them all the first one's."""
+    given = {"source": HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3)}
+    at = np.zeros((64, 4), "f4")
+    expected = np.resize([(9, 8, 7, 0), (4, 4, 3, 1), (2, 2, 1, 2), (1, 1, 1, 3)], (64, 4))
+    for width in (1, 16):
+        found = run_opencl(SizesOfLanes, width, 1, places=at, results=64, **given)["results"]
+        np.testing.assert_array_equal(found, expected)
+    found = run_compute(SizesOfLanes, 1, places=at, results=64, **given)["results"]
+    np.testing.assert_array_equal(found, expected)
+
+
+# -- comparisons -------------------------------------------------------------------------------------------
+
+
+class Compare2D(At):
+    source: DepthTexture2D
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        four = self.source.gather_compare(at.xy, at.z)
+        implicit = self.source.sample_compare(at.xy, at.z)
+        level = self.source.sample_compare_lod(at.xy, at.z, at.w)
+        self.results[i] = vec4(implicit, level, four.x + 2.0 * four.y, four.z + 2.0 * four.w)
+
+
+class CompareArray(At):
+    source: DepthTexture2DArray
+
+    def compute(self) -> None:
+        at = self.places[global_id().x]
+        self.results[global_id().x] = vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
+
+
+class CompareCube(At):
+    source: DepthTextureCube
+
+    def compute(self) -> None:
+        at = self.places[global_id().x]
+        self.results[global_id().x] = vec4(self.source.sample_compare(at.xyz, abs_half(at.w)))
+
+
+@rhi.shading.function
+def abs_half(x: float) -> float:
+    return (x if x > 0.0 else -x) * 0.15
+
+
+@pytest.mark.parametrize("comparison", list(Comparison), ids=name)
+@pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
+def test_depths_are_compared_before_they_are_filtered(
+    device: Device, comparison: Comparison, filter: Filter
+) -> None:
+    """References are among the depths, so that equal happens. llvmpipe's weights have more than 8 bits here."""
+    depths = np.random.default_rng(9).integers(0, 5, (1, 6, 5, 1)).astype("f4") / 4
+    sampler = SamplerDescriptor(
+        filter, filter, None, Wrap.BORDER, Wrap.BORDER, border=(0.5, 0, 0, 0), compare=comparison
+    )
+    at = places(10)
+    at[:, 2] = np.random.default_rng(11).integers(0, 5, COUNT) / 4
+    texture = HostTexture(depths, Format.D32F, D2, sampler)
+    results = read_everywhere(device, Compare2D, {"source": texture}, 8, places=at, results=COUNT)
+    assert_agree(results, 2e-6)
+
+
+@pytest.mark.parametrize("format", [Format.D16, Format.D24, Format.D32F], ids=name)
+@pytest.mark.parametrize(
+    "comparison", [Comparison.LESS_EQUAL, Comparison.EQUAL, Comparison.GREATER], ids=name
+)
+def test_references_of_fixed_point_depths_are_clamped(
+    device: Device, format: Format, comparison: Comparison
+) -> None:
+    at = np.zeros((64, 4), "f4")
+    at[:, :3] = np.c_[
+        np.resize([0.25, 0.75], 64), np.full(64, 0.5), np.repeat([-1, 0, 0.5, 1, 1.5, np.inf, -np.inf, 2], 8)
+    ]
+    sampler = nearest(Wrap.CLAMP, compare=comparison)
+    texture = HostTexture(np.float32([[0, 1]]), format, D2, sampler)
+    assert_agree(read_everywhere(device, Compare2D, {"source": texture}, 1, places=at, results=64), 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("shader", "kind"), [(CompareArray, ARRAY), (CompareCube, CUBE)], ids=name)
+def test_layers_and_cubes_are_compared(device: Device, shader: type[Shader], kind: TextureKind) -> None:
+    texels = random_levels(Format.D32F, 4, 4, SHAPES[kind][1], kind, levels=1)
+    sampler = SamplerDescriptor(LINEAR, LINEAR, None, compare=Comparison.LESS)
+    texture = HostTexture(texels, Format.D32F, kind, sampler)
+    results = read_everywhere(device, shader, {"source": texture}, 8, places=places(12), results=COUNT)
+    assert_agree(results, 3e-6, 3e-6)
+
+
+# -- control flow ------------------------------------------------------------------------------------------
+
+
+class Branches(At):
+    source: Texture2D
+
+    def compute(self) -> None:
+        i = global_id().x
+        at = self.places[i]
+        total = self.source.sample(vec2(0.25, 0.75))
+        if at.x > 0.0:
+            total += self.source.sample_lod(at.xy, at.w)
+            for k in range(i % 4):
+                total += self.source.load(ivec2(k, i % 5))
+        elif at.y > 0.5:
+            total = self.source.sample_lod(self.source.load(ivec2(0, 0)).xy, 1.0)
+        self.results[i] = total
+
+
+def test_textures_are_read_in_branches_and_loops_and_by_all_lanes_at_once(device: Device) -> None:
+    texture = HostTexture(random_levels(Format.RGBA16F, 7, 5), Format.RGBA16F)
+    results = read_everywhere(device, Branches, {"source": texture}, 8, places=places(13), results=COUNT)
+    assert_agree(results, 5e-6, 5e-6)
+
+
+def test_a_kernel_holds_each_function_of_textures_once() -> None:
+    at = places(14, 64)
+    texture = HostTexture(random_levels(Format.R8, 4, 4), Format.R8)
+    text = Kernel(Branches, 16, source=texture, places=at, results=64).text
+    assert text.count("void rhi_walk(") == 1
+    assert "rhi_walk(" not in Kernel(NoTexture, 16, places=at, results=64).text
+
+
+class NoTexture(At):
+    def compute(self) -> None:
+        self.results[global_id().x] = self.places[global_id().x]
+
+
+# -- images ------------------------------------------------------------------------------------------------
+
+
+def copying(format: Format, annotation: Any) -> Any:
+    class Copy(Shader):
+        work_group = (8, 8)
+        source: annotation = image(format)
+        target: annotation = image(format)
+
+        def compute(self) -> None:
+            at = global_id().xy
+            if (at.x + at.y) % 3 != 0:
+                self.target.store(at + ivec2(1, -1), self.source.load(at))
+
+    return Copy
+
+
+_IMAGES: dict[Kind, Any] = {Kind.UINT: UintImage2D, Kind.INT: IntImage2D}
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not Kind.SRGB], ids=name)
+def test_images_keep_every_bit_and_nothing_is_written_outside(format: Format) -> None:
+    source = random_levels(format, 11, 6, levels=1)[0]
+    expected = np.zeros_like(source)
+    for y in range(6):
+        for x in range(11):
+            if (x + y) % 3 != 0 and x + 1 < 11 and y >= 1:
+                expected[0, y - 1, x + 1] = source[0, y, x]
+    # Beyond the source zeros are loaded, and beyond the target nothing is stored.
+    shader = copying(format, _IMAGES.get(format.kind, Image2D))
+    given = {"source": HostTexture(source, format), "target": HostTexture(np.zeros_like(source), format)}
+    for width in (1, 16):
+        np.testing.assert_array_equal(run_opencl(shader, width, (2, 1), **given)["target"], expected)
+    np.testing.assert_array_equal(run_compute(shader, (2, 1), **given)["target"], expected)
+
+
+class Rounded(Shader):
+    work_group = (16,)
+    values: Storage[vec4]
+    target: Image2D = image(Format.RGBA8)
+    signed: Image2D = image(Format.RGBA8_SNORM)
+    halves: Image2D = image(Format.RGBA16F)
+
+    def compute(self) -> None:
+        i = global_id().x
+        self.target.store(ivec2(i, 0), self.values[i])
+        self.signed.store(ivec2(i, 0), self.values[i])
+        self.halves.store(ivec2(i, 0), self.values[i])
+
+
+def test_stored_values_are_clamped_and_rounded_to_nearest() -> None:
+    hard = [
+        -np.inf,
+        -2,
+        -1,
+        -0.5,
+        0,
+        0.31,
+        0.51,
+        0.4 / 255,
+        0.6 / 255,
+        1,
+        1.5,
+        np.inf,
+        65519,
+        65520,
+        1e-7,
+        2.4 / 127,
+    ]
+    values = np.zeros((16, 4), "f4")
+    values[:] = np.array(hard, "f4")[:, None]
+    given: dict[str, Any] = {"values": values}
+    for field, format in (
+        ("target", Format.RGBA8),
+        ("signed", Format.RGBA8_SNORM),
+        ("halves", Format.RGBA16F),
+    ):
+        given[field] = HostTexture(np.zeros((1, 16, 4), format.dtype), format)
+    expected = run_compute(Rounded, 1, **given)
+    for width in (1, 16):
+        found = run_opencl(Rounded, width, 1, **given)
+        for field, texels in expected.items():
+            np.testing.assert_array_equal(found[field], texels)
+
+
+class Layered(Shader):
+    work_group = (4, 4)
+    target: Image3D = image(Format.R32F)
+
+    def compute(self) -> None:
+        at = global_id()
+        self.target.store(at, vec4(float(at.x + 10 * at.y + 100 * at.z)))
+
+
+def test_all_layers_of_an_image_are_written() -> None:
+    given = {"target": HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3)}
+    z, y, x = np.indices((3, 4, 4))
+    for width in (1, 16):
+        found = run_opencl(Layered, width, (1, 1, 4), **given)["target"]
+        np.testing.assert_array_equal(found[..., 0], x + 10 * y + 100 * z)
+
+
+class Beyond(Shader):
+    """As `Layered`, and a texel and level of a texture."""
+
+    work_group = (4, 4)
+    checked = True
+    target: Image3D = image(Format.R32F)
+    source: Texture2D
+    which: Storage[int]
+
+    def compute(self) -> None:
+        at = global_id()
+        texel = self.source.load(ivec2(at.x, self.which[0]), self.which[1])
+        self.target.store(ivec3(at.xy, self.which[2]), texel)
+
+
+@pytest.mark.parametrize(
+    ("which", "given", "line"),
+    [((7, 0, 0), "index 7", "load"), ((0, 2, 0), "index 2", "load"), ((0, 0, 3), "index 3", "store"),
+     ((4, 1, 0), "index 4", "load"), ((-1, 0, 0), "index -1", "load")],
+)  # fmt: skip
+def test_a_checked_shader_reports_texels_outside(which: tuple[int, int, int], given: str, line: str) -> None:
+    bound: dict[str, Any] = {
+        "target": HostTexture(np.zeros((3, 4, 4, 1), "f4"), Format.R32F, D3),
+        "source": HostTexture(random_levels(Format.R8, 8, 7, levels=2), Format.R8),
+    }
+    ways = [
+        partial(run_opencl, Beyond, 1),
+        partial(run_opencl, Beyond, 16),
+        partial(run_compute, Beyond),
+    ]
+    for run in ways:
+        run(1, which=np.int32([2, 1, 2]), **bound)
+        with pytest.raises(ShaderError, match=given) as caught:
+            run(1, which=np.int32(which), **bound)
+        assert f".{line}(" in str(caught.value)
+
+
+# -- HostTexture -------------------------------------------------------------------------------------------
+
+
+def test_a_host_texture_of_another_shape_or_format_is_refused() -> None:
+    given: dict[str, Any] = {"places": places(0, 64), "results": 64}
+    fitting = HostTexture(np.zeros((4, 4), "u1"), Format.R8)
+    run_compute(Sample2D, 1, source=fitting, **given)
+    with pytest.raises(ValidationError, match="shading-arguments"):
+        run_compute(Sample3D, 1, source=fitting, **given)
+    with pytest.raises(ValidationError, match="shading-arguments"):
+        HostTexture(np.zeros((4, 4), "f4"), Format.R8)
+    with pytest.raises(ValidationError, match="shading-arguments"):
+        run_compute(Layered, 1, target=HostTexture(np.zeros((1, 1, 1, 1), "f2"), Format.R16F, D3))
+
+
+def test_images_given_stay_as_they_are() -> None:
+    given = np.zeros((3, 4, 4, 1), "f4")
+    texture = HostTexture(given, Format.R32F, D3)
+    after = run_compute(Layered, (1, 1, 3), target=texture)["target"]
+    assert after[2, 3, 3, 0] == 233
+    assert not texture.levels[0].any()
+
+
+def test_nearest_is_what_integers_get_without_a_sampler() -> None:
+    assert HostTexture(np.zeros((1, 1), "u4"), Format.R32UI).sampler.minify is NEAREST
+    assert HostTexture(np.zeros((1, 1), "u1"), Format.R8, sampler=nearest()).sampler == nearest()
+    assert HostTexture(np.zeros((1, 1), "u1"), Format.R8).sampler == SamplerDescriptor()

@@ -1,0 +1,172 @@
+"""One texture read by one shader on every way there is: OpenGL, OpenCL with one lane and with 16, NumPy."""
+
+from __future__ import annotations
+
+import builtins
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from opencl_runner import run_opencl
+
+from rhi import Device, Format, SamplerDescriptor, TextureKind
+from rhi.conformance.shaders import Corner
+from rhi.conformance.shapes import rectangle
+from rhi.contract.descriptors import BindingKind
+from rhi.contract.states import DepthTest
+from rhi.shading import (
+    FragmentDepth,
+    HostTexture,
+    Shader,
+    Struct,
+    Texture2DArray,
+    Uniform,
+    compile_shader,
+    fragment_coordinate,
+    ivec3,
+    run_compute,
+    vec4,
+)
+
+LANES = ("1 lane", "16 lanes")
+Results = dict[str, NDArray[Any]]
+
+
+class Slice(Struct):
+    """Which of the layers of all depths."""
+
+    layer: int
+
+
+class Bare(Struct):
+    clip: vec4
+
+
+class Depth(Struct):
+    depth: FragmentDepth
+
+
+class WriteDepth(Shader):
+    """Depths texel by texel."""
+
+    depths: Texture2DArray
+    which: Uniform[Slice]
+
+    def vertex(self, v: Corner) -> Bare:
+        return Bare(clip=v.position)
+
+    def fragment(self) -> Depth:
+        at = fragment_coordinate()
+        return Depth(depth=self.depths.load(ivec3(int(at.x), int(at.y), self.which.layer)).x)
+
+
+def random_levels(
+    format: Format, width: int, height: int, layers: int = 1, kind: TextureKind = TextureKind.D2, seed: int = 0,
+    levels: int | None = None,
+) -> list[NDArray[Any]]:  # fmt: skip
+    """Texels of all levels: fractions, or whole numbers of the whole range."""
+    rng = np.random.default_rng([seed, width, height, layers])
+    solid = kind is TextureKind.D3
+    full = builtins.max(width, height, layers if solid else 1).bit_length()
+    result = []
+    for level in range(levels or full):
+        depth = builtins.max(1, layers >> level) if solid else layers
+        shape = (depth, builtins.max(1, height >> level), builtins.max(1, width >> level), format.channels)
+        if format.dtype.kind == "f":
+            result.append(rng.uniform(0, 1, shape).astype(format.dtype))
+        else:
+            limits = np.iinfo(format.dtype)
+            result.append(
+                rng.integers(builtins.max(limits.min, -limits.max), limits.max, shape, format.dtype, True)
+            )
+    return result
+
+
+def read_everywhere(
+    device: Device, shader: type[Shader], textures: Mapping[str, HostTexture], count: int, **bindings: Any
+) -> Results:
+    """What `results` of the shader holds after `count` work-groups: "opengl", "1 lane", "16 lanes", "float32" and
+    "float64"."""
+    results = {"opengl": read_opengl(device, shader, textures, count, bindings)}
+    for width in (1, 16):
+        given = {**textures, **bindings}
+        results[f"{width} lane{'s' * (width > 1)}"] = run_opencl(shader, width, count, **given)["results"]
+    for dtype in (np.float32, np.float64):
+        run = run_compute(shader, count, dtype=dtype, **textures, **bindings)
+        results[np.dtype(dtype).name] = run["results"]
+    return results
+
+
+def read_opengl(
+    device: Device,
+    shader: type[Shader],
+    textures: Mapping[str, HostTexture],
+    count: int,
+    bindings: dict[str, Any],
+) -> NDArray[Any]:
+    """On the device, whose textures and buffers (of vec4) are made and destroyed."""
+    program = device.program(shader)
+    given: dict[str, Any] = {}
+    made: list[Any] = []
+    for binding in compile_shader(shader).bindings:
+        name = binding.name
+        if binding.kind is BindingKind.TEXTURE:
+            made.append(upload(device, textures[name]))
+            given[name] = made[-1].sampled(textures[name].sampler)
+        elif binding.kind is BindingKind.IMAGE:
+            made.append(upload(device, textures[name]))
+            given[name] = made[-1].image()
+        else:
+            made.append(device.storage(vec4, bindings[name]))
+            given[name] = made[-1]
+    device.dispatch(program, count, **given)
+    result: NDArray[Any] = given["results"].read()
+    for resource in made:
+        resource.destroy()
+    return result
+
+
+def upload(device: Device, texture: HostTexture) -> Any:
+    """A texture of the device with the same texels; depths are drawn."""
+    layers, height, width, _ = texture.levels[0].shape
+    made = device.texture(
+        (width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels)
+    )
+    for level, texels in enumerate(texture.levels):
+        if not texture.format.is_depth:
+            made.write(texels, level=level)
+            continue
+        shape = (texels.shape[2], texels.shape[1])
+        with (
+            device.texture(shape, Format.R32F, kind=TextureKind.D2_ARRAY, layers=layers) as depths,
+            device.mesh(rectangle()) as mesh,
+        ):
+            depths.write(texels)
+            for layer in range(layers):
+                which = device.uniform(Slice(layer=layer))
+                with (
+                    device.render_pass(depth=made.at(level, layer), clear_depth=0.0),
+                    device.states(DepthTest.OFF),
+                ):
+                    device.draw(device.program(WriteDepth), mesh, depths=depths, which=which)
+                which.destroy()
+    return made
+
+
+def assert_agree(results: Results, opengl: float, lanes: float = 2e-6, reason: str = "") -> None:
+    """All within so much of float64; a NaN only where that has one."""
+    expected = results["float64"].astype(np.float64)
+    for way, found in results.items():
+        slack = opengl if way == "opengl" else lanes
+        np.testing.assert_allclose(
+            found.astype(np.float64), expected, rtol=0, atol=slack, err_msg=f"{way} {reason}", equal_nan=True
+        )
+
+
+def nearest(wrap: Any = None, **more: Any) -> SamplerDescriptor:
+    """A sampler without filters."""
+    from rhi import Filter, Wrap
+
+    wrap = wrap or Wrap.REPEAT
+    return SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, wrap, wrap, wrap, **more)

@@ -1,0 +1,377 @@
+"""Graphics stages, textures and images, on the driver."""
+
+import moderngl
+import numpy as np
+import pytest
+
+from rhi import Format
+from rhi.contract.descriptors import Attribute, BindingKind, FragmentOutput, Stage
+from rhi.contract.layout import FLOAT, INT, UINT, VectorType
+from rhi.errors import ShaderError
+from rhi.shading import (
+    DepthTexture2D,
+    DepthTexture2DArray,
+    DepthTextureCube,
+    Flat,
+    FragmentDepth,
+    Image2D,
+    IntTexture2D,
+    NoPerspective,
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Texture2D,
+    Texture2DArray,
+    Texture3D,
+    TextureCube,
+    UintImage2D,
+    UintTexture2D,
+    Uniform,
+    atomic_add,
+    compile_shader,
+    ddx,
+    ddy,
+    discard,
+    draw_index,
+    fragment_coordinate,
+    front_facing,
+    function,
+    fwidth,
+    global_id,
+    image,
+    instance_index,
+    ivec2,
+    ivec3,
+    mat4,
+    native,
+    primitive_index,
+    stage_trees,
+    uint,
+    uvec2,
+    uvec4,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
+from rhi.shading.language import rules
+from rhi.shading.language.types import TextureType
+
+
+class Placed(Struct):
+    clip: vec4
+
+
+class Plane(Struct):
+    position: vec2
+    id: uint
+
+
+class Offset(Struct):
+    offset: ivec2
+
+
+class Surface(Placed):
+    uv: vec2
+    screen: NoPerspective[vec2]
+    tint: Flat[vec3]
+    id: uint
+    turn: mat4
+
+
+class Targets(Struct):
+    color: vec4
+    ids: uvec2
+    offset: int
+    depth: FragmentDepth
+
+
+class Everything(Shader):
+    early_depth = False
+    camera: Uniform[mat4]
+    albedo: Texture2D
+    layers: Texture2DArray
+    volume: Texture3D
+    sky: TextureCube
+    shadow: DepthTexture2D
+    cascades: DepthTexture2DArray
+    point: DepthTextureCube
+    ids: UintTexture2D
+    counts: IntTexture2D
+    lights: Storage[vec4]
+    hits: StorageRW[uint]
+
+    def vertex(self, v: Plane, instance: Offset) -> Surface:
+        n = vertex_index() + instance_index() + draw_index()
+        place = v.position + vec2(instance.offset)
+        return Surface(
+            clip=self.camera @ vec4(place, 0, 1),
+            uv=v.position,
+            screen=v.position * float(n),
+            tint=vec3(1),
+            id=v.id,
+            turn=self.camera,
+        )
+
+    def shaded(self, shadow: DepthTexture2D, uv: vec2) -> float:
+        return shadow.sample_compare(uv, 0.5) + shadow.sample_compare_lod(uv, reference=0.5, lod=0)
+
+    def fragment(self, s: Surface) -> Targets:
+        if s.uv.x < 0.0 or not front_facing():
+            discard()
+        uv = s.uv
+        uvw = vec3(uv, 0.5)
+        color = self.albedo.sample(uv) + self.albedo.sample_bias(uv, 1.0) + self.albedo.sample_lod(uv, lod=2)
+        color += self.albedo.sample_grad(uv, ddx(uv), ddy(uv)) + self.albedo.load(ivec2(1, 2), level=1)
+        color += self.layers.sample(uvw) + self.layers.load(ivec3(1, 2, 3)) + self.volume.sample_lod(uvw, 0)
+        color += self.volume.sample_grad(uvw, ddx(uvw), ddy(uvw)) + self.volume.load(ivec3(0, 0, 0))
+        color += self.sky.sample(uvw) + self.sky.sample_lod(uvw, 1.5) + self.sky.gather(uvw)
+        color += self.albedo.gather(uv) + self.albedo.gather(uv, component=2)
+        color.x += self.shaded(self.shadow, uv) + self.cascades.sample_compare(uvw, 0.5)
+        color += self.shadow.gather_compare(uv, 0.5) + self.cascades.gather_compare(uvw, 0.25)
+        color.y += self.point.sample_compare(uvw, 0.5)
+        color.z += float(self.albedo.levels()) + float(self.albedo.size().x + self.sky.size(1).y)
+        color.w += float(self.volume.size().z + self.layers.size().z + self.shadow.size().y)
+        ids = self.ids.load(ivec2(fragment_coordinate().xy)).xy
+        counts = self.counts.load(ivec2(0)) + self.counts.sample(uv) + self.counts.gather(uv, 1)
+        atomic_add(self.hits[s.id], uint(primitive_index()))
+        for i in range(len(self.lights)):
+            color += self.lights[i] * fwidth(uv.x)
+        return Targets(color=s.turn @ color, ids=ids, offset=counts.x, depth=s.screen.x + s.tint.y)
+
+
+def test_every_graphics_feature_compiles_on_the_driver(link):
+    program = link(Everything)
+    assert program.stages == {Stage.VERTEX, Stage.FRAGMENT}
+    assert program.attributes == (
+        Attribute("position", 0, VectorType(FLOAT, 2)),
+        Attribute("id", 1, UINT),
+        Attribute("offset", 2, VectorType(INT, 2)),
+    )
+    assert program.outputs == (
+        FragmentOutput("color", 0, "float", 4),
+        FragmentOutput("ids", 1, "uint", 2),
+        FragmentOutput("offset", 2, "int", 1),
+    )
+    assert program.discards
+    assert program.writes_depth
+    assert program.writes_memory
+    assert not program.early_depth
+
+
+def test_slots_count_within_each_kind_in_the_order_of_the_class():
+    bindings = {binding.name: binding for binding in compile_shader(Everything).bindings}
+    assert list(bindings) == list(Everything.__annotations__)
+    assert (bindings["camera"].kind, bindings["camera"].slot, bindings["camera"].size) == (
+        BindingKind.UNIFORM,
+        0,
+        64,
+    )
+    assert (bindings["lights"].slot, bindings["lights"].size, bindings["lights"].writes) == (0, 16, False)
+    assert (bindings["hits"].slot, bindings["hits"].size, bindings["hits"].writes) == (1, 4, True)
+    assert [bindings[name].slot for name in ("albedo", "layers", "counts")] == [0, 1, 8]
+    assert bindings["shadow"].type == TextureType(bindings["shadow"].type.kind, FLOAT, True)
+
+
+class EarlyOnly(Shader):
+    early_depth = True
+    hits: StorageRW[uint]
+
+    def vertex(self) -> vec4:
+        return vec4(0, 0, 0.5, 1)
+
+    def fragment(self) -> None:
+        atomic_add(self.hits[0], 1)
+
+
+def test_a_fragment_stage_may_only_write_memory(link):
+    program = link(EarlyOnly)
+    assert "early_fragment_tests" in program.emit("glsl", Stage.FRAGMENT)
+    assert (program.early_depth, program.outputs, program.writes_memory) == (True, (), True)
+
+
+def test_a_fragment_depth_with_early_depth_is_refused():
+    class Early(Everything):
+        early_depth = True
+
+    class Late(Everything):
+        early_depth = False
+
+    compile_shader(Late)
+    with pytest.raises(ShaderError, match="early_depth"):
+        compile_shader(Early)
+
+
+class DepthOnly(Shader):
+    def vertex(self, v: Plane) -> Placed:
+        return Placed(clip=vec4(v.position, 0, 1))
+
+
+def test_a_shader_may_have_a_vertex_stage_alone(link):
+    program = link(DepthOnly)
+    assert program.stages == {Stage.VERTEX}
+    assert [attribute.name for attribute in program.attributes] == ["position", "id"]
+
+
+class Colored(Shader):
+    scale: Uniform[vec4]
+
+    def vertex(self) -> vec4:
+        i = vertex_index()
+        return vec4(float(i % 2) * 4 - 1, float(i // 2) * 4 - 1, 0, 1)
+
+    def base(self) -> vec4:
+        return vec4(fragment_coordinate().xy, 0, 1)
+
+    def fragment(self) -> vec4:
+        return self.base() * self.scale
+
+
+class Reversed(Colored):
+    extra: Uniform[vec4]
+
+    def base(self) -> vec4:
+        return super().base().yxzw + self.extra
+
+
+def draw(context, shader, **uniforms):
+    program = compile_shader(shader)
+    texts = {f"{stage.value}_shader": program.emit("glsl", stage) for stage in program.stages}
+    gl = context.program(**texts)
+    buffers = []
+    for binding in program.bindings:
+        buffers.append(context.buffer(np.array(uniforms[binding.name], "f4").tobytes()))
+        buffers[-1].bind_to_uniform_block(binding.slot)
+    texture = context.texture((4, 2), 4, dtype="f4")
+    target = context.framebuffer([texture])
+    target.use()
+    context.vertex_array(gl, []).render(moderngl.TRIANGLES, vertices=3)
+    return np.frombuffer(texture.read(), "f4").reshape(2, 4, 4)
+
+
+def test_a_subclass_overrides_what_a_base_stage_calls_and_adds_bindings(context):
+    ones = (1, 1, 1, 1)
+    pixels = draw(context, Colored, scale=(2, 1, 1, 1))
+    assert pixels[1, 3].tolist() == [7, 1.5, 0, 1]
+    pixels = draw(context, Reversed, scale=ones, extra=(10, 0, 0, 0))
+    assert pixels[1, 3].tolist() == [11.5, 3.5, 0, 1]
+    names = [binding.name for binding in compile_shader(Reversed).bindings]
+    assert names == ["scale", "extra"]
+
+
+class Filtered(Shader):
+    work_group = (4, 2)
+    source: Texture2D
+    target: Image2D = image(Format.RGBA32F)
+    ids: UintImage2D = image(Format.R32UI)
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        at = global_id().xy
+        self.target.store(at, self.source.load(at) * 2.0)
+        old = self.ids.load(at).x
+        self.ids.store(at, uvec4(old + 1, 0, 0, 0))
+        if at == ivec2(0):
+            self.out[0] = self.source.sample(vec2(0.5, 0.5))
+            self.out[1] = vec4(vec2(self.target.size()), vec2(self.source.size()))
+            self.out[2] = self.source.gather(vec2(0.25, 0.5), 1)
+
+
+def test_textures_are_read_and_images_loaded_and_stored(context, run):
+    texels = np.arange(32, dtype="f4").reshape(2, 4, 4)
+    source = context.texture((4, 2), 4, texels.tobytes(), dtype="f4")
+    source.filter = (moderngl.LINEAR, moderngl.LINEAR)
+    target = context.texture((4, 2), 4, dtype="f4")
+    ids = context.texture((4, 2), 1, np.arange(8, dtype="u4").tobytes(), dtype="u4")
+    out = run(Filtered, source=source, target=target, ids=ids, out=3)["out"]
+    assert np.frombuffer(target.read(), "f4").tolist() == (texels * 2).ravel().tolist()
+    assert np.frombuffer(ids.read(), "u4").tolist() == list(range(1, 9))
+    np.testing.assert_allclose(out[0], texels.mean(axis=(0, 1)), rtol=1e-5)
+    assert out[1].tolist() == [4, 2, 4, 2]
+    assert sorted(out[2].tolist()) == sorted(texels[:, :2, 1].ravel().tolist())
+    program = compile_shader(Filtered)
+    writes = {binding.name: binding.writes for binding in program.bindings}
+    assert writes == {"source": False, "target": True, "ids": True, "out": True}
+
+
+class Loading(Shader):
+    source: Image2D = image(Format.RGBA8)
+    out: StorageRW[vec4]
+
+    def compute(self) -> None:
+        self.out[0] = self.source.load(ivec2(0))
+
+
+def test_an_image_that_is_only_loaded_is_not_written():
+    program = compile_shader(Loading)
+    assert not next(binding for binding in program.bindings if binding.name == "source").writes
+    assert "layout(rgba8, binding = 0) readonly uniform image2D" in program.emit("glsl", Stage.COMPUTE)
+
+
+@function
+@native("glsl", "return float(bitfieldReverse(n)) + EXTRA;", declarations="const float EXTRA = 0.5;")
+def reversed_bits(n: uint) -> float: ...
+
+
+class Native(Shader):
+    out: StorageRW[float]
+
+    def compute(self) -> None:
+        self.out[0] = reversed_bits(uint(0x80000000))
+        self.store(2.0)
+
+    @native("glsl", "out_[1] = value * 4.0;\nout_[2] = float(out_.length());")
+    def store(self, value: float) -> None:
+        self.out[1] = value * 4.0
+
+
+def test_a_native_body_replaces_the_python_one_and_keeps_typed_bindings(run):
+    assert run(Native, out=4)["out"].tolist() == [1.5, 8, 4, 0]
+
+
+class Broken(Shader):
+    out: StorageRW[float]
+
+    @native("other", "nothing")
+    def store(self) -> None: ...
+
+    def compute(self) -> None:
+        self.store()
+
+
+def test_a_function_that_is_native_in_another_language_only_is_refused():
+    with pytest.raises(ShaderError) as error:
+        compile_shader(Broken).emit("glsl", Stage.COMPUTE)
+    assert error.value.rule is rules.NATIVE
+    compile_shader(Native).emit("glsl", Stage.COMPUTE)
+    with pytest.raises(ShaderError) as error:
+        compile_shader(Native).emit("other", Stage.COMPUTE)
+    assert error.value.rule is rules.NATIVE
+
+
+def test_the_line_map_leads_from_glsl_to_python():
+    program = compile_shader(Colored)
+    lines = program.emit("glsl", Stage.FRAGMENT).splitlines()
+    assert len(lines) == len(program.lines[Stage.FRAGMENT])
+    at = next(i for i, line in enumerate(lines) if "gl_FragCoord" in line)
+    file, number = program.lines[Stage.FRAGMENT][at]
+    assert file == __file__
+    with open(file) as text:
+        assert "fragment_coordinate().xy, 0, 1" in text.read().splitlines()[number - 1]
+
+
+def test_emission_is_deterministic_and_descriptors_are_memoised():
+    first = compile_shader(Everything)
+    assert compile_shader(Everything) is first
+    from rhi.shading.compile import _compile
+
+    for stage in first.stages:
+        assert _compile(Everything).emit("glsl", stage) == first.emit("glsl", stage)
+
+
+def test_only_what_a_stage_uses_is_declared_in_it():
+    program = compile_shader(Colored)
+    assert "scale" not in program.emit("glsl", Stage.VERTEX)
+    assert "scale" in program.emit("glsl", Stage.FRAGMENT)
+    assert [d.name for d in stage_trees(Colored)[Stage.FRAGMENT].bindings] == ["scale"]

@@ -1,0 +1,150 @@
+"""One frame against many devices that aren't there."""
+
+import dataclasses
+import inspect
+
+import numpy as np
+import pytest
+from null_kit import Camera, Object, hand_made_program
+
+from rhi import BlendFunction, Format, PolygonOffset, SamplerDescriptor, Stage, ValidationError, create_device
+from rhi.backends.null import find_profile
+from rhi.shading import Shader, StorageRW, compile_shader, local_index, shared
+from rhi.testing.portability import check_portability
+
+
+def deferred_frame(device):
+    """Wants large, blended, floating-point targets and a compute program."""
+    size = 512 if device.capabilities.device == "opencl-cpu" else 1500
+    image = device.texture((size, size), Format.RGBA16F)
+    mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
+    program = device.program(hand_made_program())
+    camera, objects = device.uniform(Camera(tint=(1, 1, 1, 1))), device.uniform_array(Object, 2)
+    with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(BlendFunction.ADDITIVE.at(0)):
+        device.draw(program, mesh, camera=camera, object=objects[1])
+    if device.capabilities.compute:
+        compute = dataclasses.replace(
+            hand_made_program(), stages=frozenset({Stage.COMPUTE}), attributes=(), outputs=()
+        )
+        device.program(compute)
+
+
+def test_a_frame_is_told_everything_that_stops_it_with_lines():
+    report = check_portability(deferred_frame)
+    first = inspect.getsourcelines(deferred_frame)[1]
+    found = {
+        name: [(obstacle.capability, obstacle.error.rule.id, obstacle.error.site.line - first) for obstacle in each]
+        for name, each in report.obstacles.items()
+    }
+    assert found == {
+        "everything": [],
+        "gl-4.5": [],
+        "gl-3.3": [("max_texture_size", "texture-size", 3), ("blend_per_target", "state-capability", 7)],
+        "gles-3": [("unrenderable_formats", "pass-target", 7), ("blend_per_target", "state-capability", 7)],
+        "opencl-cpu": [("blend_per_target", "state-capability", 7)],
+    }
+    assert report.runs_on == ["everything", "gl-4.5"]
+
+
+def scattered_frame(device):
+    """Needs the same two things in several places each."""
+    device.sampler(SamplerDescriptor(max_anisotropy=8))
+    for size in (4000, 5000):  # one line
+        device.texture((size, 4), Format.R8)
+    image = device.texture((4, 4), Format.R8)
+    with device.render_pass(image), device.states(PolygonOffset(1, 0.5)):
+        pass
+    device.texture((4, 4000), Format.R8)
+    image.sampled(SamplerDescriptor(max_anisotropy=8))
+    with device.record() as commands, commands.render_pass(image):
+        with commands.states(PolygonOffset(1, 0.5)), commands.states(PolygonOffset(1, 0.25)):
+            pass
+        with commands.states(PolygonOffset(1, 0.5)):
+            pass
+    device.submit(commands)
+
+
+def test_every_line_that_would_be_refused_is_named_once():
+    report = check_portability(scattered_frame, {"gl-3.3": find_profile("gl-3.3")})
+    first = inspect.getsourcelines(scattered_frame)[1]
+    assert [(found.capability, found.error.site.line - first) for found in report.obstacles["gl-3.3"]] == [
+        ("max_anisotropy", 2),
+        ("max_texture_size", 4),
+        ("depth_bias_clamp", 6),
+        ("max_texture_size", 8),
+        ("max_anisotropy", 9),
+        ("depth_bias_clamp", 11),
+        ("depth_bias_clamp", 13),
+    ]
+
+
+def test_a_line_that_was_granted_something_sees_no_more_of_it():
+    """What a frame asks for on other lines is as the profile has it."""
+    asked = []
+
+    def frame(device):
+        device.sampler(SamplerDescriptor(max_anisotropy=8))
+        asked.append(device.capabilities.max_anisotropy)
+
+    check_portability(frame, {"gles": find_profile("gles-3")})
+    assert asked[0] == 16.0
+    assert set(asked[1:]) == {1.0}
+
+
+class TooMuch(Shader):
+    """More shared memory than most work-groups may have."""
+
+    work_group = (64,)
+    results: StorageRW[float]
+    numbers = shared(float, 10_000)
+
+    def compute(self) -> None:
+        self.numbers[local_index()] = 1.0
+        self.results[local_index()] = self.numbers[local_index()]
+
+
+@pytest.mark.parametrize(("limit", "fits"), [(40_000, True), (39_999, False)])
+def test_shared_memory_is_a_limit_of_a_profile(limit, fits):
+    profile = dataclasses.replace(find_profile("gl-4.5"), max_shared_bytes=limit)
+    report = check_portability(lambda device: device.program(TooMuch), {"own": profile})
+    assert [found.capability for found in report.obstacles["own"]] == ([] if fits else ["max_shared_bytes"])
+    assert compile_shader(TooMuch).shared_bytes == 40_000
+
+
+@pytest.mark.parametrize(("anisotropy", "fits"), [(1.0, True), (4.0, True), (4.5, False)])
+def test_anisotropy_is_a_limit_of_a_profile(anisotropy, fits):
+    profile = dataclasses.replace(find_profile("gl-4.5"), max_anisotropy=4.0)
+    with create_device("null", profile=profile) as device:
+        descriptor = SamplerDescriptor(max_anisotropy=anisotropy)
+        if fits:
+            device.sampler(descriptor)
+        else:
+            with pytest.raises(ValidationError) as caught:
+                device.sampler(descriptor)
+            assert caught.value.rule.id == "device-capability"
+
+
+def test_the_report_prints_the_call_what_was_given_and_what_is_allowed():
+    text = str(check_portability(deferred_frame, {"small": find_profile("gl-3.3"), "all": find_profile("everything")}))
+    assert text.splitlines()[0] == "small: stopped by 2"
+    assert "max_texture_size" in text
+    assert "1500" in text
+    assert __file__ in text
+    assert text.splitlines()[-1] == "all: runs"
+
+
+def test_what_breaks_everywhere_is_raised():
+    def broken(device):
+        device.texture((0, 4), Format.R8)
+
+    with pytest.raises(ValidationError) as caught:
+        check_portability(broken)
+    assert caught.value.rule.id == "texture-size"
+
+
+def test_other_errors_of_a_frame_come_through():
+    def broken(device):
+        raise KeyError("mine")
+
+    with pytest.raises(KeyError):
+        check_portability(broken)
