@@ -26,7 +26,7 @@ from renderer.content import load_scene, parse_camera
 from renderer.measure.pictures import (
     COLORS,
     MEANINGS,
-    Fate,
+    CullingOutcome,
     find_fates,
     picture_from_above,
     picture_from_camera,
@@ -98,7 +98,7 @@ def run(given: argparse.Namespace) -> None:
                 picture_from_camera(renderer, camera, result, fates),
                 picture_from_above(renderer, camera, fates),
             )
-    counts = {fate: int((fates == fate).sum()) for fate in Fate}
+    counts = {fate: int((fates == fate).sum()) for fate in CullingOutcome}
     compose(pictures, counts).save(path, optimize=True)
     note(f"wrote {path}")
     if given.json:
@@ -107,7 +107,7 @@ def run(given: argparse.Namespace) -> None:
         print("\n".join(f"{count:>8,} {MEANINGS[fate]}" for fate, count in counts.items()))
 
 
-def compose(pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[Fate, int]) -> Image.Image:
+def compose(pictures: tuple[NDArray[np.uint8], NDArray[np.uint8]], counts: dict[CullingOutcome, int]) -> Image.Image:
     """Both side by side, and below what the colours mean."""
     side_by_side = np.concatenate([picture[:, :, :3] for picture in pictures], axis=1)
     height, width = side_by_side.shape[:2]

@@ -145,7 +145,7 @@ class SceneResources:
         self.images: Texture | None = images and self._keep(images)
         keep = self._keep
         self.objects = keep(MirroredArray(device, shaders.Object, "objects"))
-        self.places = keep(MirroredArray(device, shaders.Place, "places"))
+        self.places = keep(MirroredArray(device, shaders.ObjectPosition, "places"))
         self.materials = keep(MirroredArray(device, shaders.Material, "materials"))
         self.directional = keep(MirroredArray(device, shaders.DirectionalLight, "directional lights"))
         self.point = keep(MirroredArray(device, shaders.PointLight, "point lights"))
@@ -158,7 +158,7 @@ class SceneResources:
         self.haze = keep(MirroredValue(device, _haze(scene)))
         self._rows: NDArray[Any] = np.zeros(len(objects), shaders.Object.dtype)
         self._rows["material"] = objects.material
-        self._places: NDArray[Any] = np.zeros(len(objects), shaders.Place.dtype)
+        self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
         self._places["mesh"] = objects.mesh
         moving = objects.dynamic_rows
         self._moving = (int(moving[0]), int(moving[-1]) + 1) if len(moving) else (0, 0)

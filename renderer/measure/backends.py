@@ -19,7 +19,7 @@ from renderer.frame import SceneResources, Targets
 from renderer.frame.passes import ScenePass
 from renderer.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
-from renderer.shaders import Object, Place, Vertex, View, relative_position
+from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
 from renderer.techniques.forward import bind_forward
 from renderer.techniques.forward_shader import PARTS, forward_variant
 from renderer.visibility.boxes.bounds import pad_boxes
@@ -67,7 +67,7 @@ class DepthShader(Shader):
 
     view: Uniform[View]
     objects: Storage[Object]
-    places: Storage[Place]
+    places: Storage[ObjectPosition]
 
     def vertex(self, v: Vertex) -> vec4:
         row = instance_index()

@@ -6,7 +6,7 @@ import numpy as np
 
 from renderer.frame import ScenePass, SceneResources
 from renderer.scene import Camera, Scene
-from renderer.shaders import Object, Place, Vertex, View, relative_position
+from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
 from rhi import Device, Format
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, vec4
 
@@ -23,7 +23,7 @@ class Numbered(Shader):
 
     view: Uniform[View]
     objects: Storage[Object]
-    places: Storage[Place]
+    places: Storage[ObjectPosition]
 
     def vertex(self, v: Vertex) -> Number:
         row = instance_index()

@@ -27,7 +27,7 @@ from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, m
 Rows = NDArray[np.int64]
 
 
-class Fate(IntEnum):
+class CullingOutcome(IntEnum):
     """What became of an object."""
 
     OUTSIDE = 0
@@ -38,23 +38,23 @@ class Fate(IntEnum):
 
 
 COLORS: Final = {
-    Fate.OUTSIDE: (0.13, 0.65, 0.20),
-    Fate.CROSSING: (0.95, 0.85, 0.10),
-    Fate.INSIDE: (0.90, 0.12, 0.10),
-    Fate.OCCLUDED: (0.12, 0.25, 0.95),
-    Fate.NEAR: (0.10, 0.90, 0.95),
+    CullingOutcome.OUTSIDE: (0.13, 0.65, 0.20),
+    CullingOutcome.CROSSING: (0.95, 0.85, 0.10),
+    CullingOutcome.INSIDE: (0.90, 0.12, 0.10),
+    CullingOutcome.OCCLUDED: (0.12, 0.25, 0.95),
+    CullingOutcome.NEAR: (0.10, 0.90, 0.95),
 }
 """As in the thesis, linear."""
 
 MEANINGS: Final = {
-    Fate.OUTSIDE: "outside the frustum",
-    Fate.CROSSING: "across its edge, drawn",
-    Fate.INSIDE: "inside it, drawn",
-    Fate.OCCLUDED: "hidden by others",
-    Fate.NEAR: "too near to be asked for, drawn",
+    CullingOutcome.OUTSIDE: "outside the frustum",
+    CullingOutcome.CROSSING: "across its edge, drawn",
+    CullingOutcome.INSIDE: "inside it, drawn",
+    CullingOutcome.OCCLUDED: "hidden by others",
+    CullingOutcome.NEAR: "too near to be asked for, drawn",
 }
 
-_THROUGH: Final = (Fate.OCCLUDED, Fate.NEAR)  # whose edges are seen through everything
+_THROUGH: Final = (CullingOutcome.OCCLUDED, CullingOutcome.NEAR)  # whose edges are seen through everything
 _SPREAD: Final = 0.05  # of the picture from above: what covers more of it, streets say, isn't shown there
 _NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 
@@ -106,15 +106,15 @@ class MarkShader(Shader):
 
 
 def find_fates(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
-    """(n,) of `Fate`: of all objects, when those with the rows `drawn` were drawn."""
+    """(n,) of `CullingOutcome`: of all objects, when those with the rows `drawn` were drawn."""
     everything = np.arange(len(scene.objects))
     boxes = fit_aligned(scene, everything)
     side = classify(camera.frustum.planes, boxes)
     near = find_near(camera, *pad_boxes(camera, boxes.lower, boxes.upper))
     is_drawn = np.isin(everything, drawn)
-    fate = np.where(side == Side.INSIDE, Fate.INSIDE, Fate.CROSSING)
-    fate = np.where(near, Fate.NEAR, np.where(is_drawn, fate, Fate.OCCLUDED))
-    return np.where(side == Side.OUTSIDE, Fate.OUTSIDE, fate).astype(np.uint8)
+    fate = np.where(side == Side.INSIDE, CullingOutcome.INSIDE, CullingOutcome.CROSSING)
+    fate = np.where(near, CullingOutcome.NEAR, np.where(is_drawn, fate, CullingOutcome.OCCLUDED))
+    return np.where(side == Side.OUTSIDE, CullingOutcome.OUTSIDE, fate).astype(np.uint8)
 
 
 def picture_from_camera(
@@ -129,7 +129,7 @@ def picture_from_camera(
         device.render_pass(result.image, result.depth),
         device.states(CullMode.NONE, DepthWrite.OFF, nearer),
     ):
-        for fate in (Fate.OCCLUDED, Fate.CROSSING, Fate.INSIDE, Fate.NEAR):
+        for fate in (CullingOutcome.OCCLUDED, CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR):
             with device.states(DepthTest.OFF if fate in _THROUGH else DepthTest.ON):
                 marks.draw_boxes(scene, camera, np.flatnonzero(fates == fate), fates, solid=False)
     return np.asarray(result.image.read())
@@ -229,7 +229,7 @@ class _Marks:
         if not len(rows):
             return
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
-        table = np.array([COLORS[fate] for fate in Fate])
+        table = np.array([COLORS[fate] for fate in CullingOutcome])
         with self._bound(
             0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower), table[fates[rows]]
         ) as marks:

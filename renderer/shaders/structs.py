@@ -49,7 +49,7 @@ class Object(Struct):
     lights_end: int
 
 
-class Place(Struct):
+class ObjectPosition(Struct):
     """Where in the world an object is, and which mesh: at `high` + `low`, two floats for each double.
 
     `mirrored` is 1 where the object's transform turns its triangles round.
@@ -72,7 +72,7 @@ class MeshPart(Struct):
 
 
 @function
-def relative_position(place: Place, view: View) -> vec3:
+def relative_position(place: ObjectPosition, view: View) -> vec3:
     """Where an object's origin is from the eye: as exact near the eye as doubles are, far from the world's
     origin too."""
     return (place.high - view.eye_high) + (place.low - view.eye_low)

@@ -24,7 +24,7 @@ from renderer.shaders.structs import (
     Haze,
     Material,
     Object,
-    Place,
+    ObjectPosition,
     PointLight,
     SpotLight,
     Surface,
@@ -59,7 +59,7 @@ class ForwardShader(Shader):
     view: Uniform[View]
     ambient: Uniform[Ambient]
     objects: Storage[Object]
-    places: Storage[Place]
+    places: Storage[ObjectPosition]
     materials: Storage[Material]
 
     def vertex(self, v: Vertex) -> Varying:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
-from renderer.shaders import MeshPart, Object, Place, View
+from renderer.shaders import MeshPart, Object, ObjectPosition, View
 from renderer.visibility.algorithm import DrawObjects
 from rhi import IndirectDraws, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
@@ -30,7 +30,7 @@ class SceneArrays:
 
     view: UniformRange[View]
     objects: StorageRange[Object]
-    places: StorageRange[Place]
+    places: StorageRange[ObjectPosition]
     parts: StorageRange[MeshPart]
 
 

@@ -1,6 +1,6 @@
 """What holds at a point of a stream: states, labels, program, bindings, resources and pass.
 
-None of it is stored with a command. It is derived by a `Context` that is fed the commands before it.
+None of it is stored with a command. It is derived by a `StreamContext` that is fed the commands before it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rhi.contract.states import STATE_TYPES, StateChange, default_values
 __rhi_internal__ = True
 
 
-class Context:
+class StreamContext:
     """What holds at a point of a stream. Its methods are the commands that change it.
 
     Attributes:
@@ -98,8 +98,8 @@ class Context:
     def pop_label(self) -> None:
         self.labels = self.labels[:-1]
 
-    def copy(self) -> Context:
-        twin = Context()
+    def copy(self) -> StreamContext:
+        twin = StreamContext()
         twin.states = self.states.copy()
         twin.labels, twin.program, twin.render_pass = self.labels, self.program, self.render_pass
         twin.resources, twin.slots = self.resources.copy(), self.slots.copy()
@@ -114,7 +114,7 @@ class Context:
 
 _Change: TypeAlias = Callable[..., None]
 
-_CHANGES: Final[tuple[_Change | None, ...]] = tuple(getattr(Context, op.method, None) for op in Op)
+_CHANGES: Final[tuple[_Change | None, ...]] = tuple(getattr(StreamContext, op.method, None) for op in Op)
 
 CONTEXT_OPS: Final = frozenset(op for op in Op if _CHANGES[op] is not None)
-"""Those that a `Context` follows."""
+"""Those that a `StreamContext` follows."""

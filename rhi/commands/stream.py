@@ -17,7 +17,7 @@ from itertools import islice
 from types import CodeType
 from typing import Any, Final, overload
 
-from rhi.commands.context import CONTEXT_OPS, Context
+from rhi.commands.context import CONTEXT_OPS, StreamContext
 from rhi.commands.ops import DRAWS, WIDTHS, Descriptor, Op, States
 from rhi.commands.text import describe_call
 from rhi.contract.descriptors import Id, PassDescriptor, ProgramDescriptor
@@ -26,7 +26,7 @@ from rhi.errors.rules import COMMAND_ARGUMENT, COMMAND_CLEARED
 
 __rhi_internal__ = True
 
-__all__ = ["Command", "CommandStream", "Commands", "Context", "Failure", "Op", "Refusal"]
+__all__ = ["Command", "CommandStream", "Commands", "Failure", "Op", "Refusal", "StreamContext"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +155,7 @@ class Command:
         slots = context.slots
         return {b.name: slots[b.kind, b.slot] for b in bindings if (b.kind, b.slot) in slots}
 
-    def _context(self) -> Context:
+    def _context(self) -> StreamContext:
         if self._generation != self._stream.generation:
             refuse(COMMAND_CLEARED, f"command {self.index} ({self.op.method})", "a cleared stream")
         return self._stream.context(self.index)
@@ -309,7 +309,7 @@ class CommandStream(Commands):
         self.generation = 0
         self.is_complete = True
         self._starts = array("Q")  # where each command begins in data, as far as anyone has looked
-        self._base = Context()  # what holds before the first command
+        self._base = StreamContext()  # what holds before the first command
         self._gaps: list[tuple[int, int, tuple[Any, ...]]] = []  # (index, op, arguments) of what was left out
         self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context has followed
 
@@ -338,7 +338,7 @@ class CommandStream(Commands):
         code, lasti = self.data[end - 2 : end]
         return op, tuple(self.data[start + 1 : end - 2]), code, lasti
 
-    def context(self, index: int) -> Context:
+    def context(self, index: int) -> StreamContext:
         """What holds at a command, itself not included; valid until the next call of this method."""
         done, gaps, context = self._cursor
         if index < done:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhi import Device, Format
 from rhi.conformance.reference import largest, smallest
-from rhi.contract.formats import Kind
+from rhi.contract.formats import ChannelKind
 
 
 def require_format(device: Device, format: Format) -> None:
@@ -39,7 +39,7 @@ def random_texels(format: Format, *shape: int, seed: int = 0) -> NDArray[Any]:
     if format.dtype.kind == "f":
         return rng.normal(0, 100, full).astype(format.dtype)
     # Of the two smallest numbers of a signed format, which both mean -1, copies may give either.
-    low = -largest(format) if format.kind is Kind.SNORM else smallest(format)
+    low = -largest(format) if format.kind is ChannelKind.SNORM else smallest(format)
     values = rng.integers(low, largest(format), full, endpoint=True).astype(format.dtype)
     ends = values.reshape(-1)[:2]
     ends[:] = (low, largest(format))[: len(ends)]

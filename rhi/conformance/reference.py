@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rhi import BlendFactor, BlendFunction, BlendOperation, Format, StencilOperation
-from rhi.contract.formats import Kind
+from rhi.contract.formats import ChannelKind
 
 Array = NDArray[Any]
 Float = NDArray[np.float64]
@@ -133,11 +133,11 @@ def smallest(format: Format) -> int:
 def decode(format: Format, stored: ArrayLike) -> Float:
     """What a shader reads where `stored` (…, channels) is kept; missing channels are 0, 0, 1."""
     values = np.asarray(stored, np.float64)
-    if format.kind is Kind.UNORM:
+    if format.kind is ChannelKind.UNORM:
         values = values / largest(format)
-    elif format.kind is Kind.SNORM:
+    elif format.kind is ChannelKind.SNORM:
         values = np.maximum(values / largest(format), -1.0)
-    elif format.kind is Kind.SRGB:
+    elif format.kind is ChannelKind.SRGB:
         values = values / 255.0
         values = np.concatenate([srgb_to_linear(values[..., :3]), values[..., 3:]], axis=-1)
     full = np.zeros((*values.shape[:-1], 4))
@@ -149,11 +149,11 @@ def decode(format: Format, stored: ArrayLike) -> Float:
 def encode(format: Format, color: ArrayLike) -> Float:
     """The stored number for `color` (…, 4) before it is rounded; (…, channels)."""
     values = np.asarray(color, np.float64)[..., : format.channels]
-    if format.kind is Kind.UNORM:
+    if format.kind is ChannelKind.UNORM:
         return np.asarray(np.clip(values, 0.0, 1.0) * largest(format))
-    if format.kind is Kind.SNORM:
+    if format.kind is ChannelKind.SNORM:
         return np.asarray(np.clip(values, -1.0, 1.0) * largest(format))
-    if format.kind is Kind.SRGB:
+    if format.kind is ChannelKind.SRGB:
         values = np.clip(values, 0.0, 1.0)
         return 255.0 * np.concatenate([linear_to_srgb(values[..., :3]), values[..., 3:]], axis=-1)
     return values
@@ -165,7 +165,7 @@ def rounding(format: Format, expected: Float) -> tuple[Float, str]:
         # A device may cut off instead of rounding (OpenGL 4.3, section 2.3.4.1: implementation-dependent).
         bits = 10 if format.dtype.itemsize == 2 else 23
         return np.abs(expected) * 2.0**-bits, f"cutting {bits} fraction bits off"
-    if format.kind is Kind.SRGB:
+    if format.kind is ChannelKind.SRGB:
         return np.ones_like(expected), "sRGB curves may be approximated within one stored number"
     # The product with 2^n - 1 is computed in float32, so what lies near a half may go either way.
     return 0.5 + np.abs(expected) * 2.0**-22, "rounding to the nearest stored number"
@@ -174,11 +174,11 @@ def rounding(format: Format, expected: Float) -> tuple[Float, str]:
 def halve(format: Format, stored: Array) -> Float:
     """The next mip level of (height, width, channels), even sizes, before rounding: a 2×2 box in linear light."""
     values = stored.astype(np.float64)
-    if format.kind is Kind.SRGB:
+    if format.kind is ChannelKind.SRGB:
         values = decode(format, values)
     height, width, channels = values.shape
     box = values.reshape(height // 2, 2, width // 2, 2, channels).mean(axis=(1, 3))
-    return encode(format, box) if format.kind is Kind.SRGB else np.asarray(box)
+    return encode(format, box) if format.kind is ChannelKind.SRGB else np.asarray(box)
 
 
 # -- coverage --------------------------------------------------------------------------------------------

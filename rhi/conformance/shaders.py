@@ -119,14 +119,14 @@ class DepthFromColor(Shader):
         return DepthColor(color=v.color, depth=v.color.x)
 
 
-class PlaceVarying(Struct):
+class TexturedVarying(Struct):
     """A position and texture coordinates."""
 
     clip: vec4
     uv: vec2
 
 
-class Place(Struct):
+class TexturedVertex(Struct):
     """A vertex in clip space, with texture coordinates."""
 
     position: vec4

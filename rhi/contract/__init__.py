@@ -46,7 +46,7 @@ from rhi.contract.descriptors import (
     Wrap,
 )
 from rhi.contract.driver_log import make_driver_error
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, IndexFormat, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format, IndexFormat
 from rhi.contract.layout import (
     BOOL,
     FLOAT,
@@ -142,6 +142,7 @@ __all__ = [
     "BufferDescriptor",
     "BufferUsage",
     "Capabilities",
+    "ChannelKind",
     "ColorWrite",
     "Comparison",
     "CullMode",
@@ -160,7 +161,6 @@ __all__ = [
     "Id",
     "IndexFormat",
     "Interpolation",
-    "Kind",
     "Layout",
     "MatrixType",
     "PassDescriptor",

@@ -15,7 +15,7 @@ import numpy as np
 __rhi_internal__ = True
 
 
-class Kind(enum.Enum):
+class ChannelKind(enum.Enum):
     """How a shader sees a channel."""
 
     UNORM = "unorm"
@@ -34,48 +34,48 @@ class Format(enum.Enum):
     The value is (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
     """
 
-    R8 = (1, Kind.UNORM, "u1", 1)
-    RG8 = (2, Kind.UNORM, "u1", 2)
-    RGBA8 = (4, Kind.UNORM, "u1", 4)
-    RGBA8_SRGB = (4, Kind.SRGB, "u1", 4)
-    R8_SNORM = (1, Kind.SNORM, "i1", 1)
-    RG8_SNORM = (2, Kind.SNORM, "i1", 2)
-    RGBA8_SNORM = (4, Kind.SNORM, "i1", 4)
-    R16 = (1, Kind.UNORM, "u2", 2)
-    RG16 = (2, Kind.UNORM, "u2", 4)
-    RGBA16 = (4, Kind.UNORM, "u2", 8)
-    R16F = (1, Kind.FLOAT, "f2", 2)
-    RG16F = (2, Kind.FLOAT, "f2", 4)
-    RGBA16F = (4, Kind.FLOAT, "f2", 8)
-    R32F = (1, Kind.FLOAT, "f4", 4)
-    RG32F = (2, Kind.FLOAT, "f4", 8)
-    RGBA32F = (4, Kind.FLOAT, "f4", 16)
-    R8UI = (1, Kind.UINT, "u1", 1)
-    RG8UI = (2, Kind.UINT, "u1", 2)
-    RGBA8UI = (4, Kind.UINT, "u1", 4)
-    R16UI = (1, Kind.UINT, "u2", 2)
-    RG16UI = (2, Kind.UINT, "u2", 4)
-    RGBA16UI = (4, Kind.UINT, "u2", 8)
-    R32UI = (1, Kind.UINT, "u4", 4)
-    RG32UI = (2, Kind.UINT, "u4", 8)
-    RGBA32UI = (4, Kind.UINT, "u4", 16)
-    R32I = (1, Kind.INT, "i4", 4)
-    RG32I = (2, Kind.INT, "i4", 8)
-    RGBA32I = (4, Kind.INT, "i4", 16)
-    D16 = (1, Kind.DEPTH, "f4", 2)
-    D24 = (1, Kind.DEPTH, "f4", 4)
-    D32F = (1, Kind.DEPTH, "f4", 4)  # noqa: PIE796 (members are numbered, see __new__)
-    D24S8 = (1, Kind.DEPTH_STENCIL, "f4", 4)
-    D32FS8 = (1, Kind.DEPTH_STENCIL, "f4", 8)
+    R8 = (1, ChannelKind.UNORM, "u1", 1)
+    RG8 = (2, ChannelKind.UNORM, "u1", 2)
+    RGBA8 = (4, ChannelKind.UNORM, "u1", 4)
+    RGBA8_SRGB = (4, ChannelKind.SRGB, "u1", 4)
+    R8_SNORM = (1, ChannelKind.SNORM, "i1", 1)
+    RG8_SNORM = (2, ChannelKind.SNORM, "i1", 2)
+    RGBA8_SNORM = (4, ChannelKind.SNORM, "i1", 4)
+    R16 = (1, ChannelKind.UNORM, "u2", 2)
+    RG16 = (2, ChannelKind.UNORM, "u2", 4)
+    RGBA16 = (4, ChannelKind.UNORM, "u2", 8)
+    R16F = (1, ChannelKind.FLOAT, "f2", 2)
+    RG16F = (2, ChannelKind.FLOAT, "f2", 4)
+    RGBA16F = (4, ChannelKind.FLOAT, "f2", 8)
+    R32F = (1, ChannelKind.FLOAT, "f4", 4)
+    RG32F = (2, ChannelKind.FLOAT, "f4", 8)
+    RGBA32F = (4, ChannelKind.FLOAT, "f4", 16)
+    R8UI = (1, ChannelKind.UINT, "u1", 1)
+    RG8UI = (2, ChannelKind.UINT, "u1", 2)
+    RGBA8UI = (4, ChannelKind.UINT, "u1", 4)
+    R16UI = (1, ChannelKind.UINT, "u2", 2)
+    RG16UI = (2, ChannelKind.UINT, "u2", 4)
+    RGBA16UI = (4, ChannelKind.UINT, "u2", 8)
+    R32UI = (1, ChannelKind.UINT, "u4", 4)
+    RG32UI = (2, ChannelKind.UINT, "u4", 8)
+    RGBA32UI = (4, ChannelKind.UINT, "u4", 16)
+    R32I = (1, ChannelKind.INT, "i4", 4)
+    RG32I = (2, ChannelKind.INT, "i4", 8)
+    RGBA32I = (4, ChannelKind.INT, "i4", 16)
+    D16 = (1, ChannelKind.DEPTH, "f4", 2)
+    D24 = (1, ChannelKind.DEPTH, "f4", 4)
+    D32F = (1, ChannelKind.DEPTH, "f4", 4)  # noqa: PIE796 (members are numbered, see __new__)
+    D24S8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 4)
+    D32FS8 = (1, ChannelKind.DEPTH_STENCIL, "f4", 8)
 
     __hash__ = object.__hash__
 
     channels: int
-    kind: Kind
+    kind: ChannelKind
     dtype: np.dtype[np.generic]
     texel_bytes: int
 
-    def __init__(self, channels: int, kind: Kind, dtype: str, texel_bytes: int) -> None:
+    def __init__(self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int) -> None:
         # Two formats may agree in all four parts (D24 and D32F do), and Enum would make them aliases
         # were the values equal; __new__ below numbers them.
         self.channels = channels
@@ -91,12 +91,12 @@ class Format(enum.Enum):
     @property
     def is_depth(self) -> bool:
         """Whether it is a depth format, with or without stencil."""
-        return self.kind in (Kind.DEPTH, Kind.DEPTH_STENCIL)
+        return self.kind in (ChannelKind.DEPTH, ChannelKind.DEPTH_STENCIL)
 
     @property
     def has_stencil(self) -> bool:
         """Whether it holds 8 bits of stencil beside the depth."""
-        return self.kind is Kind.DEPTH_STENCIL
+        return self.kind is ChannelKind.DEPTH_STENCIL
 
     @property
     def depth_steps(self) -> int:
@@ -106,7 +106,7 @@ class Format(enum.Enum):
     @property
     def is_integer(self) -> bool:
         """Whether shaders read integers: no filtering, no blending."""
-        return self.kind in (Kind.UINT, Kind.INT)
+        return self.kind in (ChannelKind.UINT, ChannelKind.INT)
 
 
 _DEPTH_STEPS: Final = {"D16": (1 << 16) - 1, "D24": (1 << 24) - 1, "D24S8": (1 << 24) - 1}

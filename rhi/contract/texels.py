@@ -13,7 +13,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.formats import Format, Kind
+from rhi.contract.formats import ChannelKind, Format
 
 __rhi_internal__ = True
 
@@ -24,20 +24,20 @@ _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the f
 def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
     """(…, channels) linear values as the format stores them; the channel axis must fit the format."""
     kind = format.kind
-    if kind is Kind.FLOAT:
+    if kind is ChannelKind.FLOAT:
         with np.errstate(over="ignore"):  # what is too large becomes infinite
             return values.astype(format.dtype)
     values = np.where(np.isnan(values), 0.0, values)
     if format.is_depth:
         depths, steps = np.clip(values, 0.0, 1.0), format.depth_steps
         return (np.rint(depths * steps) / steps if steps else depths).astype(np.float32)
-    if kind is Kind.SRGB:
+    if kind is ChannelKind.SRGB:
         values = values.copy()
         values[..., :3] = _to_srgb(np.clip(values[..., :3], 0.0, 1.0))
     limits = _limits(format)
     if format.is_integer:
         scaled = values
-    elif kind is Kind.SNORM:
+    elif kind is ChannelKind.SNORM:
         scaled = np.clip(values, -1.0, 1.0) * limits.max
     else:
         scaled = np.clip(values, 0.0, 1.0) * limits.max
@@ -48,11 +48,11 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
     """The linear values of stored texels, as a shader would see them."""
     values = texels.astype(np.float64)
     kind = format.kind
-    if kind in (Kind.UNORM, Kind.SRGB):
+    if kind in (ChannelKind.UNORM, ChannelKind.SRGB):
         values /= _limits(format).max
-    elif kind is Kind.SNORM:
+    elif kind is ChannelKind.SNORM:
         values = np.maximum(values / _limits(format).max, -1.0)
-    if kind is Kind.SRGB:
+    if kind is ChannelKind.SRGB:
         values[..., :3] = from_srgb(values[..., :3])
     return values
 

@@ -36,7 +36,7 @@ from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.device.encoder import Encoder, check_mesh, plain
+from rhi.device.encoder import Encoder, check_mesh, underlying_buffer
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
@@ -184,14 +184,14 @@ class CommandBuffer(Encoder):
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
         """As `Buffer.clear`."""
-        plain(buffer)._clear(self._recorder, value)
+        underlying_buffer(buffer)._clear(self._recorder, value)
 
     def copy_buffer(
         self, source: Buffer | StorageBuffer[Any], target: Buffer | StorageBuffer[Any], *, size: int | None = None,
         offset: int = 0, target_offset: int = 0,
     ) -> None:  # fmt: skip
         """As `Buffer.copy_to`."""
-        plain(source)._copy(self._recorder, plain(target), size, offset, target_offset)
+        underlying_buffer(source)._copy(self._recorder, underlying_buffer(target), size, offset, target_offset)
 
     def copy_texture(
         self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
@@ -228,7 +228,7 @@ class CommandBuffer(Encoder):
             frame = find_user_frame()
             self._dead[resource] = str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
 
-    def carry_out(self) -> None:
+    def execute(self) -> None:
         """Do what was recorded; for `Device.submit`, which has checked that it can be."""
         core, device = self._recorder, self._recorder.device
         if self._calls is None:

@@ -370,7 +370,7 @@ class Device(Encoder):
             refuse(PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core, self._desk.conditional)
         for buffer in buffers:
-            buffer.carry_out()
+            buffer.execute()
 
     # -- time --------------------------------------------------------------------------------------------
 

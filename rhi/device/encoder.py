@@ -209,8 +209,8 @@ class Encoder:
         own = self._own(program, call)
         check_mesh(mesh, call)
         core = self._core
-        buffer = plain(arguments.buffer)
-        count = None if arguments.count is None else plain(arguments.count)
+        buffer = underlying_buffer(arguments.buffer)
+        count = None if arguments.count is None else underlying_buffer(arguments.count)
         core.check_usable(buffer, call)
         end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
         if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
@@ -281,7 +281,7 @@ class Encoder:
         """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
         call = f"{self.NAME}.dispatch_indirect"
         own = self._own(program, call)
-        source = plain(buffer)
+        source = underlying_buffer(buffer)
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
             refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}")
@@ -335,6 +335,6 @@ def check_mesh(mesh: object, call: str) -> None:
         refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
 
 
-def plain(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
+def underlying_buffer(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
     """The buffer itself."""
     return buffer.owner if isinstance(buffer, StorageBuffer) else buffer

@@ -15,7 +15,7 @@ from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.text import StageText
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
-from rhi.shading.language.shader import Declaration, Memory, Shader
+from rhi.shading.language.shader import Declaration, Shader, StorageClass
 from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.parser.interface import (
     check_fragment_input,
@@ -115,7 +115,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         shared_bytes=sum(
             place(declaration.type, Layout.STD430).size
             for declaration in (compute.bindings if compute is not None else ())
-            if declaration.memory is Memory.SHARED
+            if declaration.storage_class is StorageClass.SHARED
         ),
         checked=checked,
         flushes_denormals=shader.precision is Precision.FAST,
@@ -260,18 +260,18 @@ def _interface(entries: dict[Stage, Callee]) -> Interface:
 
 
 _KINDS = {
-    Memory.UNIFORM: BindingKind.UNIFORM,
-    Memory.STORAGE: BindingKind.STORAGE,
-    Memory.TEXTURE: BindingKind.TEXTURE,
-    Memory.IMAGE: BindingKind.IMAGE,
+    StorageClass.UNIFORM: BindingKind.UNIFORM,
+    StorageClass.STORAGE: BindingKind.STORAGE,
+    StorageClass.TEXTURE: BindingKind.TEXTURE,
+    StorageClass.IMAGE: BindingKind.IMAGE,
 }
 
 
 def _bindings(shader: type[Shader], stored: frozenset[str]) -> Iterator[Binding]:
     slots = dict.fromkeys(BindingKind, 0)
     for declaration in shader._declared.values():
-        if declaration.memory is not Memory.SHARED:
-            kind = _KINDS[declaration.memory]
+        if declaration.storage_class is not StorageClass.SHARED:
+            kind = _KINDS[declaration.storage_class]
             yield _binding(declaration, kind, slots[kind], declaration.name in stored)
             slots[kind] += 1
 

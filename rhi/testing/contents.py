@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands.context import Context
+from rhi.commands.context import StreamContext
 from rhi.commands.ops import DRAWS, Op
 from rhi.commands.stream import Command, CommandStream
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
@@ -42,13 +42,13 @@ class Follower:
 
     stream: CommandStream
     done: int = 0
-    context: Context = field(default_factory=Context)
+    context: StreamContext = field(default_factory=StreamContext)
     buffers: dict[Id, _Bytes] = field(default_factory=dict)
 
     def advance(self, index: int) -> None:
         """To where the commands before `index` are done."""
         if index < self.done:
-            self.done, self.context, self.buffers = 0, Context(), {}
+            self.done, self.context, self.buffers = 0, StreamContext(), {}
         for each in range(self.done, index):
             if each not in self.stream.failures:
                 op, values, _, _ = self.stream.entry(each)
@@ -157,7 +157,7 @@ def _part(values: Any, path: str) -> Any:
     return values
 
 
-def _bindings(context: Context) -> tuple[Binding, ...]:
+def _bindings(context: StreamContext) -> tuple[Binding, ...]:
     program = context.resources.get(context.program)
     return program.bindings if isinstance(program, ProgramDescriptor) else ()
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final, TypeVar
 
-from rhi.commands.context import Context
+from rhi.commands.context import StreamContext
 from rhi.commands.ops import Op
 from rhi.contract.descriptors import (
     BufferDescriptor,
@@ -58,7 +58,7 @@ class Checker:
     """
 
     def __init__(self) -> None:
-        self.context = Context()
+        self.context = StreamContext()
         self._used: set[Id] = set()
         self._memory: dict[Id, int] = {}
         self._total = 0

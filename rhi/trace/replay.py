@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.commands.context import Context
+from rhi.commands.context import StreamContext
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.stream import CommandStream, Failure, Refusal
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id, Region, TextureDescriptor
@@ -90,7 +90,7 @@ class _Player:
         self.stream = stream
         self.core = device._core
         self.result = Replay(refusals=stream.refusals)
-        self.context = Context()
+        self.context = StreamContext()
         self.fences: dict[int, int] = {0: 0}
         self.open_query: Id = 0
         self.conditional = False

@@ -14,7 +14,7 @@ from renderer.cli import main
 from renderer.content import BUILT_IN
 from renderer.measure.pictures import (
     COLORS,
-    Fate,
+    CullingOutcome,
     find_edges,
     find_fates,
     look_from_above,
@@ -28,19 +28,22 @@ from renderer.visibility import FrustumCulling, StopAndWait
 
 LENS = Perspective(np.pi / 2, 1.0, near=0.1)
 PLACES = {
-    Fate.OUTSIDE: (0.0, 0.0, 8.0),
-    Fate.CROSSING: (9.0, 0.0, -10.0),
-    Fate.INSIDE: (0.0, 0.0, -6.0),
-    Fate.OCCLUDED: (0.0, 0.0, -12.0),
-    Fate.NEAR: (0.0, -2.5, 0.0),
+    CullingOutcome.OUTSIDE: (0.0, 0.0, 8.0),
+    CullingOutcome.CROSSING: (9.0, 0.0, -10.0),
+    CullingOutcome.INSIDE: (0.0, 0.0, -6.0),
+    CullingOutcome.OCCLUDED: (0.0, 0.0, -12.0),
+    CullingOutcome.NEAR: (0.0, -2.5, 0.0),
 }
-SIZES = dict.fromkeys(Fate, (2.0, 2.0, 2.0)) | {Fate.INSIDE: (6.0, 6.0, 2.0), Fate.NEAR: (4.0, 4.9, 4.0)}
+SIZES = dict.fromkeys(CullingOutcome, (2.0, 2.0, 2.0)) | {
+    CullingOutcome.INSIDE: (6.0, 6.0, 2.0),
+    CullingOutcome.NEAR: (4.0, 4.9, 4.0),
+}
 
 
 def make_scene() -> Scene:
     """An object of each fate, row by row, seen from the origin along -z."""
     builder = SceneBuilder("fates")
-    local = [multiply(translation(PLACES[fate]), scaling(SIZES[fate])) for fate in Fate]
+    local = [multiply(translation(PLACES[fate]), scaling(SIZES[fate])) for fate in CullingOutcome]
     mesh = builder.add_mesh(BUILT_IN["box"]())
     builder.add_objects(builder.add_nodes(np.array(local)), mesh, builder.add_material())
     builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
@@ -51,13 +54,19 @@ EYE = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=LENS)
 
 
 def test_each_object_has_its_fate() -> None:
-    drawn = np.array([Fate.CROSSING, Fate.INSIDE, Fate.NEAR])
-    assert find_fates(make_scene(), EYE, drawn).tolist() == list(Fate)
+    drawn = np.array([CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR])
+    assert find_fates(make_scene(), EYE, drawn).tolist() == list(CullingOutcome)
 
 
 def test_what_is_drawn_is_not_occluded_and_what_is_outside_is_green_though_it_be_drawn() -> None:
     fates = find_fates(make_scene(), EYE, np.arange(5))
-    assert fates.tolist() == [Fate.OUTSIDE, Fate.CROSSING, Fate.INSIDE, Fate.INSIDE, Fate.NEAR]
+    assert fates.tolist() == [
+        CullingOutcome.OUTSIDE,
+        CullingOutcome.CROSSING,
+        CullingOutcome.INSIDE,
+        CullingOutcome.INSIDE,
+        CullingOutcome.NEAR,
+    ]
 
 
 @pytest.fixture
@@ -67,28 +76,29 @@ def renderer(gl: rhi.Device):
         yield made
 
 
-def hue(pixel: np.ndarray) -> Fate:
+def hue(pixel: np.ndarray) -> CullingOutcome:
     """The fate whose colour is the nearest."""
     linear = (pixel[:3] / 255.0) ** 2.2
     linear = linear / max(linear.max(), 1e-9)
     return min(
-        Fate, key=lambda fate: float(np.abs(np.array(COLORS[fate]) / max(COLORS[fate]) - linear).sum())
+        CullingOutcome,
+        key=lambda fate: float(np.abs(np.array(COLORS[fate]) / max(COLORS[fate]) - linear).sum()),
     )
 
 
 def test_from_above_boxes_have_the_colors_of_their_fates(renderer: Renderer) -> None:
     fates = find_fates(renderer.scene, EYE, renderer.render(EYE).visible)
-    assert fates.tolist() == list(Fate)
+    assert fates.tolist() == list(CullingOutcome)
     picture = picture_from_above(renderer, EYE, fates)
     rows, above = look_from_above(renderer.scene, 1.0)
     for row in rows.tolist():
-        x, y, z = PLACES[Fate(row)]
+        x, y, z = PLACES[CullingOutcome(row)]
         place = np.array((x + 0.6, y, z + 0.6, 1.0))  # beside the lines
         x, y = (above.view_projection @ place)[:2]
         pixel = picture[int(60 * (1.0 - y)), int(60 * (1.0 + x))]
         assert hue(pixel) == row
     assert (picture[:, :, :3] == 255).all(axis=2).sum() > 50  # the lines
-    assert set(rows.tolist()) >= {Fate.OUTSIDE, Fate.OCCLUDED}
+    assert set(rows.tolist()) >= {CullingOutcome.OUTSIDE, CullingOutcome.OCCLUDED}
 
 
 def test_from_the_camera_the_hidden_are_seen_through_what_hides_them(renderer: Renderer) -> None:
@@ -98,12 +108,12 @@ def test_from_the_camera_the_hidden_are_seen_through_what_hides_them(renderer: R
     picture = picture_from_camera(renderer, EYE, result, fates)
     changed = (plain != picture).any(axis=2)
     seen = {hue(pixel) for pixel in picture[changed]}
-    assert seen >= {Fate.CROSSING, Fate.INSIDE, Fate.OCCLUDED}
-    assert Fate.OUTSIDE not in seen
+    assert seen >= {CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.OCCLUDED}
+    assert CullingOutcome.OUTSIDE not in seen
     corner = (EYE.view_projection @ (-1.0, 1.0, -11.0, 1.0))[:2] / 11.0  # of the hidden box
     x, y = int(60 * (1.0 + corner[0])), int(60 * (1.0 - corner[1]))
     around = picture[y - 1 : y + 2, x - 1 : x + 2].reshape(-1, 4)
-    assert Fate.OCCLUDED in {hue(pixel) for pixel in around}
+    assert CullingOutcome.OCCLUDED in {hue(pixel) for pixel in around}
 
 
 def test_drawing_the_picture_changes_no_later_frame(renderer: Renderer) -> None:
@@ -158,7 +168,7 @@ def test_debug_visibility_writes_a_picture_and_counts(
     assert main([*command, "--frame", "900", "--warm-up", "2", "--backend", "gl", "--json"]) == 0
     counts = json.loads(capsys.readouterr().out)
     assert counts.pop("image") == str(path)
-    assert list(counts) == [fate.name.lower() for fate in Fate]
+    assert list(counts) == [fate.name.lower() for fate in CullingOutcome]
     assert counts["occluded"] > 0 < counts["outside"]
     assert np.asarray(Image.open(path)).shape == (112, 320, 3)
     assert main([*command, "--algorithm", "frustum", "--camera", "overview"]) == 0

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.shaders import MeshPart, Place
+from renderer.shaders import MeshPart, ObjectPosition
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
 from renderer.visibility.scene_pass import SceneArrays
 from rhi import DRAW, Device, IndirectDraws
@@ -71,7 +71,7 @@ class CountKeys(Shader):
     """Gives each row its key and its rank among equal keys of its group, and counts each group's keys."""
 
     work_group = (GROUP,)
-    places: Storage[Place]
+    places: Storage[ObjectPosition]
     occludees: Storage[Occludee]
     marks: StorageRW[uint]
     keys: StorageRW[uint]
@@ -139,7 +139,7 @@ class WriteDraws(Shader):
     """Writes each row's draw, or hidden rows, where the sums say."""
 
     work_group = (GROUP,)
-    places: Storage[Place]
+    places: Storage[ObjectPosition]
     parts: Storage[MeshPart]
     keys: Storage[uint]
     sums: Storage[uint]

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, Plane
-from renderer.shaders import MeshPart, Object, Place, View, relative_position
+from renderer.shaders import MeshPart, Object, ObjectPosition, View, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius
 from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
 from renderer.visibility.scene_pass import SceneArrays
@@ -114,7 +114,7 @@ class FindOccludees(Shader):
     view: Uniform[View]
     lens: Uniform[Lens]
     objects: Storage[Object]
-    places: Storage[Place]
+    places: Storage[ObjectPosition]
     parts: Storage[MeshPart]
     boxes: StorageRW[Occludee]
     marks: StorageRW[uint]

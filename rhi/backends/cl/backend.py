@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.context import Context
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.fence import Fence, Timestamps
 from rhi.backends.cl.planes import alignment
@@ -76,7 +76,7 @@ class ClBackend:
         context: OpenCL's device, context and queue, for what only OpenCL has.
     """
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ClContext) -> None:
         self.context = context
         self._queue = context.queue
         staging = Staging()
@@ -348,7 +348,7 @@ class ClBackend:
         self._queue.flush()
 
 
-def query_capabilities(context: Context, draws: bool) -> Capabilities:
+def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
     """What the device can do, as far as this backend does it; `draws`: whether the rasteriser works on it."""
     device = context.device
     grain = alignment(device)

@@ -49,7 +49,7 @@ __kernel void read(ulong address, __global ulong *answer) { *answer = *(__global
 
 
 @dataclass(frozen=True, slots=True)
-class Context:
+class ClContext:
     """A device that works.
 
     Attributes:
@@ -66,7 +66,7 @@ class Context:
     passed_over: tuple[str, ...]
 
 
-def open_context() -> Context:
+def open_context() -> ClContext:
     """A queue on the first device that works.
 
     Raises:
@@ -89,7 +89,7 @@ def open_context() -> Context:
             begun = list_threads() - threads
             if len(begun) == device.max_compute_units:  # workers, begun with the process's first device
                 spread_threads(begun)
-            return Context(device, context, queue, program, shares_memory, tuple(passed_over))
+            return ClContext(device, context, queue, program, shares_memory, tuple(passed_over))
     if not devices:
         _refuse_nothing()
     given = "\n".join(passed_over)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import Context, build
+from rhi.backends.cl.context import ClContext, build
 from rhi.backends.cl.errors import translate_errors
-from rhi.contract.formats import Format, Kind
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.texels import from_srgb
 
 if TYPE_CHECKING:
@@ -120,8 +120,8 @@ __kernel void resolve(__global const void *samples, __global void *texels, int s
 """
 
 _STORED: Final = {
-    (Kind.UNORM, 1): 0, (Kind.UNORM, 2): 1, (Kind.SNORM, 1): 2, (Kind.SRGB, 1): 3, (Kind.FLOAT, 2): 4,
-    (Kind.FLOAT, 4): 5,
+    (ChannelKind.UNORM, 1): 0, (ChannelKind.UNORM, 2): 1, (ChannelKind.SNORM, 1): 2, (ChannelKind.SRGB, 1): 3,
+    (ChannelKind.FLOAT, 2): 4, (ChannelKind.FLOAT, 4): 5,
 }  # fmt: skip
 """What a channel is stored as, by kind and bytes: the numbers of the kernels' enum."""
 
@@ -129,7 +129,7 @@ _STORED: Final = {
 class Filters:
     """The kernels of one device, built when the first is needed."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ClContext) -> None:
         self._context = context
         self._kernels: dict[str, cl.Kernel] = {}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import Context
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.contract.descriptors import Region
 
@@ -110,7 +110,7 @@ def alignment(device: cl.Device) -> int:
     return max(16, int(device.mem_base_addr_align) // 8)
 
 
-def allocate(context: Context, size: int) -> cl.Buffer:
+def allocate(context: ClContext, size: int) -> cl.Buffer:
     """Zeroed memory of the device.
 
     Raises:

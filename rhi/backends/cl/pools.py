@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 
 __rhi_internal__ = True
@@ -35,7 +35,7 @@ class Addresses:
         work: whether a kernel that is given nothing but an address reads what lies there.
     """
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ClContext) -> None:
         self.queue = cl.CommandQueue(context.context)
         self._find, self._read = cl.Kernel(context.probe, "find"), cl.Kernel(context.probe, "read")
         self._answer = np.zeros(1, np.uint64)
@@ -53,7 +53,7 @@ class Addresses:
         cl.enqueue_copy(self.queue, self._answer, self._memory)
         return int(self._answer[0])
 
-    def _probe(self, context: Context) -> bool:
+    def _probe(self, context: ClContext) -> bool:
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
         memory = cl.Buffer(context.context, flags, hostbuf=np.array([_PATTERN], np.uint64))
         address = self.find(memory)
@@ -63,7 +63,7 @@ class Addresses:
             return False
 
 
-def allocate_raw(context: Context, size: int) -> cl.Buffer:
+def allocate_raw(context: ClContext, size: int) -> cl.Buffer:
     """Memory of the device, its contents unknown.
 
     Raises:
@@ -96,7 +96,7 @@ class Retired:
 class Pool:
     """Scratch memory of the device for one purpose."""
 
-    def __init__(self, context: Context, addresses: Addresses, retired: Retired) -> None:
+    def __init__(self, context: ClContext, addresses: Addresses, retired: Retired) -> None:
         self._context = context
         self._addresses = addresses
         self._retired = retired
@@ -136,7 +136,7 @@ class IndexList:
 class _Page:
     __slots__ = ("address", "bytes", "event", "host", "memory", "used")
 
-    def __init__(self, context: Context, addresses: Addresses, size: int) -> None:
+    def __init__(self, context: ClContext, addresses: Addresses, size: int) -> None:
         self.host = allocate_pages(size)
         self.bytes = self.host.data
         flags = cl.mem_flags.READ_WRITE
@@ -152,7 +152,7 @@ class _Page:
 class Uploads:
     """Tables on their way to kernels."""
 
-    def __init__(self, context: Context, addresses: Addresses) -> None:
+    def __init__(self, context: ClContext, addresses: Addresses) -> None:
         self._context = context
         self._addresses = addresses
         self._page = self._make(_PAGE_BYTES)

@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import Context, build
+from rhi.backends.cl.context import ClContext, build
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
@@ -99,7 +99,7 @@ class Program:
         written: the bindings that it writes.
     """
 
-    def __init__(self, context: Context, descriptor: ProgramDescriptor, arguments: Arguments) -> None:
+    def __init__(self, context: ClContext, descriptor: ProgramDescriptor, arguments: Arguments) -> None:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
             program = build(context.context, source, descriptor.flushes_denormals)
@@ -149,7 +149,7 @@ class Program:
 class Programs:
     """All programs of a device, by id."""
 
-    def __init__(self, context: Context, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
+    def __init__(self, context: ClContext, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self._context = context
         self._arguments = Arguments(buffers, textures, samplers)
         self._programs: dict[Id, Program] = {}

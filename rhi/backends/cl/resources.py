@@ -20,7 +20,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.filters import Filters
 from rhi.backends.cl.planes import GRAIN, Plane, allocate, fill, pitches_of, round_up
@@ -73,7 +73,7 @@ class Memory:
 class Buffers:
     """All buffers of a device, by id."""
 
-    def __init__(self, context: Context, staging: Staging) -> None:
+    def __init__(self, context: ClContext, staging: Staging) -> None:
         self._context = context
         self._queue = context.queue
         self._staging = staging
@@ -148,7 +148,7 @@ class Texture:
 
     __slots__ = ("_memory", "changes", "descriptor", "levels", "stencil", "words")
 
-    def __init__(self, context: Context, descriptor: TextureDescriptor) -> None:
+    def __init__(self, context: ClContext, descriptor: TextureDescriptor) -> None:
         self.descriptor = descriptor
         self.changes = 0
         self._memory: list[cl.Buffer] = []
@@ -163,7 +163,7 @@ class Texture:
                 self.release()
                 raise
 
-    def _allocate(self, context: Context, texel: int) -> list[Plane]:
+    def _allocate(self, context: ClContext, texel: int) -> list[Plane]:
         """One buffer for all levels, each beginning at a multiple of `GRAIN`."""
         descriptor = self.descriptor
         boxes = [
@@ -185,7 +185,7 @@ class Texture:
 class Textures:
     """All textures of a device, by id."""
 
-    def __init__(self, context: Context, staging: Staging) -> None:
+    def __init__(self, context: ClContext, staging: Staging) -> None:
         self._context = context
         self._queue = context.queue
         self._staging = staging

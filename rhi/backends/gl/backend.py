@@ -50,7 +50,7 @@ from rhi.contract.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
-from rhi.contract.formats import Kind
+from rhi.contract.formats import ChannelKind
 from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateChange
 
 __rhi_internal__ = True
@@ -291,9 +291,9 @@ class GlBackend:
     def _clear_color(self, index: int, attachment: Attachment) -> None:
         kind = self._textures[attachment.texture].descriptor.format.kind
         values = attachment.clear or ()
-        if kind is Kind.UINT:
+        if kind is ChannelKind.UINT:
             self.gl.ClearBufferuiv(enums.COLOR, index, (ctypes.c_uint * 4)(*map(int, values)))
-        elif kind is Kind.INT:
+        elif kind is ChannelKind.INT:
             self.gl.ClearBufferiv(enums.COLOR, index, (ctypes.c_int * 4)(*map(int, values)))
         else:
             self.gl.ClearBufferfv(enums.COLOR, index, (ctypes.c_float * 4)(*values))

@@ -66,7 +66,7 @@ class Draws:
         else:
             gl.DrawArraysInstancedBaseInstance(MODES[primitive], first, count, instances, base_instance)
         if pipeline.writes_memory:
-            pipeline.publish()
+            pipeline.memory_barrier()
 
     def _draw_quads(
         self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
@@ -118,7 +118,7 @@ class Draws:
         else:
             gl.MultiDrawArraysIndirect(mode, offset, draws, stride)
         if pipeline.writes_memory:
-            pipeline.publish()
+            pipeline.memory_barrier()
 
     def prepare_calls(
         self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
@@ -145,4 +145,4 @@ class Draws:
         else:
             call = self._gl.DrawArraysInstancedBaseInstance
             arguments = zip(mode, first, count, instances, base_instance, strict=False)
-        return pipeline.then_publish(call) if pipeline.writes_memory else call, arguments
+        return pipeline.then_memory_barrier(call) if pipeline.writes_memory else call, arguments

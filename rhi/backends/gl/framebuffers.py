@@ -9,7 +9,7 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.resources import Textures
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
-from rhi.contract.formats import Kind
+from rhi.contract.formats import ChannelKind
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_DRIVER
 
@@ -61,7 +61,7 @@ class Framebuffers:
         gl.NamedFramebufferDrawBuffers(name, len(points), (ctypes.c_uint * 8)(*points))
         if descriptor.depth is not None:
             kind = self._textures[descriptor.depth.texture].descriptor.format.kind
-            has_stencil = kind is Kind.DEPTH_STENCIL
+            has_stencil = kind is ChannelKind.DEPTH_STENCIL
             point = enums.DEPTH_STENCIL_ATTACHMENT if has_stencil else enums.DEPTH_ATTACHMENT
             self._attach(name, point, descriptor.depth)
         elif not descriptor.colors:

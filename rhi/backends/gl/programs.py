@@ -107,7 +107,7 @@ class Pipeline(dict[Id, Render]):
     def __missing__(self, vertex_array: Id) -> Render:
         made = self._made[vertex_array] = self._arrays.make(vertex_array, self.program)
         render: Render = made.mglo.render
-        self[vertex_array] = self.then_publish(render) if self.writes_memory else render
+        self[vertex_array] = self.then_memory_barrier(render) if self.writes_memory else render
         return self[vertex_array]
 
     def prepare(self, vertex_array: Id) -> None:
@@ -115,17 +115,17 @@ class Pipeline(dict[Id, Render]):
         if vertex_array not in self:
             self.__missing__(vertex_array)
 
-    def publish(self) -> None:
+    def memory_barrier(self) -> None:
         """Make what was written visible to all that follows, whatever reads it and how."""
         self._gl.MemoryBarrier(enums.ALL_BARRIER_BITS)
 
     def dispatch(self, x: int, y: int, z: int) -> None:
         self.program.mglo.run(x, y, z)
-        self.publish()
+        self.memory_barrier()
 
     def dispatch_indirect(self, buffer: moderngl.Buffer, offset: int) -> None:
         self.program.mglo.run_indirect(buffer.mglo, offset)
-        self.publish()
+        self.memory_barrier()
 
     def use(self, vertex_array: Id) -> int:
         """Make program and vertex array current for a draw through GL itself; the vertex array's name."""
@@ -144,15 +144,15 @@ class Pipeline(dict[Id, Render]):
             self.forget(vertex_array)
         self.program.release()
 
-    def then_publish(self, draw: Callable[..., object]) -> Callable[..., object]:
+    def then_memory_barrier(self, draw: Callable[..., object]) -> Callable[..., object]:
         """A draw, and what it wrote made visible."""
-        publish = self.publish
+        memory_barrier = self.memory_barrier
 
-        def draw_and_publish(*arguments: object) -> None:
+        def draw_and_barrier(*arguments: object) -> None:
             draw(*arguments)
-            publish()
+            memory_barrier()
 
-        return draw_and_publish
+        return draw_and_barrier
 
 
 class _Program:

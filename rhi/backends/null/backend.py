@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.null.execution import ExecutionState, Fate
+from rhi.backends.null.execution import DrawOutcome, ExecutionState
 from rhi.backends.null.profiles import PROFILES
 from rhi.backends.null.programs import Programs
 from rhi.backends.null.queries import Draw, Queries
@@ -79,7 +79,7 @@ class NullBackend(CommandMethods):
         self._queued_bytes = 0
         self._fence = 0
         self._executed = 0
-        self._draws = dict.fromkeys(Fate, 0)
+        self._draws = dict.fromkeys(DrawOutcome, 0)
         self._dispatches = 0
         self._resources = Resources()
         self._programs = Programs()
@@ -119,7 +119,7 @@ class NullBackend(CommandMethods):
     @property
     def statistics(self) -> Statistics:
         self._run()
-        executed, dropped, undecided = (self._draws[fate] for fate in Fate)
+        executed, dropped, undecided = (self._draws[fate] for fate in DrawOutcome)
         time = self._executed * COMMAND_NANOSECONDS
         return Statistics(self._executed, executed, dropped, undecided, self._dispatches, time)
 
@@ -298,14 +298,14 @@ class NullBackend(CommandMethods):
         else:
             something = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
             self._count_unseen(len(resolved), bool(something))
-        kept = resolved[:0] if self._state.fate is Fate.DROPPED else resolved
+        kept = resolved[:0] if self._state.fate is DrawOutcome.DROPPED else resolved
         self._indirect_draws.append(IndirectDraws(vertex_array, primitive, kept))
 
     @property
     def _follows_draws(self) -> bool:
         """Whether somebody wants to know each of the present draws."""
         state = self._state
-        return state.fate is Fate.EXECUTED and (
+        return state.fate is DrawOutcome.EXECUTED and (
             self._queries.counts or state.program in self._shaders.stand_ins
         )
 
@@ -314,7 +314,7 @@ class NullBackend(CommandMethods):
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         """An executed draw whose samples are counted, or whose program has a stand-in."""
-        self._draws[Fate.EXECUTED] += 1
+        self._draws[DrawOutcome.EXECUTED] += 1
         if count and instances:
             state = self._state
             draw = Draw(state.program, vertex_array, primitive, first, count, instances, base_vertex,
@@ -327,7 +327,7 @@ class NullBackend(CommandMethods):
         """Draws whose samples nobody counts; `something`: any of them has vertices."""
         fate = self._state.fate
         self._draws[fate] += draws
-        if something and fate is not Fate.DROPPED:
+        if something and fate is not DrawOutcome.DROPPED:
             self._queries.add_unknown()
 
     def _dispatch(self, x: int, y: int, z: int) -> None:

@@ -1,4 +1,4 @@
-"""What holds while commands are executed: states, program, pass and labels as anywhere (`Context`), and
+"""What holds while commands are executed: states, program, pass and labels as anywhere (`StreamContext`), and
 whether conditional rendering lets draws through.
 
 A condition can't be known when nobody has said what is seen. Its draws are then neither executed nor dropped
@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import enum
 
-from rhi.commands.context import Context
+from rhi.commands.context import StreamContext
 
 __rhi_internal__ = True
 
 
-class Fate(enum.Enum):
+class DrawOutcome(enum.Enum):
     """What becomes of a draw."""
 
     EXECUTED = "executed"
@@ -24,21 +24,21 @@ class Fate(enum.Enum):
     __hash__ = object.__hash__
 
 
-class ExecutionState(Context):
+class ExecutionState(StreamContext):
     """The context of the command that is being executed."""
 
     __slots__ = ("fate",)
 
     def __init__(self) -> None:
         super().__init__()
-        self.fate = Fate.EXECUTED
+        self.fate = DrawOutcome.EXECUTED
 
     def begin_conditional(self, samples: int | None, inverted: bool) -> None:
         """`samples` is the query's answer, None if it is not known."""
         if samples is None:
-            self.fate = Fate.UNDECIDED
+            self.fate = DrawOutcome.UNDECIDED
         else:
-            self.fate = Fate.DROPPED if (samples == 0) != inverted else Fate.EXECUTED
+            self.fate = DrawOutcome.DROPPED if (samples == 0) != inverted else DrawOutcome.EXECUTED
 
     def end_conditional(self) -> None:
-        self.fate = Fate.EXECUTED
+        self.fate = DrawOutcome.EXECUTED

@@ -29,14 +29,14 @@ from rhi.conformance.compare import assert_mask, assert_same
 from rhi.conformance.formats import require_format, require_renderable, require_samples
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import rectangle, texel_rectangle
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
 from rhi.shading import Shader
 
 pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (150, 70)
 RED = (1, 0, 0, 1)
-SHADERS: dict[Kind, type[Shader]] = {Kind.UINT: UintColored, Kind.INT: IntColored}
+SHADERS: dict[ChannelKind, type[Shader]] = {ChannelKind.UINT: UintColored, ChannelKind.INT: IntColored}
 
 
 def identity(value: Any) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rhi import Device, Filter, Format, Region, SamplerDescriptor, Viewport, Wrap
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.shaders import Colored, Corner, Place, PlaceVarying, Shade
+from rhi.conformance.shaders import Colored, Corner, Shade, TexturedVarying, TexturedVertex
 from rhi.conformance.shapes import WHITE, corners, rectangle
 from rhi.shading import (
     Image2D,
@@ -80,16 +80,16 @@ class Textured(Shader):
 
     source: Texture2D
 
-    def vertex(self, v: Place) -> PlaceVarying:
-        return PlaceVarying(clip=v.position, uv=v.uv)
+    def vertex(self, v: TexturedVertex) -> TexturedVarying:
+        return TexturedVarying(clip=v.position, uv=v.uv)
 
-    def fragment(self, v: PlaceVarying) -> vec4:
+    def fragment(self, v: TexturedVarying) -> vec4:
         return self.source.sample(v.uv)
 
 
 def placed(uvs: object) -> NDArray[Any]:
     """A full rectangle whose corners (lower left, lower right, upper right, upper left) have these uv."""
-    rows = np.zeros(6, Place.dtype)
+    rows = np.zeros(6, TexturedVertex.dtype)
     rows["position"] = rectangle()["position"]
     rows["uv"] = np.asarray(uvs)[[0, 1, 2, 0, 2, 3]]
     return rows

@@ -14,7 +14,7 @@ from rhi.conformance.formats import random_texels, require_format, squeezed
 from rhi.conformance.reference import compare, decode
 from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import rectangle
-from rhi.contract.formats import COLOR_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.shading import (
     DepthTexture2D,
     DepthTexture2DArray,
@@ -148,7 +148,7 @@ def test_a_shader_reads_what_the_format_means(device: Device, format: Format) ->
     with device.texture(squeezed(format, data), format) as texture:
         back = sampled(device, Sample2D, texture.sampled(NEAREST), texel_centers(8, 4))
     slack, reason = (
-        (2e-3, "sRGB curves may be tables") if format.kind is Kind.SRGB else (1e-6, "conversion in float32")
+        (2e-3, "sRGB curves may be tables") if format.kind is ChannelKind.SRGB else (1e-6, "conversion in float32")
     )
     assert_near(back, decode(format, data).reshape(-1, 4), slack, reason)
 
@@ -183,7 +183,7 @@ def test_integers_are_read_as_they_are(device: Device, format: Format) -> None:
     expected[:, 3] = 1
     expected[:, : format.channels] = data.reshape(8, -1)
     shader, element = cast(
-        "tuple[Any, Any]", (LoadUint, uvec4) if format.kind is Kind.UINT else (LoadInt, ivec4)
+        "tuple[Any, Any]", (LoadUint, uvec4) if format.kind is ChannelKind.UINT else (LoadInt, ivec4)
     )
     with (
         device.texture(squeezed(format, data), format) as texture,

@@ -26,7 +26,7 @@ from rhi.conformance.formats import require_renderable, require_samples
 from rhi.conformance.reference import compare, encode, largest, rounding
 from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
-from rhi.contract.formats import COLOR_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.shading import Shader, Struct, uvec4, vec2, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
@@ -56,8 +56,8 @@ def test_a_fragment_s_color_is_converted_to_the_format(
 def test_integers_are_stored_as_they_are(device: Device, format: Format) -> None:
     require_renderable(device, format)
     top = min(float(largest(format)), 2.0**24)
-    color = (1.0, top, 0.0, 100.0) if format.kind is Kind.UINT else (-1.0, top, -(2.0**24), 100.0)
-    shader: type[Shader] = UintColored if format.kind is Kind.UINT else IntColored
+    color = (1.0, top, 0.0, 100.0) if format.kind is ChannelKind.UINT else (-1.0, top, -(2.0**24), 100.0)
+    shader: type[Shader] = UintColored if format.kind is ChannelKind.UINT else IntColored
     with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
         with device.render_pass(image):
             device.draw(device.program(shader), mesh)

@@ -12,7 +12,7 @@ from rhi import Access, Device, Format, Region, TextureKind
 from rhi.conformance.compare import assert_near, assert_same
 from rhi.conformance.formats import random_texels, require_format, require_renderable, squeezed
 from rhi.conformance.reference import decode, encode, halve, largest, rounding
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
 
 FILTERABLE = tuple(f for f in COLOR_FORMATS if not f.is_integer)
 
@@ -272,7 +272,7 @@ def test_a_clear_converts_its_color_to_the_format(
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=identity)
 def test_a_clear_of_integers_stores_the_numbers(device: Device, format: Format) -> None:
     require_renderable(device, format)
-    color = (1.0, 120.0, 3.0, 0.0) if format.kind is Kind.UINT else (1.0, -120.0, 3.0, -1.0)
+    color = (1.0, 120.0, 3.0, 0.0) if format.kind is ChannelKind.UINT else (1.0, -120.0, 3.0, -1.0)
     with device.texture((3, 2), format) as texture:
         with device.render_pass(texture, clear=color):
             pass
@@ -385,7 +385,7 @@ def test_mipmaps_are_boxes_of_two_by_two(device: Device, format: Format) -> None
             slack: Any = np.abs(above.astype(np.float64)).max() * (
                 2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22
             )
-        elif format.kind is Kind.SRGB:
+        elif format.kind is ChannelKind.SRGB:
             slack = 1.5
         else:
             slack = 1.0
@@ -439,6 +439,6 @@ def test_the_reference_conversion_is_its_own_inverse() -> None:
     """The judge is judged: `encode` after `decode` gives every stored number back."""
     for format in (Format.RGBA8, Format.RGBA8_SRGB, Format.RGBA8_SNORM, Format.RGBA16):
         top = largest(format)
-        stored: Sequence[int] = range(-top if format.kind is Kind.SNORM else 0, top + 1)
+        stored: Sequence[int] = range(-top if format.kind is ChannelKind.SNORM else 0, top + 1)
         numbers = np.stack([np.array(stored)] * 4, axis=-1)
         assert_near(encode(format, decode(format, numbers)), numbers, 1e-9 * top, "float64")

@@ -26,7 +26,7 @@ from rhi import (
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.formats import require_samples
-from rhi.conformance.shaders import Colored, Place, PlaceVarying
+from rhi.conformance.shaders import Colored, TexturedVarying, TexturedVertex
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.errors import rules
@@ -229,10 +229,10 @@ class Textured(Shader):
 
     source: Texture2D
 
-    def vertex(self, v: Place) -> PlaceVarying:
-        return PlaceVarying(clip=v.position, uv=v.uv)
+    def vertex(self, v: TexturedVertex) -> TexturedVarying:
+        return TexturedVarying(clip=v.position, uv=v.uv)
 
-    def fragment(self, v: PlaceVarying) -> vec4:
+    def fragment(self, v: TexturedVarying) -> vec4:
         return self.source.sample(v.uv)
 
 
@@ -241,10 +241,10 @@ class Stored(Shader):
 
     target: Image2D = image(Format.RGBA8)
 
-    def vertex(self, v: Place) -> PlaceVarying:
-        return PlaceVarying(clip=v.position, uv=v.uv)
+    def vertex(self, v: TexturedVertex) -> TexturedVarying:
+        return TexturedVarying(clip=v.position, uv=v.uv)
 
-    def fragment(self, v: PlaceVarying) -> vec4:
+    def fragment(self, v: TexturedVarying) -> vec4:
         self.target.store(ivec2(0, 0), vec4(1.0))
         return vec4(1.0)
 
@@ -252,7 +252,7 @@ class Stored(Shader):
 def places() -> Any:
     import numpy as np
 
-    rows = np.zeros(6, Place.dtype)
+    rows = np.zeros(6, TexturedVertex.dtype)
     rows["position"] = rectangle()["position"]
     return rows
 

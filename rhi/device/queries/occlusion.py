@@ -69,7 +69,7 @@ class QueryDesk:
         return True
 
 
-class Awaited(Generic[T]):
+class PendingQuery(Generic[T]):
     """What a query and a set of queries have in common: an answer that comes some time after its end."""
 
     __slots__ = ("_answer", "_core", "_fence", "_ids", "_state", "destroyed", "emulated")
@@ -184,7 +184,7 @@ class Awaited(Generic[T]):
             refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
 
 
-class OcclusionQuery(Awaited[int]):
+class OcclusionQuery(PendingQuery[int]):
     """How many samples of the draws between begin and end passed all tests.
 
     One object may be used again and again; begin forgets the earlier answer. `with query:` is begin and end.

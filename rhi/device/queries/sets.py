@@ -21,7 +21,7 @@ from rhi.contract.backend import Backend, PreparedQueries, PreparesQueries
 from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.queries import PlainQueries, list_draws
 from rhi.device.core.core import Core
-from rhi.device.queries.occlusion import Awaited
+from rhi.device.queries.occlusion import PendingQuery
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, QUERY_ROWS
 
@@ -60,7 +60,7 @@ class EmulatedQueries:
         return values[1:] - values[:-1]
 
 
-class QuerySet(Awaited[NDArray[np.int64]]):
+class QuerySet(PendingQuery[NDArray[np.int64]]):
     """So many counters of visible samples, asked together by `draw_counted`; made by `device.query_set`.
 
     `visible_samples` and `wait` give (n,) int64, a number for each row, and −1 for rows that the latest

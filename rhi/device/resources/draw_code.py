@@ -157,9 +157,9 @@ def _bind(
         if binding.kind in _RANGES:
             yield f"                _owner_{i} = {name}.owner"
     yield "        except AttributeError as _error:"
-    yield f"            _program.explain(_mesh, {values}, _error)"
+    yield f"            _program.raise_for(_mesh, {values}, _error)"
     yield "        if _fresh:"
-    yield "            _program.enter()"
+    yield "            _program.make_current()"
     for i, binding in enumerate(bindings):
         yield f"        if {binding.name} is not _bound_{i}:"
         apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]

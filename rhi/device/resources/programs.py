@@ -16,7 +16,7 @@ import numpy as np
 from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
-from rhi.contract.formats import Format, Kind
+from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe
 from rhi.device.resources.draw_code import MISSING, make, write
 from rhi.device.resources.meshes import Mesh
@@ -146,7 +146,7 @@ class Program(Generic[P]):
         if core.render_pass is not None:
             refuse(PASS_OPEN, call, "an open render pass")
 
-    def enter(self) -> None:
+    def make_current(self) -> None:
         """Make this program the current one; while something is locked none is, so that all is checked."""
         core = self.core
         core.backend.bind_program(self.id)
@@ -259,7 +259,7 @@ class Program(Generic[P]):
         if texture.id in self.core.targets:
             refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
-    def explain(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
+    def raise_for(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
         """Turn a Python error of the generated functions into the rule that was broken."""
         if mesh is not None and not isinstance(mesh, Mesh):
             refuse(
@@ -293,7 +293,7 @@ class Program(Generic[P]):
 
 def shader_kind(form: Format) -> str:
     """How a shader sees a format's channels: "float", "int" or "uint"."""
-    return {Kind.UINT: "uint", Kind.INT: "int"}.get(form.kind, "float")
+    return {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}.get(form.kind, "float")
 
 
 def _given(value: object) -> str:

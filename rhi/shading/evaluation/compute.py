@@ -17,10 +17,10 @@ from rhi.contract.layout import ArrayType, HostType, Layout, StructType, dtype_o
 from rhi.errors import refuse
 from rhi.shading.compile import compile_shader
 from rhi.shading.ir import tree
-from rhi.shading.ir.lanes import Code, Kind
+from rhi.shading.ir.lanes import Code, ScalarKind
 from rhi.shading.language import rules
-from rhi.shading.language.function import Function
-from rhi.shading.language.shader import Memory, Shader
+from rhi.shading.language.function import ShadingFunction
+from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import source_of
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType
@@ -36,7 +36,7 @@ __rhi_internal__ = True
 
 Array = NDArray[Any]
 
-_DTYPES: Final = {Kind.INT: np.int32, Kind.UINT: np.uint32, Kind.BOOL: np.bool_}
+_DTYPES: Final = {ScalarKind.INT: np.int32, ScalarKind.UINT: np.uint32, ScalarKind.BOOL: np.bool_}
 _functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, Run]] = (
     weakref.WeakKeyDictionary()
 )
@@ -47,7 +47,7 @@ _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKey
 
 
 def evaluate(
-    function: Function[..., Any],
+    function: ShadingFunction[..., Any],
     *arguments: Any,
     dtype: type[np.float32] | type[np.float64] = np.float32,
     **named: Any,
@@ -67,7 +67,7 @@ def evaluate(
         ShaderError: the function breaks a rule of the language.
     """
     call = f"evaluate({getattr(function, '__name__', repr(function))}, …)"
-    if not isinstance(function, Function):
+    if not isinstance(function, ShadingFunction):
         refuse(rules.WRONG_ARGUMENTS, call, repr(function), "a function decorated with @function")
     tree_function, _, run = _compiled_function(function.python)
     given = _by_name(tree_function, arguments, named, call, dtype)
@@ -234,17 +234,17 @@ def bound_words(
     results: dict[str, Array] = {}
     for declaration in shader._declared.values():
         name = declaration.name
-        if declaration.memory is Memory.STORAGE:
+        if declaration.storage_class is StorageClass.STORAGE:
             assert isinstance(declaration.type, StorageType)
             whole, words = storage_words(declaration.type.element, bindings[name], f"{call}: {name}")
             memory[name] = words
             if declaration.type.writable:
                 results[name] = whole
-        elif declaration.memory is Memory.UNIFORM:
+        elif declaration.storage_class is StorageClass.UNIFORM:
             memory[name] = uniform_words(declaration.type, bindings[name], f"{call}: {name}")  # type: ignore[arg-type]
-        elif declaration.memory in (Memory.TEXTURE, Memory.IMAGE):
+        elif declaration.storage_class in (StorageClass.TEXTURE, StorageClass.IMAGE):
             texture = memory[name] = host_texture(declaration.type, bindings[name], f"{call}: {name}")  # type: ignore[arg-type]
-            if declaration.memory is Memory.IMAGE:
+            if declaration.storage_class is StorageClass.IMAGE:
                 results[name] = texture.levels[0]
     return memory, results
 

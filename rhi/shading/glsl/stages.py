@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from rhi.contract.descriptors import Binding, Stage
-from rhi.contract.formats import Kind
+from rhi.contract.formats import ChannelKind
 from rhi.contract.layout import FLOAT, INT, UINT, StructType
 from rhi.shading.glsl.names import Names
 from rhi.shading.glsl.writer import Writer, constant_key
@@ -15,7 +15,7 @@ from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines, StageText
 from rhi.shading.language.annotations import Role
 from rhi.shading.language.builtins import Effect
-from rhi.shading.language.shader import Declaration, Memory
+from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
 
 __rhi_internal__ = True
@@ -114,16 +114,16 @@ class _StageWriter:
 
     def _binding(self, declaration: Declaration) -> None:
         name = self.names.get(("binding", declaration.name), declaration.name)
-        slot = self.options.slots[declaration.name].slot if declaration.memory is not Memory.SHARED else 0
+        slot = self.options.slots[declaration.name].slot if declaration.storage_class is not StorageClass.SHARED else 0
         type = declaration.type
-        match declaration.memory:
-            case Memory.SHARED:
+        match declaration.storage_class:
+            case StorageClass.SHARED:
                 self.lines.add(f"shared {self.writer.type(type)} {name};")
-            case Memory.UNIFORM:
+            case StorageClass.UNIFORM:
                 block = self.names.get(("block", name), f"{name}_block")
                 header = f"layout(std140, row_major, binding = {slot}) uniform {block}"
                 self.lines.add(f"{header} {{ {self.writer.type(type)} {name}; }};")
-            case Memory.STORAGE:
+            case StorageClass.STORAGE:
                 assert isinstance(type, StorageType)
                 block = self.names.get(("block", name), f"{name}_block")
                 # Other invocations' writes are only seen through `coherent` memory.
@@ -131,9 +131,9 @@ class _StageWriter:
                 access = ("coherent " if barriers else "") if type.writable else "readonly "
                 header = f"layout(std430, row_major, binding = {slot}) {access}buffer {block}"
                 self.lines.add(f"{header} {{ {self.writer.type(type.element)} {name}[]; }};")
-            case Memory.TEXTURE:
+            case StorageClass.TEXTURE:
                 self.lines.add(f"layout(binding = {slot}) uniform {self.writer.type(type)} {name};")
-            case Memory.IMAGE:
+            case StorageClass.IMAGE:
                 assert isinstance(type, ImageType)
                 stored = declaration.name in self.stage.stored
                 access = "readonly " if not stored else "" if self._loads(declaration) else "writeonly "
@@ -234,4 +234,4 @@ def _nothing(name: str) -> str:
 def image_format(type: ImageType) -> str:
     """GLSL's name of an image's texel format."""
     name = type.format.name.lower()
-    return name.replace("_snorm", "") + ("_snorm" if type.format.kind is Kind.SNORM else "")
+    return name.replace("_snorm", "") + ("_snorm" if type.format.kind is ChannelKind.SNORM else "")

@@ -29,7 +29,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
-from rhi.shading.language.source import Place, show
+from rhi.shading.language.source import SourceSpan, show
 from rhi.shading.language.types import ImageType, TextureType, Type, VoidType, scalar_of
 
 __rhi_internal__ = True
@@ -255,7 +255,7 @@ class Writer:
 
     # -- statements
 
-    def line(self, text: str, place: Place) -> None:
+    def line(self, text: str, place: SourceSpan) -> None:
         """A line of the current function."""
         self.lines.add(text, self.file, place.line)
 
@@ -296,7 +296,7 @@ class Writer:
             case tree.Return(value=value):
                 self.line(f"return {self.expression(value)};" if value is not None else "return;", place)
 
-    def declare(self, local: tree.Local, value: Expression | None, place: Place) -> None:
+    def declare(self, local: tree.Local, value: Expression | None, place: SourceSpan) -> None:
         """A local's declaration."""
         name, type = self.names.get(local, local.name), self.type(local.type)
         if (
@@ -376,7 +376,7 @@ class Writer:
             if native is not None:
                 for offset, line in enumerate(native.body.splitlines()):
                     if line.strip():
-                        self.line(line, Place(native.line + offset if native.line else node.place.line))
+                        self.line(line, SourceSpan(native.line + offset if native.line else node.place.line))
             elif node.native and not node.body:
                 raise ShaderError(
                     rules.NATIVE,

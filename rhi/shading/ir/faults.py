@@ -14,7 +14,7 @@ from typing import Final
 
 from rhi.errors import CallSite, ShaderError
 from rhi.shading.language import rules
-from rhi.shading.language.source import Place, show
+from rhi.shading.language.source import SourceSpan, show
 
 __rhi_internal__ = True
 
@@ -25,7 +25,7 @@ _DIFFERENT: Final = -1
 def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderError:
     """The error for an index that isn't below `limit`, on a Python file's line."""
     file, number = line
-    call, site = show(file, Place(number)), CallSite(file, number)
+    call, site = show(file, SourceSpan(number)), CallSite(file, number)
     if limit == _DIFFERENT:
         return ShaderError(rules.DIFFERENT, call, "different values", "one value", site=site)
     return ShaderError(

@@ -1,13 +1,13 @@
 """Lane code: what a stage does, in scalar components with explicit masks; OpenCL C and NumPy are printed from it.
 
-- One value is one component of W invocations ("lanes"). Its `Level` says among whom it is the same; all but
+- One value is one component of W invocations ("lanes"). Its `Uniformity` says among whom it is the same; all but
   VARYING are printed as scalars. An `Affine` value is the same plus a multiple of the lane's number, so that
   memory is read with vector loads.
 - Control flow whose condition is the same for all lanes is real. Where it varies, a mask (a bool variable) says
   which lanes take part: `Set`, `Store` and `Atomic` have a mask, loops end when no lane is left, and
   `If(any_lane=True)` steps around work that no lane wants.
 - Calls are gone: each is lowered in place, so that a function is specialised for the levels of its arguments.
-- Memory is 32-bit words; an access names `index * scale + offset`.
+- MemoryRegion is 32-bit words; an access names `index * scale + offset`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rhi.contract.descriptors import TextureKind
 __rhi_internal__ = True
 
 
-class Kind(enum.Enum):
+class ScalarKind(enum.Enum):
     """What a component is; a bool that varies is a mask."""
 
     FLOAT = "float"
@@ -33,7 +33,7 @@ class Kind(enum.Enum):
     __hash__ = object.__hash__
 
 
-class Level(enum.IntEnum):
+class Uniformity(enum.IntEnum):
     """Among which invocations a value is the same: a whole dispatch, a work-group, the lanes of one work-item."""
 
     DISPATCH = 0
@@ -47,11 +47,11 @@ class Variable:
     """A component with a name; `level` is settled when lowering is done."""
 
     name: str
-    kind: Kind
-    level: Level
+    kind: ScalarKind
+    level: Uniformity
 
 
-class Space(enum.Enum):
+class AddressSpace(enum.Enum):
     """Where memory lies, as far as lane code cares."""
 
     UNIFORM = "uniform"
@@ -66,7 +66,7 @@ class Space(enum.Enum):
 
 
 @dataclass(slots=True, eq=False)
-class Memory:
+class MemoryRegion:
     """An array of words. `stride`: the words of one element; `length`: words in all, 0 where a buffer decides.
 
     PRIVATE memory is one such array of `kind` for each lane, and VARYING unless `level` says less; CONSTANT
@@ -74,12 +74,12 @@ class Memory:
     """
 
     name: str
-    space: Space
+    space: AddressSpace
     stride: int = 1
     length: int = 0
     writable: bool = False
-    kind: Kind = Kind.UINT
-    level: Level = Level.VARYING
+    kind: ScalarKind = ScalarKind.UINT
+    level: Uniformity = Uniformity.VARYING
     values: tuple[float, ...] = ()
     shape: TextureKind = TextureKind.D2
 
@@ -91,8 +91,8 @@ class Memory:
 class Value:
     """One component; arithmetic on values makes `Apply` values."""
 
-    kind: Kind
-    level: Level
+    kind: ScalarKind
+    level: Uniformity
 
     def __add__(self, other: Value) -> Value:
         return apply("add", self, other)
@@ -146,7 +146,7 @@ class Apply(Value):
 class Load(Value):
     """A word at `index * scale + offset`; lanes outside `mask` read nothing and get anything."""
 
-    memory: Memory
+    memory: MemoryRegion
     index: Value
     scale: int
     offset: int
@@ -157,10 +157,10 @@ class Load(Value):
 class Count(Value):
     """How many elements a storage buffer has."""
 
-    memory: Memory
+    memory: MemoryRegion
 
 
-class Place(enum.Enum):
+class DispatchIndex(enum.Enum):
     """What an invocation knows of its place; of the axes, those of `Input.axis`."""
 
     GROUP_ID = "group_id"
@@ -173,7 +173,7 @@ class Place(enum.Enum):
 
 @dataclass(slots=True, eq=False)
 class Input(Value):
-    place: Place
+    place: DispatchIndex
     axis: int = 0
 
 
@@ -204,7 +204,7 @@ class Let(Statement):
 class Begin(Statement):
     """Private memory begins, filled with zeros if asked for."""
 
-    memory: Memory
+    memory: MemoryRegion
     zeros: bool
 
 
@@ -225,7 +225,7 @@ class Store(Statement):
     behind the values that nobody reads and that may be overwritten.
     """
 
-    memory: Memory
+    memory: MemoryRegion
     index: Value
     scale: int
     offset: int
@@ -240,8 +240,8 @@ class Atomic(Statement):
 
     result: Variable | None
     operation: str
-    kind: Kind
-    memory: Memory
+    kind: ScalarKind
+    memory: MemoryRegion
     index: Value
     scale: int
     offset: int
@@ -260,7 +260,7 @@ class TextureAccess(Statement):
     """
 
     operation: str
-    memory: Memory
+    memory: MemoryRegion
     arguments: tuple[Value, ...]
     results: tuple[Variable, ...]
     mask: Variable | None
@@ -303,7 +303,7 @@ class Loop(Statement):
 
 @dataclass(slots=True, eq=False)
 class Break(Statement):
-    """Leave the loop: always, or if `none` of the lanes has the mask."""
+    """Return the loop: always, or if `none` of the lanes has the mask."""
 
     none: Variable | None = None
 
@@ -314,8 +314,8 @@ class Continue(Statement):
 
 
 @dataclass(slots=True, eq=False)
-class Body(Statement):
-    """The body of a function that was called; `Leave` ends it early."""
+class InlinedCall(Statement):
+    """The body of a function that was called; `Return` ends it early."""
 
     label: str
     block: Block
@@ -323,8 +323,8 @@ class Body(Statement):
 
 
 @dataclass(slots=True, eq=False)
-class Leave(Statement):
-    body: Body
+class Return(Statement):
+    body: InlinedCall
     none: Variable | None = None
 
 
@@ -338,41 +338,41 @@ class Code:
     name: str
     width: int
     block: Block
-    memories: tuple[Memory, ...]
+    memories: tuple[MemoryRegion, ...]
     arguments: tuple[Argument, ...] = ()
     results: tuple[Value, ...] = ()
     work_group: tuple[int, int, int] = (1, 1, 1)
     checked: bool = False
-    operations: frozenset[tuple[str, tuple[Kind, ...]]] = field(default_factory=frozenset)
+    operations: frozenset[tuple[str, tuple[ScalarKind, ...]]] = field(default_factory=frozenset)
 
 
 # -- making values -----------------------------------------------------------------------------------------
 
 _COMPARISONS: Final = frozenset({"equal", "not_equal", "less", "less_equal", "greater", "greater_equal"})
 _FIXED: Final = {
-    "to_float": Kind.FLOAT,
-    "to_int": Kind.INT,
-    "to_uint": Kind.UINT,
-    "as_float": Kind.FLOAT,
-    "as_int": Kind.INT,
-    "as_uint": Kind.UINT,
-    "half_bits": Kind.UINT,
-    "half_value": Kind.FLOAT,
+    "to_float": ScalarKind.FLOAT,
+    "to_int": ScalarKind.INT,
+    "to_uint": ScalarKind.UINT,
+    "as_float": ScalarKind.FLOAT,
+    "as_int": ScalarKind.INT,
+    "as_uint": ScalarKind.UINT,
+    "half_bits": ScalarKind.UINT,
+    "half_value": ScalarKind.FLOAT,
 }
 
 
-def literal(value: float, kind: Kind = Kind.FLOAT) -> Literal:
+def literal(value: float, kind: ScalarKind = ScalarKind.FLOAT) -> Literal:
     """A constant."""
-    return Literal(kind, Level.DISPATCH, value)
+    return Literal(kind, Uniformity.DISPATCH, value)
 
 
 def number(value: int) -> Literal:
     """An int constant."""
-    return Literal(Kind.INT, Level.DISPATCH, value)
+    return Literal(ScalarKind.INT, Uniformity.DISPATCH, value)
 
 
-TRUE: Final = literal(True, Kind.BOOL)
-FALSE: Final = literal(False, Kind.BOOL)
+TRUE: Final = literal(True, ScalarKind.BOOL)
+FALSE: Final = literal(False, ScalarKind.BOOL)
 
 
 def apply(operation: str, *arguments: Value) -> Value:
@@ -380,7 +380,7 @@ def apply(operation: str, *arguments: Value) -> Value:
     simple = _simplify(operation, arguments)
     if simple is not None:
         return simple
-    kind = _FIXED.get(operation, Kind.BOOL if operation in _COMPARISONS else arguments[-1].kind)
+    kind = _FIXED.get(operation, ScalarKind.BOOL if operation in _COMPARISONS else arguments[-1].kind)
     return Apply(kind, max(argument.level for argument in arguments), operation, arguments)
 
 
@@ -392,17 +392,17 @@ def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
             return arguments[1] if a.value else arguments[2]
         case "not" if isinstance(a, Literal):
             return FALSE if a.value else TRUE
-        case "and" | "or" if a.kind is Kind.BOOL:
+        case "and" | "or" if a.kind is ScalarKind.BOOL:
             for one, other in (arguments, arguments[::-1]):
                 if isinstance(one, Literal):
                     return other if bool(one.value) == (operation == "and") else one
             return None
         case "to_int" | "to_uint" if isinstance(a, Affine):
             base = apply(operation, a.base)
-            return Affine(base.kind, Level.VARYING, base, a.stride)
-        case "to_int" if a.kind is Kind.INT:
+            return Affine(base.kind, Uniformity.VARYING, base, a.stride)
+        case "to_int" if a.kind is ScalarKind.INT:
             return a
-    if a.kind not in (Kind.INT, Kind.UINT) or len(arguments) != 2:
+    if a.kind not in (ScalarKind.INT, ScalarKind.UINT) or len(arguments) != 2:
         return None
     b = arguments[1]
     match operation:
@@ -421,7 +421,7 @@ def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
                     return other
                 if isinstance(one, Literal) and isinstance(other, Affine) and one.value:
                     base = apply("multiply", other.base, one)
-                    return Affine(other.kind, Level.VARYING, base, other.stride * int(one.value))
+                    return Affine(other.kind, Uniformity.VARYING, base, other.stride * int(one.value))
             return _fold(operation, a, b)
     return None
 
@@ -444,13 +444,13 @@ def _affine_sum(operation: str, a: Value, b: Value) -> Value | None:
     if base_a is None or base_b is None or not (stride_a or stride_b):
         return None
     base, stride = apply(operation, base_a, base_b), stride_a + sign * stride_b
-    return Affine(a.kind, Level.VARYING, base, stride) if stride else base
+    return Affine(a.kind, Uniformity.VARYING, base, stride) if stride else base
 
 
 def _split(value: Value) -> tuple[Value | None, int]:
     if isinstance(value, Affine):
         return value.base, value.stride
-    return (value, 0) if value.level < Level.VARYING else (None, 0)
+    return (value, 0) if value.level < Uniformity.VARYING else (None, 0)
 
 
 # -- walking -----------------------------------------------------------------------------------------------
@@ -493,7 +493,7 @@ def walk(block: Block) -> Iterator[Statement]:
             case Loop(body=body, advance=advance):
                 yield from walk(body)
                 yield from walk(advance)
-            case Body(block=inner):
+            case InlinedCall(block=inner):
                 yield from walk(inner)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Filter, SamplerDescriptor, TextureKind, Wrap
+from rhi.contract.formats import ChannelKind as FormatKind
 from rhi.contract.formats import Format
-from rhi.contract.formats import Kind as FormatKind
 from rhi.contract.states import Comparison
 
 __rhi_internal__ = True

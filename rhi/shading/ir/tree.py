@@ -20,7 +20,7 @@ from rhi.contract.layout import StructType
 from rhi.shading.language.builtins import Builtin, Effect, Overload
 from rhi.shading.language.function import Native
 from rhi.shading.language.shader import Declaration
-from rhi.shading.language.source import Place
+from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import Type
 
 __rhi_internal__ = True
@@ -73,7 +73,7 @@ class Local:
 @dataclass(slots=True, eq=False)
 class Expression:
     type: Type
-    place: Place
+    place: SourceSpan
 
 
 @dataclass(slots=True, eq=False)
@@ -204,7 +204,7 @@ class BuiltinCall(Expression):
 
 @dataclass(slots=True, eq=False)
 class Statement:
-    place: Place
+    place: SourceSpan
 
 
 @dataclass(slots=True, eq=False)
@@ -287,7 +287,7 @@ class Function:
 
     name: str
     file: str
-    place: Place
+    place: SourceSpan
     parameters: tuple[Local, ...]
     result: Type
     body: Block = field(default_factory=list)

@@ -39,7 +39,7 @@ class Native:
     line: int = 0
 
 
-class Function(Generic[P, R]):
+class ShadingFunction(Generic[P, R]):
     """A module-level function of the shading language; shaders call it, `rhi.shading.evaluate` runs it on the CPU."""
 
     def __init__(self, function: FunctionType) -> None:
@@ -56,11 +56,11 @@ class Function(Generic[P, R]):
         )
 
 
-def function(python: Callable[P, R]) -> Function[P, R]:
+def function(python: Callable[P, R]) -> ShadingFunction[P, R]:
     """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
     plain = cast(FunctionType, python)
     resolve_annotations(plain, locals_of(sys._getframe(1)))
-    return Function(plain)
+    return ShadingFunction(plain)
 
 
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:

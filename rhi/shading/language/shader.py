@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NoReturn, TypeVar, get_args, ge
 
 from typing_extensions import dataclass_transform
 
-from rhi.contract.formats import Kind
+from rhi.contract.formats import ChannelKind
 from rhi.contract.layout import ArrayType, HostType, is_host_shareable
 from rhi.errors import ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
@@ -38,7 +38,7 @@ __rhi_internal__ = True
 T = TypeVar("T")
 
 
-class Memory(enum.Enum):
+class StorageClass(enum.Enum):
     """Where what a shader's field names lives."""
 
     UNIFORM = "uniform"
@@ -55,7 +55,7 @@ class Declaration:
     """A field of a shader. `host` is what the CPU knows the type as: a `Struct` class, `float`, `vec3`…"""
 
     name: str
-    memory: Memory
+    storage_class: StorageClass
     type: Type
     host: Any = None
 
@@ -75,7 +75,7 @@ def shared(element: type[T]) -> T: ...
 @overload
 def shared(element: type[T], length: int) -> Array[T]: ...
 def shared(element: Any, length: int | None = None) -> Any:
-    """Memory that a work-group shares: `partial = shared(float, 256)`, or one value without a length.
+    """StorageClass that a work-group shares: `partial = shared(float, 256)`, or one value without a length.
 
     A field of a shader with a `compute` stage. Its contents start undefined.
     """
@@ -126,10 +126,10 @@ class Shader:
             if isinstance(value, FunctionType):
                 resolve_annotations(value, names)
             elif isinstance(value, SharedMemory):
-                declared[name] = Declaration(name, Memory.SHARED, _shared_type(cls, name, value))
+                declared[name] = Declaration(name, StorageClass.SHARED, _shared_type(cls, name, value))
         for name, before in inherited.items():
             after = declared[name]
-            if (before.memory, before.type) != (after.memory, after.type):
+            if (before.storage_class, before.type) != (after.storage_class, after.type):
                 _refuse_shadow(cls, before, str(after.type))
             if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
                 _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
@@ -154,19 +154,19 @@ def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> 
             tip = "bools have no layout in memory; use a uint" if value is not None else ""
             _refuse(cls, name, repr(annotation), tip)
         if origin is Uniform:
-            return Declaration(name, Memory.UNIFORM, value, host)
-        return Declaration(name, Memory.STORAGE, StorageType(value, origin is StorageRW), host)
+            return Declaration(name, StorageClass.UNIFORM, value, host)
+        return Declaration(name, StorageClass.STORAGE, StorageType(value, origin is StorageRW), host)
     if isinstance(annotation, type) and issubclass(annotation, Texture):
-        return Declaration(name, Memory.TEXTURE, annotation.shading_type)
+        return Declaration(name, StorageClass.TEXTURE, annotation.shading_type)
     if isinstance(annotation, type) and issubclass(annotation, Image):
         if not isinstance(default, ImageFormat):
             tip = f"`{name}: {annotation.__name__} = image(Format.RGBA8)`"
             _refuse(cls, name, "an image without a format", tip)
         image_type = ImageType(annotation.kind, default.format)
-        wrong = default.format.kind in (Kind.SRGB, Kind.DEPTH, Kind.DEPTH_STENCIL)
+        wrong = default.format.kind in (ChannelKind.SRGB, ChannelKind.DEPTH, ChannelKind.DEPTH_STENCIL)
         if wrong or image_type.scalar is not annotation.scalar:
             _refuse(cls, name, f"{annotation.__name__} of {default.format}", "")
-        return Declaration(name, Memory.IMAGE, image_type)
+        return Declaration(name, StorageClass.IMAGE, image_type)
     if value_type(annotation) is not None:
         made = annotation.__name__
         _refuse(cls, name, made, f"`{name}: Uniform[{made}]`, or a constant: `{name} = …`")

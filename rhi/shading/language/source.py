@@ -2,7 +2,7 @@
 
 - A file is read and parsed once; a function is found in it by its first line. Notebook cells and
   interpreters work wherever `linecache` knows their lines.
-- `Scope` resolves a name as the function itself would: enclosing functions' variables, globals, builtins.
+- `NameScope` resolves a name as the function itself would: enclosing functions' variables, globals, builtins.
 - Annotations may be strings whose names closures don't keep: `resolve_annotations` evaluates those when the
   class or function is defined, where the names still exist.
 """
@@ -32,7 +32,7 @@ _files: dict[str, tuple[list[str], dict[int, ast.FunctionDef]]] = {}
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SourceSpan:
     """A span of a source line; lines count from 1, columns from 0."""
 
     line: int
@@ -40,11 +40,11 @@ class Place:
     end_column: int = 0
 
 
-def place_of(node: ast.AST) -> Place:
+def span_of(node: ast.AST) -> SourceSpan:
     """Where a node is; of one on several lines, its first line."""
     line, column = getattr(node, "lineno", 1), getattr(node, "col_offset", 0)
     end = getattr(node, "end_col_offset", 0) if getattr(node, "end_lineno", line) == line else 0
-    return Place(line, column, end)
+    return SourceSpan(line, column, end)
 
 
 class Source:
@@ -57,17 +57,17 @@ class Source:
         self.function = function
         self.file = function.__code__.co_filename
         self.name = function.__qualname__.replace("<locals>.", "")
-        self.scope = Scope(function)
+        self.scope = NameScope(function)
         found = _functions_of(self.file).get(function.__code__.co_firstlineno)
         if found is None:
             raise ShaderError(rules.NO_SOURCE, self.name, given=self.file)
         self.node = found
 
     def refuse(
-        self, rule: Rule, at: ast.AST | Place, given: str = "", allowed: str = "", tip: str = ""
+        self, rule: Rule, at: ast.AST | SourceSpan, given: str = "", allowed: str = "", tip: str = ""
     ) -> NoReturn:
         """Raise a `ShaderError` that shows the line of `at` with a caret below it."""
-        place = at if isinstance(at, Place) else place_of(at)
+        place = at if isinstance(at, SourceSpan) else span_of(at)
         raise ShaderError(
             rule,
             f"{self.name}\n{show(self.file, place)}",
@@ -78,7 +78,7 @@ class Source:
         )
 
 
-def show(file: str, place: Place) -> str:
+def show(file: str, place: SourceSpan) -> str:
     """File, line and column, the line, and carets below what is meant."""
     text = linecache.getline(file, place.line).rstrip("\n")
     # Columns of syntax trees count UTF-8 bytes.
@@ -112,7 +112,7 @@ def _functions_of(file: str) -> dict[int, ast.FunctionDef]:
     return functions
 
 
-class Scope:
+class NameScope:
     """The names that a function sees outside itself."""
 
     __slots__ = ("closure", "globals")

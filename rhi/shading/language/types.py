@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from rhi.contract.descriptors import TextureKind
-from rhi.contract.formats import Format, Kind
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.layout import (
     BOOL,
     FLOAT,
@@ -68,7 +68,7 @@ class ImageType:
     @property
     def scalar(self) -> ScalarType:
         """The type of a component in the shader."""
-        return {Kind.INT: INT, Kind.UINT: UINT}.get(self.format.kind, FLOAT)
+        return {ChannelKind.INT: INT, ChannelKind.UINT: UINT}.get(self.format.kind, FLOAT)
 
     def __str__(self) -> str:
         shape = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}[self.kind.value]

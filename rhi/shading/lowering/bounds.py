@@ -22,18 +22,18 @@ from typing import Final, TypeAlias, TypeGuard
 
 from rhi.shading.ir import lanes
 from rhi.shading.ir.lanes import (
+    AddressSpace,
     Apply,
     Argument,
     Bounds,
     Get,
-    Kind,
     Let,
-    Level,
     Literal,
     Load,
+    ScalarKind,
     Set,
-    Space,
     StageCode,
+    Uniformity,
     Value,
     Variable,
     apply,
@@ -44,7 +44,7 @@ __rhi_internal__ = True
 
 _INPUTS: Final = "inputs_"
 _REACHES: Final = "reaches_"
-_FIXED: Final = (Space.UNIFORM, Space.STORAGE, Space.CONSTANT)
+_FIXED: Final = (AddressSpace.UNIFORM, AddressSpace.STORAGE, AddressSpace.CONSTANT)
 _MORE: Final = 1.001
 _LEAST: Final = 2.0**-64
 _ROUNDING: Final = 2.0**-22
@@ -94,19 +94,19 @@ class _Analysis:
         magnitude = self.measure(value) if value is not None else None
         for variable in _written(statement):
             self._known.pop(id(variable), None)
-            if magnitude is not None and variable.level is Level.VARYING:
+            if magnitude is not None and variable.level is Uniformity.VARYING:
                 self._known[id(variable)] = self._name(magnitude, variable.name, statement.line)
 
     def measure(self, value: Value) -> _Magnitude | None:
         """A component's magnitude; None if it isn't affine."""
-        if value.kind is not Kind.FLOAT:
+        if value.kind is not ScalarKind.FLOAT:
             return None
         if _is_fixed(value):
             size = literal(abs(value.value)) if isinstance(value, Literal) else apply("abs", value)
             return _extend(size), 0
         match value:
             case Argument(name=name) if name.startswith(_INPUTS):
-                reach = Argument(Kind.FLOAT, Level.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
+                reach = Argument(ScalarKind.FLOAT, Uniformity.LANES, f"{_REACHES}{name[len(_INPUTS) :]}")
                 return _extend(reach), 0
             case Get(variable=variable):
                 return self._known.get(id(variable))
@@ -123,9 +123,9 @@ class _Analysis:
 
     def _name(self, magnitude: _Magnitude, name: str, line: tuple[str, int]) -> _Magnitude:
         value, roundings = magnitude
-        variable = Variable(f"reach_{len(self.block)}_{name}", Kind.FLOAT, Level.LANES)
+        variable = Variable(f"reach_{len(self.block)}_{name}", ScalarKind.FLOAT, Uniformity.LANES)
         self.block.append(Let(line, variable, value))
-        return Get(Kind.FLOAT, Level.LANES, variable), roundings
+        return Get(ScalarKind.FLOAT, Uniformity.LANES, variable), roundings
 
 
 def _extend(value: Value) -> Value:
@@ -144,7 +144,7 @@ def _inputs_of(value: Value) -> Iterator[int]:
 
 def _is_fixed(value: Value) -> bool:
     """Whether a value is the same for all vertices of an instance."""
-    if value.level is Level.VARYING or (isinstance(value, Get) and value.variable.level is Level.VARYING):
+    if value.level is Uniformity.VARYING or (isinstance(value, Get) and value.variable.level is Uniformity.VARYING):
         return False
     if isinstance(value, Load) and value.memory.space not in _FIXED:
         return False
@@ -155,7 +155,7 @@ def _has_effect(statement: lanes.Statement) -> bool:
     """Whether something but variables changes."""
     match statement:
         case lanes.Store(memory=memory):
-            return memory.space is not Space.PRIVATE
+            return memory.space is not AddressSpace.PRIVATE
         case lanes.TextureAccess(operation=operation):
             return operation == "store"
     return isinstance(statement, lanes.Atomic | lanes.Barrier)

@@ -4,7 +4,7 @@ places in a dispatch, atomics, barriers, `uniform`."""
 from __future__ import annotations
 
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Get, Kind, Level, Value, apply, number
+from rhi.shading.ir.lanes import Get, ScalarKind, Uniformity, Value, apply, number
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.types import ImageType, TextureType
@@ -48,13 +48,13 @@ class BuiltinLowering(ExpressionLowering):
 
     def uniform(self, value: Value) -> Value:
         """What the first lane has that takes part, for all lanes of a work-item."""
-        if self.width <= 1 or value.level < Level.VARYING:
+        if self.width <= 1 or value.level < Uniformity.VARYING:
             return value
-        if value.kind is Kind.BOOL:
-            return apply("not_equal", self.uniform(self.convert(value, Kind.INT)), number(0))
+        if value.kind is ScalarKind.BOOL:
+            return apply("not_equal", self.uniform(self.convert(value, ScalarKind.INT)), number(0))
         mask = self.effect_mask()
-        taking_part = Get(Kind.BOOL, mask.level, mask) if mask is not None else lanes.TRUE
-        first = self.let(lanes.Apply(value.kind, Level.LANES, "uniform", (value, taking_part)))
+        taking_part = Get(ScalarKind.BOOL, mask.level, mask) if mask is not None else lanes.TRUE
+        first = self.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, taking_part)))
         if self.checked:
             wrong = self.let(apply("not_equal", value, first), "wrong")
             self.emit(lanes.Check(self.line, wrong, apply("as_int", value), number(-1), self.effect_mask()))
@@ -88,7 +88,7 @@ class BuiltinLowering(ExpressionLowering):
         if waits:
             conditions = [scope.level for scope in self.scopes_up_to(None) if scope.kind != "function"]
             level = max([*conditions, self.frame.left])  # returns count from where they stand
-            if level > Level.GROUP:
+            if level > Uniformity.GROUP:
                 self.refuse(
                     rules.BARRIER,
                     "a barrier that part of a work-group may not reach",
@@ -102,9 +102,9 @@ class BuiltinLowering(ExpressionLowering):
             case "local_index":
                 return [self.local_index()]
             case "group_id" | "group_count":
-                place = lanes.Place(name)
-                level = Level.GROUP if name == "group_id" else Level.DISPATCH
-                return [lanes.Input(Kind.INT, level, place, axis) for axis in range(3)]
+                place = lanes.DispatchIndex(name)
+                level = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
+                return [lanes.Input(ScalarKind.INT, level, place, axis) for axis in range(3)]
             case "local_id":
                 return [self.local_axis(axis) for axis in range(3)]
         groups = self.place_in_dispatch("group_id")
@@ -115,11 +115,13 @@ class BuiltinLowering(ExpressionLowering):
         if self.work_group == (1, 1, 1):
             return number(0)
         if self.width == 0:
-            return lanes.Input(Kind.INT, Level.VARYING, lanes.Place.LOCAL_INDEX)
-        return self.lanes_from(lanes.Input(Kind.INT, Level.LANES, lanes.Place.ITEM) * number(self.width))
+            return lanes.Input(ScalarKind.INT, Uniformity.VARYING, lanes.DispatchIndex.LOCAL_INDEX)
+        return self.lanes_from(
+            lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
+        )
 
     def lanes_from(self, first: Value) -> Value:
-        return lanes.Affine(Kind.INT, Level.VARYING, first, 1) if self.width > 1 else first
+        return lanes.Affine(ScalarKind.INT, Uniformity.VARYING, first, 1) if self.width > 1 else first
 
     def local_axis(self, axis: int) -> Value:
         size, before = self.work_group[axis], 1
@@ -129,7 +131,9 @@ class BuiltinLowering(ExpressionLowering):
             return number(0)
         if self.work_group[0] % max(self.width, 1) == 0 and self.width:
             # The lanes of a work-item lie in one row.
-            first = lanes.Input(Kind.INT, Level.LANES, lanes.Place.ITEM) * number(self.width)
+            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(
+                self.width
+            )
             row = self.floored(False, self.floored(True, first, number(before)), number(size))
             return self.lanes_from(row) if axis == 0 else row
         index = self.local_index()

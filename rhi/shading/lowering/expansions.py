@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Final, TypeAlias
 
-from rhi.shading.ir.lanes import Kind, Value, apply, literal
+from rhi.shading.ir.lanes import ScalarKind, Value, apply, literal
 from rhi.shading.language.builtins import BUILTINS, Builtin
 
 __rhi_internal__ = True
@@ -133,7 +133,7 @@ def clamp(x: Value, low: Value, high: Value) -> Value:
 
 
 def mix(x: Value, y: Value, a: Value) -> Value:
-    if a.kind is Kind.BOOL:
+    if a.kind is ScalarKind.BOOL:
         return _if(a, y, x)
     return x * (_like(x, 1.0) - a) + y * a
 
@@ -238,11 +238,11 @@ def all_of(let: LetFunction, v: Components) -> list[Value]:
 
 
 def _uint(value: int) -> Value:
-    return literal(value, Kind.UINT)
+    return literal(value, ScalarKind.UINT)
 
 
 def _int(value: int) -> Value:
-    return literal(value, Kind.INT)
+    return literal(value, ScalarKind.INT)
 
 
 def find_lsb(x: Value) -> Value:
@@ -251,7 +251,7 @@ def find_lsb(x: Value) -> Value:
 
 
 def find_msb(x: Value) -> Value:
-    if x.kind is Kind.INT:
+    if x.kind is ScalarKind.INT:
         x = apply("xor", x, apply("shift_right", x, _int(31)))
     return _int(31) - apply("as_int", apply("leading_zeros", x))
 
@@ -264,7 +264,7 @@ def bitfield_reverse(let: LetFunction, v: Components) -> list[Value]:
             low = apply("shift_left", bits & _uint(mask), _uint(count))
             bits = let(apply("shift_right", bits, _uint(count)) & _uint(mask) | low)
         bits = apply("shift_right", bits, _uint(16)) | apply("shift_left", bits, _uint(16))
-        result.append(bits if part.kind is Kind.UINT else apply("as_int", bits))
+        result.append(bits if part.kind is ScalarKind.UINT else apply("as_int", bits))
     return result
 
 
@@ -280,7 +280,7 @@ def bitfield_extract(let: LetFunction, v: Components, offset: Components, count:
     ones, result = let(_ones(count[0])), []
     for part in v:
         bits = let(apply("shift_right", apply("as_uint", part), start) & ones)
-        if part.kind is Kind.INT:
+        if part.kind is ScalarKind.INT:
             # The field's top bit, moved to all places above it.
             top = let(apply("xor", ones, apply("shift_right", ones, _uint(1))))
             extended = apply("xor", bits, top) - top
@@ -298,7 +298,7 @@ def bitfield_insert(
     for old, new in zip(base, v, strict=True):
         moved = apply("shift_left", apply("as_uint", new), start) & field
         bits = apply("as_uint", old) & apply("invert", field) | moved
-        result.append(bits if old.kind is Kind.UINT else apply("as_int", bits))
+        result.append(bits if old.kind is ScalarKind.UINT else apply("as_int", bits))
     return result
 
 

@@ -7,12 +7,12 @@ from typing import Final
 from rhi.contract.layout import INT, UINT, ArrayType, Layout, MatrixType, StructType, VectorType, stride_of
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
+    AddressSpace,
     Get,
-    Kind,
-    Level,
     Literal,
-    Memory,
-    Space,
+    MemoryRegion,
+    ScalarKind,
+    Uniformity,
     Value,
     Variable,
     apply,
@@ -22,8 +22,7 @@ from rhi.shading.ir.lanes import (
 from rhi.shading.ir.tree import Expression, Operator
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
-from rhi.shading.language.shader import Declaration
-from rhi.shading.language.shader import Memory as Field
+from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import StorageType, scalar_of
 from rhi.shading.lowering.expansions import all_of, any_of, by_component, dot, float_modulo
 from rhi.shading.lowering.places import (
@@ -72,7 +71,7 @@ class ExpressionLowering(ScopeLowering):
     def __init__(self, width: int, work_group: tuple[int, int, int]) -> None:
         super().__init__(width)
         self.work_group = work_group
-        self.memories: dict[object, Memory] = {}
+        self.memories: dict[object, MemoryRegion] = {}
         self.checked = False
 
     # -- what statements provide
@@ -110,7 +109,7 @@ class ExpressionLowering(ScopeLowering):
             return self.read(at)
         match node:
             case tree.Constant(value=value):
-                return [Literal(KINDS[node.type], Level.DISPATCH, value)]  # type: ignore[index]
+                return [Literal(KINDS[node.type], Uniformity.DISPATCH, value)]  # type: ignore[index]
             case tree.Member(base=base, name=name):
                 assert isinstance(base.type, StructType)
                 values, start = self.lower(base), 0
@@ -128,7 +127,7 @@ class ExpressionLowering(ScopeLowering):
                 return self.index_value(self.named(base), words_of(node.type), self.one(index))  # type: ignore[arg-type]
             case tree.Length(base=base):
                 assert isinstance(base, tree.BindingRead)
-                return [lanes.Count(Kind.INT, Level.DISPATCH, self.memory(base.declaration))]
+                return [lanes.Count(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))]
             case tree.Unary(operator=operator, operand=operand):
                 return [apply(_OPERATIONS[operator], value) for value in self.lower(operand)]
             case tree.Binary():
@@ -148,36 +147,36 @@ class ExpressionLowering(ScopeLowering):
                 return self.builtin(node, wanted=True)
         raise TypeError(f"no lane code for {node}")
 
-    def convert(self, value: Value, kind: Kind) -> Value:
+    def convert(self, value: Value, kind: ScalarKind) -> Value:
         """A component as another kind."""
         if value.kind is kind:
             return value
-        if value.kind is Kind.BOOL:
+        if value.kind is ScalarKind.BOOL:
             return apply("select", value, literal(1, kind), literal(0, kind))
-        if kind is Kind.BOOL:
+        if kind is ScalarKind.BOOL:
             return apply("not_equal", value, literal(0, value.kind))
-        if isinstance(value, Literal) and kind is Kind.FLOAT:
+        if isinstance(value, Literal) and kind is ScalarKind.FLOAT:
             return literal(float(value.value))
-        if Kind.FLOAT in (kind, value.kind):
+        if ScalarKind.FLOAT in (kind, value.kind):
             return apply(f"to_{kind.value}", value)
         return apply(f"as_{kind.value}", value)
 
     # -- places
 
-    def memory(self, declaration: Declaration) -> Memory:
+    def memory(self, declaration: Declaration) -> MemoryRegion:
         """A binding's memory."""
         known = self.memories.get(declaration.name)
         if known is None:
             type = declaration.type
-            if declaration.memory is Field.STORAGE:
+            if declaration.storage_class is StorageClass.STORAGE:
                 assert isinstance(type, StorageType)
                 stride = stride_of(type.element, Layout.STD430) // 4
-                known = Memory(declaration.name, Space.STORAGE, stride, 0, type.writable)
-            elif declaration.memory is Field.UNIFORM:
+                known = MemoryRegion(declaration.name, AddressSpace.STORAGE, stride, 0, type.writable)
+            elif declaration.storage_class is StorageClass.UNIFORM:
                 words = stride_of(type, Layout.STD140) // 4  # type: ignore[arg-type]
-                known = Memory(declaration.name, Space.UNIFORM, length=words)
-            elif declaration.memory is Field.SHARED:
-                known = Memory(declaration.name, Space.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
+                known = MemoryRegion(declaration.name, AddressSpace.UNIFORM, length=words)
+            elif declaration.storage_class is StorageClass.SHARED:
+                known = MemoryRegion(declaration.name, AddressSpace.SHARED, 1, words_of(type), True)  # type: ignore[arg-type]
             else:
                 self.refuse(
                     rules.NATIVE,
@@ -194,11 +193,11 @@ class ExpressionLowering(ScopeLowering):
             case tree.Read(local=local):
                 homes = self.frame.slots[local]
                 return LocalPlace(local.type, homes)  # type: ignore[arg-type]
-            case tree.BindingRead(declaration=declaration) if declaration.memory in (
-                Field.UNIFORM,
-                Field.SHARED,
+            case tree.BindingRead(declaration=declaration) if declaration.storage_class in (
+                StorageClass.UNIFORM,
+                StorageClass.SHARED,
             ):
-                layout = Layout.STD140 if declaration.memory is Field.UNIFORM else None
+                layout = Layout.STD140 if declaration.storage_class is StorageClass.UNIFORM else None
                 memory = self.memory(declaration)
                 return MemoryPlace(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
             case tree.ConstantArray(type=type):
@@ -213,14 +212,14 @@ class ExpressionLowering(ScopeLowering):
                 declaration.type, StorageType
             ):
                 memory = self.memory(declaration)
-                row = self.let(self.convert(self.one(index), Kind.INT))
-                row = self.check_index(row, lanes.Count(Kind.INT, Level.DISPATCH, memory))
+                row = self.let(self.convert(self.one(index), ScalarKind.INT))
+                row = self.check_index(row, lanes.Count(ScalarKind.INT, Uniformity.DISPATCH, memory))
                 return MemoryPlace(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
             case tree.Index(base=base, index=index):
                 at = self.place(base)
                 if at is None:
                     return None
-                row = self.let(self.convert(self.one(index), Kind.INT))
+                row = self.let(self.convert(self.one(index), ScalarKind.INT))
                 row = self.check_index(row, number(count_parts(base.type)))  # type: ignore[arg-type]
                 return part(at, int(row.value)) if isinstance(row, Literal) else element(at, row)
         return None
@@ -233,15 +232,15 @@ class ExpressionLowering(ScopeLowering):
         self.emit(lanes.Check(self.line, wrong, index, limit, self.effect_mask()))
         return self.let(apply("select", wrong, number(0), index))
 
-    def constants(self, node: tree.ConstantArray) -> Memory:
+    def constants(self, node: tree.ConstantArray) -> MemoryRegion:
         """The memory of a module's constant."""
         key = ("constant", id(node))
         if key not in self.memories:
             values = [value for one in node.elements for value in self.lower(one)]
             numbers = tuple(value.value for value in values if isinstance(value, Literal))
             name = f"constant_{len(self.memories)}"
-            self.memories[key] = Memory(
-                name, Space.CONSTANT, 1, len(values), kind=values[0].kind, values=numbers
+            self.memories[key] = MemoryRegion(
+                name, AddressSpace.CONSTANT, 1, len(values), kind=values[0].kind, values=numbers
             )
         return self.memories[key]
 
@@ -264,31 +263,31 @@ class ExpressionLowering(ScopeLowering):
                 choices = [self.read(one) for one in places]
                 return [select_by_index(index, list(values)) for values in zip(*choices, strict=True)]
 
-    def read_home(self, home: Slot | Memory, index: Value | None) -> Value:
-        if isinstance(home, Memory):
+    def read_home(self, home: Slot | MemoryRegion, index: Value | None) -> Value:
+        if isinstance(home, MemoryRegion):
             assert index is not None
             return self.load(home, home.kind, index, 1, 0)
         variable = home.variable
         value: Value = Get(variable.kind, variable.level, variable)
-        return lanes.Affine(variable.kind, Level.VARYING, value, home.stride) if home.stride else value
+        return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
-    def load(self, memory: Memory, kind: Kind, index: Value, scale: int, offset: int) -> Value:
+    def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
         """A word of memory; what may be written is read now, and not where its value happens to be used."""
         level = index.level
         match memory.space:
-            case Space.PRIVATE:
+            case AddressSpace.PRIVATE:
                 level = max(level, memory.level)
-            case Space.SHARED:
-                level = max(level, Level.GROUP)
-            case Space.STORAGE if memory.writable:
-                level = max(level, Level.GROUP)
-        is_bool = kind is Kind.BOOL and memory.space is not Space.PRIVATE
-        stored = Kind.UINT if is_bool else kind
-        mask = self.scope.mask if index.level > Level.DISPATCH else None
+            case AddressSpace.SHARED:
+                level = max(level, Uniformity.GROUP)
+            case AddressSpace.STORAGE if memory.writable:
+                level = max(level, Uniformity.GROUP)
+        is_bool = kind is ScalarKind.BOOL and memory.space is not AddressSpace.PRIVATE
+        stored = ScalarKind.UINT if is_bool else kind
+        mask = self.scope.mask if index.level > Uniformity.DISPATCH else None
         value: Value = lanes.Load(stored, level, memory, index, scale, offset, mask)
         if memory.writable:
             value = self.let(value, memory.name)
-        return apply("not_equal", value, literal(0, Kind.UINT)) if is_bool else value
+        return apply("not_equal", value, literal(0, ScalarKind.UINT)) if is_bool else value
 
     def index_value(self, values: list[Value], size: int, index: Value) -> list[Value]:
         """Parts of a value that has no place."""
@@ -339,7 +338,7 @@ class ExpressionLowering(ScopeLowering):
 
     def floored(self, divide: bool, a: Value, b: Value) -> Value:
         """`//` and `%`."""
-        if a.kind is Kind.FLOAT:
+        if a.kind is ScalarKind.FLOAT:
             return apply("floor", a / b) if divide else float_modulo(a, b)
         if isinstance(b, Literal) and b.value > 0 and int(b.value).bit_count() == 1:
             if divide:
@@ -354,14 +353,14 @@ class ExpressionLowering(ScopeLowering):
             return [apply("and" if is_and else "or", left, self.one(node.right))]
         left = self.let(left)
         level = max(left.level, self.level_of((self.frame.path, id(node))))
-        result = self.variable("condition", Kind.BOOL, level)
+        result = self.variable("condition", ScalarKind.BOOL, level)
         self.emit(lanes.Let(self.line, result, left))
         with self.branch(left if is_and else apply("not", left)):
             right = self.one(node.right)
             mask = self.scope.mask if self.scope.owns else None
-            level, _ = self.fact((self.frame.path, id(node)), max(left.level, right.level))
+            level, _ = self.join((self.frame.path, id(node)), max(left.level, right.level))
             self.emit(lanes.Set(self.line, result, right, mask))
-        return [Get(Kind.BOOL, level, result)]
+        return [Get(ScalarKind.BOOL, level, result)]
 
     def select(self, condition: Value, then: Expression, otherwise: Expression) -> list[Value]:
         """`a if c else b`."""
@@ -380,7 +379,7 @@ class ExpressionLowering(ScopeLowering):
                 values = self.lower(node)
                 mask = self.scope.mask if self.scope.owns else None
                 for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
-                    slot.level, _ = self.fact((key, i), max(condition.level, value.level))
+                    slot.level, _ = self.join((key, i), max(condition.level, value.level))
                     self.emit(lanes.Set(self.line, slot, value, mask))
         return [Get(slot.kind, slot.level, slot) for slot in slots]
 
@@ -434,7 +433,7 @@ def is_simple(node: Expression) -> bool:
     if isinstance(node, tree.Call | tree.ConstantArray):
         return False
     if isinstance(node, tree.BindingRead):
-        return node.declaration.memory is Field.UNIFORM and not isinstance(node.type, ArrayType)
+        return node.declaration.storage_class is StorageClass.UNIFORM and not isinstance(node.type, ArrayType)
     if isinstance(node, tree.Index) and isinstance(node.base.type, ArrayType | StorageType):
         return False
     if isinstance(node, tree.BuiltinCall) and node.builtin.effect is not Effect.NONE:

@@ -11,15 +11,15 @@ from collections.abc import Callable
 from rhi.contract.layout import ArrayType, StructType
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
+    AddressSpace,
     Affine,
-    Body,
     Code,
     Get,
-    Kind,
-    Level,
+    InlinedCall,
     Literal,
-    Memory,
-    Space,
+    MemoryRegion,
+    ScalarKind,
+    Uniformity,
     Value,
     apply,
     literal,
@@ -41,7 +41,7 @@ from rhi.shading.lowering.places import (
     private_level,
     word_offsets,
 )
-from rhi.shading.lowering.scopes import Frame, Scope
+from rhi.shading.lowering.scopes import Frame, MaskScope
 from rhi.shading.lowering.textures import TextureLowering
 
 __rhi_internal__ = True
@@ -75,10 +75,10 @@ def lower_compute(
 def lower_function(function: tree.Function) -> Code:
     """A function of values in lane code for whole arrays, its parameters' scalars as arguments."""
     lowering = Lowering(0, (1, 1, 1))
-    kinds: list[Kind] = []
+    kinds: list[ScalarKind] = []
     for parameter in function.parameters:
         kinds += all_kinds(parameter.type)  # type: ignore[arg-type]
-    arguments = tuple(lanes.Argument(kind, Level.VARYING, f"a{i}") for i, kind in enumerate(kinds))
+    arguments = tuple(lanes.Argument(kind, Uniformity.VARYING, f"a{i}") for i, kind in enumerate(kinds))
     while True:
         lowering.start()
         results = lowering.entry(function, arguments)
@@ -96,7 +96,7 @@ class Lowering(TextureLowering):
         self.frame = Frame(function, ())
         invocations = math.prod(self.work_group)
         if self.width > 1 and invocations % self.width:
-            first = lanes.Input(Kind.INT, Level.LANES, lanes.Place.ITEM) * number(self.width)
+            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
             present = apply("less", self.lanes_from(first), number(invocations))
             self.scope.mask, self.scope.owns = self.new_mask(present, "present"), True
         return self.inline(function, list(arguments), ())
@@ -136,13 +136,13 @@ class Lowering(TextureLowering):
                 )
         self.frame, self.pending = frame, False
         masked = early and not (self.branches(level) and self.width)
-        self.scope = Scope("function", outer, level if masked else Level.DISPATCH, outer.mask, False, path)
+        self.scope = MaskScope("function", outer, level if masked else Uniformity.DISPATCH, outer.mask, False, path)
         results: list[Value] = []
         with self.into([]) as block:
             if masked:
                 self.scope.mask = self.new_mask(self.mask_value(), "inside")
                 self.scope.owns = True
-            frame.body = Body(caller_line(caller, at), f"{function.name}_{self.count}", block)
+            frame.body = InlinedCall(caller_line(caller, at), f"{function.name}_{self.count}", block)
             self.count += 1
             start = 0
             for parameter in function.parameters:
@@ -179,13 +179,13 @@ class Lowering(TextureLowering):
 
     # -- locals
 
-    def new_slot(self, name: str, kind: Kind, key: object, value: Value | None) -> Slot:
+    def new_slot(self, name: str, kind: ScalarKind, key: object, value: Value | None) -> Slot:
         """A component of a local begins."""
         stride = value.stride if isinstance(value, Affine) else 0
         if value is not None:
-            self.fact(key, value.level, stride)
-        level, stride = self.facts.get(key, (Level.DISPATCH, 0))
-        variable = self.variable(name, kind, Level.LANES if stride else level)
+            self.join(key, value.level, stride)
+        level, stride = self.facts.get(key, (Uniformity.DISPATCH, 0))
+        variable = self.variable(name, kind, Uniformity.LANES if stride else level)
         if stride and isinstance(value, Affine):
             value = value.base
         self.emit(lanes.Let(self.line, variable, value))
@@ -203,7 +203,7 @@ class Lowering(TextureLowering):
                 level = private_level(self.level_of(key)) if self.width else self.level_of(key)
                 self.count += 1
                 name = f"{local.name}_{self.count}"
-                memory = Memory(name, Space.PRIVATE, 1, count, True, kind, level)
+                memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, level)
                 self.private[id(memory)] = (key, self.scope)
                 self.emit(lanes.Begin(self.line, memory, zeros))
                 homes.append(memory)
@@ -247,7 +247,7 @@ class Lowering(TextureLowering):
                     with self.branch(apply("equal", index, number(which))):
                         self.write(one, values)
 
-    def apart(self, homes: list[Slot | Memory], values: list[Value]) -> list[Value]:
+    def apart(self, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
         """Values that don't read what is assigned before them: `v = v.yx`."""
         targets = {id(home.variable) for home in homes if isinstance(home, Slot)}
         clash = len(values) > 1 and any(
@@ -273,31 +273,31 @@ class Lowering(TextureLowering):
         if blend and self.scope.mask is not None:
             level = max(level, self.scope.mask.level)
         stride = value.stride if isinstance(value, Affine) and not blend else 0
-        level, stride = self.fact(slot.key, level, stride)
+        level, stride = self.join(slot.key, level, stride)
         variable = slot.variable
-        variable.level, slot.stride = Level.LANES if stride else level, stride
+        variable.level, slot.stride = Uniformity.LANES if stride else level, stride
         if stride and isinstance(value, Affine):
             value = value.base
         self.emit(lanes.Set(self.line, variable, value, self.scope.mask if blend else None))
 
-    def store_private(self, memory: Memory, index: Value, value: Value) -> None:
+    def store_private(self, memory: MemoryRegion, index: Value, value: Value) -> None:
         key, scope = self.private[id(memory)]
         level, blend = max(value.level, index.level), False
         for inner in self.scopes_up_to(scope):
             level, blend = max(level, inner.level), blend or inner.owns
-        self.fact(key, level)
+        self.join(key, level)
         memory.level = private_level(self.level_of(key)) if self.width else self.level_of(key)
         # The index of a lane that doesn't take part may be anything.
-        mask = self.scope.mask if blend or index.level is Level.VARYING else None
+        mask = self.scope.mask if blend or index.level is Uniformity.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
 
     def store(self, at: MemoryPlace, values: list[Value]) -> None:
         memory, offsets = at.memory, word_offsets(at.type, at.layout)
-        if at.index.level < Level.VARYING and self.scope.mask is None:
+        if at.index.level < Uniformity.VARYING and self.scope.mask is None:
             self.check_race(memory, values)
         words = [
-            apply("select", value, literal(1, Kind.UINT), literal(0, Kind.UINT))
-            if value.kind is Kind.BOOL
+            apply("select", value, literal(1, ScalarKind.UINT), literal(0, ScalarKind.UINT))
+            if value.kind is ScalarKind.BOOL
             else value
             for value in values
         ]
@@ -308,13 +308,13 @@ class Lowering(TextureLowering):
             while end < len(words) and offsets[end] == offsets[end - 1] + 1:
                 end += 1
             run, offset = tuple(words[start:end]), at.offset + offsets[start]
-            padding = int(len(words) == 3 and memory.stride == 4 and memory.space is Space.STORAGE)
+            padding = int(len(words) == 3 and memory.stride == 4 and memory.space is AddressSpace.STORAGE)
             padding = padding if at.scale == 4 and at.offset == 0 and end == 3 else 0
             self.emit(lanes.Store(self.line, memory, at.index, at.scale, offset, run, mask, padding))
             start = end
 
-    def check_race(self, memory: Memory, values: list[Value]) -> None:
-        if math.prod(self.work_group) > 1 and any(value.level is Level.VARYING for value in values):
+    def check_race(self, memory: MemoryRegion, values: list[Value]) -> None:
+        if math.prod(self.work_group) > 1 and any(value.level is Uniformity.VARYING for value in values):
             self.refuse(
                 rules.RACE,
                 f"a store to one element of {memory.name} by all invocations of a work-group",
@@ -368,7 +368,7 @@ class Lowering(TextureLowering):
                 assert self.frame.body is not None
                 if node is self.frame.function.body[-1]:
                     return  # nothing follows
-                self.exit("function", lanes.Leave(self.line, self.frame.body))
+                self.exit("function", lanes.Return(self.line, self.frame.body))
             case tree.Discard():
                 self.discard()
 
@@ -401,7 +401,7 @@ class Lowering(TextureLowering):
                     self.statements(node.otherwise)
             return
         outer = self.scope
-        self.scope = Scope("branch", outer, condition.level, outer.mask, False)
+        self.scope = MaskScope("branch", outer, condition.level, outer.mask, False)
         with self.into([]) as then:
             self.statements(node.then)
         with self.into([]) as otherwise:
@@ -415,14 +415,14 @@ class Lowering(TextureLowering):
         start, stop, step = self.let(start), self.copy(stop), self.copy(step)
         key = (path, id(node), "count")
         level = max(start.level, step.level)
-        stride = start.stride if isinstance(start, Affine) and step.level < Level.VARYING else 0
-        level, stride = self.fact(key, level, stride)
+        stride = start.stride if isinstance(start, Affine) and step.level < Uniformity.VARYING else 0
+        level, stride = self.join(key, level, stride)
         first = start.base if stride and isinstance(start, Affine) else start
-        variable = self.variable(node.local.name, Kind.INT, Level.LANES if stride else level)
+        variable = self.variable(node.local.name, ScalarKind.INT, Uniformity.LANES if stride else level)
         self.emit(lanes.Let(self.line, variable, first))
         slot = Slot(variable, stride, key, self.scope)
         self.frame.slots[node.local] = [slot]
-        advance = lanes.Set(self.line, variable, Get(Kind.INT, variable.level, variable) + step, None)
+        advance = lanes.Set(self.line, variable, Get(ScalarKind.INT, variable.level, variable) + step, None)
 
         def test() -> Value:
             count = self.read_home(slot, None)
@@ -443,14 +443,14 @@ class Lowering(TextureLowering):
         self.frame.left = max(self.frame.left, self.level_of((key, "left")))
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
-        scope = self.scope = Scope("loop", outer, level, mask, masked, key)
+        scope = self.scope = MaskScope("loop", outer, level, mask, masked, key)
         with self.into([]) as block:
             go_on = test()
-            self.fact((key, "loop"), go_on.level)
+            self.join((key, "loop"), go_on.level)
             if masked:
                 assert mask is not None
                 if not (isinstance(go_on, Literal) and go_on.value):
-                    both = apply("and", Get(Kind.BOOL, mask.level, mask), go_on)
+                    both = apply("and", Get(ScalarKind.BOOL, mask.level, mask), go_on)
                     self.emit(lanes.Set(self.line, mask, both, None))
                 self.emit(lanes.Break(self.line, mask))
             elif not (isinstance(go_on, Literal) and go_on.value):
@@ -460,24 +460,24 @@ class Lowering(TextureLowering):
                 self.emit(lanes.Break(self.line, mask))
             if not self.branches(turn_level):
                 turn = self.new_mask(self.mask_value(), "turn")
-                self.scope = Scope("turn", scope, turn_level, turn, True, key)
+                self.scope = MaskScope("turn", scope, turn_level, turn, True, key)
             else:
-                self.scope = Scope("turn", scope, turn_level, mask, masked, key)
+                self.scope = MaskScope("turn", scope, turn_level, mask, masked, key)
             self.statements(body)
         self.scope = outer
-        self.fact((key, "left"), self.frame.left)
+        self.join((key, "left"), self.frame.left)
         self.emit(lanes.Loop(self.line, block, advance))
         self.pending = self.returns > returns
 
     def exit(self, kind: str, jump: lanes.Statement) -> None:
         """A break, continue or return: a jump where it is the same for all lanes, else the masks lose lanes."""
         target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
-        level = max([scope.level for scope in self.scopes_up_to(target)], default=Level.DISPATCH)
-        level, _ = self.fact((target.key, kind), level)
+        level = max([scope.level for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH)
+        level, _ = self.join((target.key, kind), level)
         if kind == "function":
             self.frame.left = max(self.frame.left, level)
         if self.branches(level) and (self.width or kind != "function"):
-            if isinstance(jump, lanes.Leave):
+            if isinstance(jump, lanes.Return):
                 jump.body.is_left = True
             self.emit(jump)
         elif self.scope.mask is not None:  # else a later run knows the mask

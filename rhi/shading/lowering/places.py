@@ -25,11 +25,11 @@ from rhi.contract.layout import (
     VectorType,
     place,
 )
-from rhi.shading.ir.lanes import Kind, Level, Literal, Memory, Value, Variable, apply, number
+from rhi.shading.ir.lanes import Literal, MemoryRegion, ScalarKind, Uniformity, Value, Variable, apply, number
 
 __rhi_internal__ = True
 
-KINDS = {FLOAT: Kind.FLOAT, INT: Kind.INT, UINT: Kind.UINT, BOOL: Kind.BOOL}
+KINDS = {FLOAT: ScalarKind.FLOAT, INT: ScalarKind.INT, UINT: ScalarKind.UINT, BOOL: ScalarKind.BOOL}
 
 
 @dataclass(slots=True, eq=False)
@@ -42,7 +42,7 @@ class Slot:
     scope: object = None
 
 
-Home: TypeAlias = Slot | Memory
+Home: TypeAlias = Slot | MemoryRegion
 
 
 @dataclass(slots=True)
@@ -59,7 +59,7 @@ class MemoryPlace:
     """A value in memory: at `index * scale + offset` words."""
 
     type: HostType
-    memory: Memory
+    memory: MemoryRegion
     layout: Layout | None
     index: Value
     scale: int
@@ -78,7 +78,7 @@ class Choice:
 AnyPlace: TypeAlias = LocalPlace | MemoryPlace | Choice
 
 
-def leaf_kinds(type: HostType) -> list[tuple[Kind, int]]:
+def leaf_kinds(type: HostType) -> list[tuple[ScalarKind, int]]:
     """The kinds of a type's components, and how many elements of arrays share each."""
     match type:
         case ScalarType():
@@ -86,7 +86,7 @@ def leaf_kinds(type: HostType) -> list[tuple[Kind, int]]:
         case VectorType(scalar=scalar, size=size):
             return [(KINDS[scalar], 0)] * size
         case MatrixType(size=size):
-            return [(Kind.FLOAT, 0)] * size**2
+            return [(ScalarKind.FLOAT, 0)] * size**2
         case ArrayType(element=element, length=length):
             return [(kind, max(count, 1) * length) for kind, count in leaf_kinds(element)]
         case StructType(fields=fields):
@@ -98,7 +98,7 @@ def words_of(type: HostType) -> int:
     return sum(max(count, 1) for _, count in leaf_kinds(type))
 
 
-def all_kinds(type: HostType) -> list[Kind]:
+def all_kinds(type: HostType) -> list[ScalarKind]:
     """The kinds of all scalars of a value, arrays' elements one by one."""
     match type:
         case ArrayType(element=element, length=length):
@@ -218,9 +218,9 @@ def element(at: AnyPlace, index: Value) -> AnyPlace:
             return Choice(inner, at.index, [element(one, index) for one in at.places])
 
 
-def private_level(level: Level) -> Level:
+def private_level(level: Uniformity) -> Uniformity:
     """Private memory is never shared beyond the lanes of a work-item."""
-    return max(level, Level.LANES)
+    return max(level, Uniformity.LANES)
 
 
 def select_by_index(index: Value, values: list[Value]) -> Value:

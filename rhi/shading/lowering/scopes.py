@@ -1,6 +1,6 @@
 """Scopes, masks and facts: who takes part in what, and how far values are the same for all.
 
-- A `Scope` is a part of the program under one condition: a branch, a loop, a turn of a loop, a called function's
+- A `MaskScope` is a part of the program under one condition: a branch, a loop, a turn of a loop, a called function's
   body. Where its condition varies among lanes it owns a mask. A variable that is assigned inside scopes that don't
   hold its declaration is as varying as they are, and blended if one of them owns a mask.
 - Facts (the level of a variable, of a loop's exits, of a function's returns) only rise. Lowering runs until it finds
@@ -16,8 +16,8 @@ from typing import NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import FALSE, TRUE, Body, Get, Kind, Level, Value, Variable, apply
-from rhi.shading.language.source import Place, show
+from rhi.shading.ir.lanes import FALSE, TRUE, Get, InlinedCall, ScalarKind, Uniformity, Value, Variable, apply
+from rhi.shading.language.source import SourceSpan, show
 from rhi.shading.lowering.places import Home, Slot
 
 __rhi_internal__ = True
@@ -27,12 +27,12 @@ HEAVY = 24
 
 
 @dataclass(slots=True, eq=False)
-class Scope:
+class MaskScope:
     """See above. `mask` is the nearest one, own or not; `kind` is branch, loop, turn or function."""
 
     kind: str
-    parent: Scope | None
-    level: Level
+    parent: MaskScope | None
+    level: Uniformity
     mask: Variable | None
     owns: bool
     key: object = None
@@ -45,8 +45,8 @@ class Frame:
     function: tree.Function
     path: tuple[int, ...]
     caller: Frame | None = None
-    left: Level = Level.DISPATCH  # of the returns so far, those of callers included
-    body: Body | None = None
+    left: Uniformity = Uniformity.DISPATCH  # of the returns so far, those of callers included
+    body: InlinedCall | None = None
     results: list[Slot] = field(default_factory=list)
     textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class ScopeLowering:
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self.facts: dict[object, tuple[Level, int]] = {}
+        self.facts: dict[object, tuple[Uniformity, int]] = {}
         self.changed = False
         self.start()
 
@@ -66,31 +66,31 @@ class ScopeLowering:
         self.changed = False
         self.block: lanes.Block = []
         self.count = 0
-        self.at = Place(0)
+        self.at = SourceSpan(0)
         self.pending = False  # masks were narrowed: whether a lane is left is to be asked
         self.returns = 0  # how many returns narrowed masks
-        self.private: dict[int, tuple[object, Scope]] = {}
-        self.scope = Scope("function", None, Level.DISPATCH, None, False)
+        self.private: dict[int, tuple[object, MaskScope]] = {}
+        self.scope = MaskScope("function", None, Uniformity.DISPATCH, None, False)
         self.frame: Frame
 
     # -- what the machine has
 
-    def branches(self, level: Level) -> bool:
+    def branches(self, level: Uniformity) -> bool:
         """Whether a condition of this level is a real branch: OpenCL's scalars, NumPy's single values."""
-        return level <= Level.LANES if self.width else level is Level.DISPATCH
+        return level <= Uniformity.LANES if self.width else level is Uniformity.DISPATCH
 
     @property
-    def own_level(self) -> Level:
+    def own_level(self) -> Uniformity:
         """The level of what each invocation has for itself."""
-        return Level.LANES if self.width == 1 else Level.VARYING
+        return Uniformity.LANES if self.width == 1 else Uniformity.VARYING
 
     # -- facts
 
-    def level_of(self, key: object) -> Level:
+    def level_of(self, key: object) -> Uniformity:
         """The level known so far."""
-        return self.facts.get(key, (Level.DISPATCH, 0))[0]
+        return self.facts.get(key, (Uniformity.DISPATCH, 0))[0]
 
-    def fact(self, key: object, level: Level, stride: int = 0) -> tuple[Level, int]:
+    def join(self, key: object, level: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
         """Add what was found; gives what holds now."""
         known = self.facts.get(key)
         now = (level, stride)
@@ -117,7 +117,7 @@ class ScopeLowering:
         yield block
         self.block = before
 
-    def variable(self, name: str, kind: Kind, level: Level) -> Variable:
+    def variable(self, name: str, kind: ScalarKind, level: Uniformity) -> Variable:
         """A new variable with a name of its own."""
         self.count += 1
         return Variable(f"{name}_{self.count}", kind, level)
@@ -147,11 +147,11 @@ class ScopeLowering:
     def mask_value(self) -> Value:
         """Who takes part now."""
         mask = self.scope.mask
-        return Get(Kind.BOOL, mask.level, mask) if mask is not None else TRUE
+        return Get(ScalarKind.BOOL, mask.level, mask) if mask is not None else TRUE
 
-    def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[Scope]:
+    def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
         """The scopes from the current one outwards, up to `end`."""
-        scope: Scope | None = self.scope
+        scope: MaskScope | None = self.scope
         while scope is not None and scope is not end:
             yield scope
             scope = scope.parent
@@ -159,21 +159,21 @@ class ScopeLowering:
             yield scope
 
     def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(name, Kind.BOOL, value.level if not self.width else Level.VARYING)
+        mask = self.variable(name, ScalarKind.BOOL, value.level if not self.width else Uniformity.VARYING)
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 
-    def narrow(self, end: Scope) -> None:
+    def narrow(self, end: MaskScope) -> None:
         """Take the current lanes out of all masks up to and with that of `end`."""
         mask = self.scope.mask
         assert mask is not None
-        current = Get(Kind.BOOL, mask.level, mask)
+        current = Get(ScalarKind.BOOL, mask.level, mask)
         left = self.let(apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
             if scope.owns and other is not None and other is not mask:
                 self.emit(
-                    lanes.Set(self.line, other, apply("and", Get(Kind.BOOL, other.level, other), left), None)
+                    lanes.Set(self.line, other, apply("and", Get(ScalarKind.BOOL, other.level, other), left), None)
                 )
         self.emit(lanes.Set(self.line, mask, FALSE, None))
 
@@ -192,7 +192,7 @@ class ScopeLowering:
             if scope.kind == "function":
                 if scope.owns and self.frame.body is not None and self.width:
                     self.frame.body.is_left = True
-                    self.emit(lanes.Leave(self.line, self.frame.body, mask))
+                    self.emit(lanes.Return(self.line, self.frame.body, mask))
                 return
 
     @contextmanager
@@ -200,7 +200,7 @@ class ScopeLowering:
         """What happens where the condition holds."""
         outer = self.scope
         if self.branches(condition.level):
-            self.scope = Scope("branch", outer, condition.level, outer.mask, False)
+            self.scope = MaskScope("branch", outer, condition.level, outer.mask, False)
             with self.into([]) as block:
                 yield
             self.scope = outer
@@ -208,12 +208,12 @@ class ScopeLowering:
                 self.emit(lanes.If(self.line, condition, block, []))
             return
         mask = self.new_mask(apply("and", self.mask_value(), condition), "mask")
-        self.scope = Scope("branch", outer, condition.level, mask, True)
+        self.scope = MaskScope("branch", outer, condition.level, mask, True)
         with self.into([]) as block:
             yield
         self.scope = outer
         if is_heavy(block):
-            taken = Get(Kind.BOOL, mask.level, mask)
+            taken = Get(ScalarKind.BOOL, mask.level, mask)
             self.emit(lanes.If(self.line, taken, block, [], any_lane=True))
         else:
             self.block.extend(block)

@@ -19,16 +19,16 @@ from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.lanes import (
     FIRST_VERTEX,
     WIDTH,
+    AddressSpace,
     Affine,
     Argument,
     Code,
     Count,
     Get,
-    Kind,
-    Level,
-    Memory,
-    Space,
+    MemoryRegion,
+    ScalarKind,
     StageCode,
+    Uniformity,
     Value,
     Variable,
     apply,
@@ -47,20 +47,20 @@ _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias"
 _DEPTH: Final = -1
 
 
-def _argument(name: str, kind: Kind = Kind.INT, level: Level = Level.LANES) -> Argument:
+def _argument(name: str, kind: ScalarKind = ScalarKind.INT, level: Uniformity = Uniformity.LANES) -> Argument:
     return Argument(kind, level, name)
 
 
-_MASK: Final = _argument("mask", Kind.BOOL, Level.VARYING)
+_MASK: Final = _argument("mask", ScalarKind.BOOL, Uniformity.VARYING)
 _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
     Stage.VERTEX: {
-        "vertex_index": (_argument(FIRST_VERTEX, level=Level.VARYING),),
+        "vertex_index": (_argument(FIRST_VERTEX, level=Uniformity.VARYING),),
         "instance_index": (_argument("instance"),),
         "draw_index": (_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(_argument(axis, Kind.FLOAT, Level.VARYING) for axis in "xyzw"),
-        "front_facing": (_argument("front", Kind.BOOL),),
+        "fragment_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"),
+        "front_facing": (_argument("front", ScalarKind.BOOL),),
         "primitive_index": (_argument("primitive"),),
     },
 }
@@ -118,7 +118,7 @@ def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
 def _vertex_arguments(stage: tree.StageTree) -> list[Value]:
     """The components of the parameters: words attribute by attribute, which is their own order."""
     kinds = [kind for _, type in _parameter_fields(stage) for kind in all_kinds(type)]
-    return [_argument(f"inputs_{word}", kind, Level.VARYING) for word, kind in enumerate(kinds)]
+    return [_argument(f"inputs_{word}", kind, Uniformity.VARYING) for word, kind in enumerate(kinds)]
 
 
 def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[Value]:
@@ -133,7 +133,7 @@ def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...
             elif varying.interpolation is Interpolation.FLAT:
                 values.append(_argument(f"flat_{varying.word + i}", kind))
             else:
-                values.append(_argument(f"inputs_{varying.word + i}", kind, Level.VARYING))
+                values.append(_argument(f"inputs_{varying.word + i}", kind, Uniformity.VARYING))
     return values
 
 
@@ -181,7 +181,7 @@ class StageLowering(Lowering):
     def start(self) -> None:
         super().start()
         self.discards = 0
-        self.discarded = Level.DISPATCH
+        self.discarded = Uniformity.DISPATCH
         self.covered: Variable
         self.kept: Value
 
@@ -226,8 +226,8 @@ class StageLowering(Lowering):
         while frame.caller is not None and frame.caller.caller is not None:
             frame = frame.caller
         target = scopes[-2]  # the entry's; the last one holds the mask that the stage is given
-        level = max([scope.level for scope in scopes[:-2]], default=Level.DISPATCH)
-        self.fact((target.key, "function"), level)
+        level = max([scope.level for scope in scopes[:-2]], default=Uniformity.DISPATCH)
+        self.join((target.key, "function"), level)
         self.discarded = max(self.discarded, level)
         self.frame.left = max(self.frame.left, level)
         assert frame.body is not None
@@ -236,7 +236,7 @@ class StageLowering(Lowering):
         self.emit(lanes.Set(self.line, self.kept.variable, self.kept & left, None))
         if self.branches(level) and self.width:
             frame.body.is_left = True
-            self.emit(lanes.Leave(self.line, frame.body))
+            self.emit(lanes.Return(self.line, frame.body))
         else:
             self.narrow(target)
             if self.has_helpers:  # those that nobody needs any more leave, too
@@ -251,27 +251,27 @@ class StageLowering(Lowering):
 
     # -- values
 
-    def load(self, memory: Memory, kind: Kind, index: Value, scale: int, offset: int) -> Value:
+    def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
         last: Value = number((memory.length - 1 - offset) // scale)
-        if memory.space is Space.STORAGE:  # scale is an element's words, or 1
-            count = Count(Kind.INT, Level.DISPATCH, memory)
+        if memory.space is AddressSpace.STORAGE:  # scale is an element's words, or 1
+            count = Count(ScalarKind.INT, Uniformity.DISPATCH, memory)
             whole = scale == memory.stride
             last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
         return super().load(memory, kind, self.limited(index, last), scale, offset)
 
-    def store_private(self, memory: Memory, index: Value, value: Value) -> None:
+    def store_private(self, memory: MemoryRegion, index: Value, value: Value) -> None:
         super().store_private(memory, self.limited(index, number(memory.length - 1)), value)
 
     def limited(self, index: Value, last: Value) -> Value:
         """An index of memory; helpers may have any."""
-        if not self.has_helpers or index.level < Level.VARYING:
+        if not self.has_helpers or index.level < Uniformity.VARYING:
             return index
         return self.let(apply("max", apply("min", index, last), number(0)))
 
     def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
         name = node.builtin.name
         if name == "vertex_index" and self.width:
-            return [Affine(Kind.INT, Level.VARYING, _argument(FIRST_VERTEX), 1)]
+            return [Affine(ScalarKind.INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1)]
         if name in _INPUTS[self.stage.stage]:
             return list(_INPUTS[self.stage.stage][name])
         if name in ("ddx", "ddy", "fwidth"):
@@ -286,7 +286,7 @@ class StageLowering(Lowering):
 
     def difference(self, name: str, value: Value) -> Value:
         """`ddx` or `ddy` of a component."""
-        return apply(name, value) if value.level is Level.VARYING else literal(0.0)
+        return apply(name, value) if value.level is Uniformity.VARYING else literal(0.0)
 
 
 def get(variable: Variable) -> Value:

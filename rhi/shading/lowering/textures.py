@@ -11,7 +11,16 @@ from typing import Final
 
 from rhi.contract.descriptors import TextureKind
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Get, Kind, Level, Memory, Space, Value, literal, number
+from rhi.shading.ir.lanes import (
+    AddressSpace,
+    Get,
+    MemoryRegion,
+    ScalarKind,
+    Uniformity,
+    Value,
+    literal,
+    number,
+)
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.builtins import BuiltinLowering
 from rhi.shading.lowering.places import KINDS, all_kinds
@@ -42,7 +51,7 @@ class TextureLowering(BuiltinLowering):
         if name in ("size", "levels"):
             count = len(all_kinds(node.type))  # type: ignore[arg-type]
             first: list[Value] = [] if name == "levels" else [number(0)]
-            return self.access(name, memory, arguments[0] if arguments else first, Kind.INT, count)
+            return self.access(name, memory, arguments[0] if arguments else first, ScalarKind.INT, count)
         at = arguments[0]
         at = [*at, literal(0, at[0].kind)][:3]
         if isinstance(type, ImageType):
@@ -56,7 +65,7 @@ class TextureLowering(BuiltinLowering):
             return self.access(name, memory, inputs, KINDS[type.scalar], 4)
         if type.compare:
             level = arguments[2] if name == "sample_compare_lod" else self.find_level(memory, type, at)
-            return self.access("sample_compare", memory, [*at, *arguments[1], *level], Kind.FLOAT, 1)
+            return self.access("sample_compare", memory, [*at, *arguments[1], *level], ScalarKind.FLOAT, 1)
         match name:
             case "sample_lod":
                 level = arguments[1]
@@ -74,38 +83,38 @@ class TextureLowering(BuiltinLowering):
         return node
 
     def image(
-        self, name: str, memory: Memory, type: ImageType, at: list[Value], rest: list[list[Value]]
+        self, name: str, memory: MemoryRegion, type: ImageType, at: list[Value], rest: list[list[Value]]
     ) -> list[Value]:
         place = self.check_texel(memory, at, number(0))
         if name == "load":
             return self.access("load", memory, place, KINDS[type.scalar], 4)
         (values,), at = rest, place[:3]
         mask = self.effect_mask()
-        if mask is None and all(value.level < Level.VARYING for value in at):
+        if mask is None and all(value.level < Uniformity.VARYING for value in at):
             self.check_race(memory, values)
         self.emit(lanes.TextureAccess(self.line, "store", memory, (*at, *values), (), mask))
         return []
 
-    def check_texel(self, memory: Memory, at: list[Value], level: Value) -> list[Value]:
+    def check_texel(self, memory: MemoryRegion, at: list[Value], level: Value) -> list[Value]:
         """A texel and its level, each number reported where it is outside, if the shader is checked. Where lanes
         want different levels, only those are."""
         if not self.checked:
             return [*at, level]
-        (count,) = self.access("levels", memory, [], Kind.INT, 1)
+        (count,) = self.access("levels", memory, [], ScalarKind.INT, 1)
         level = self.check_index(level, count)
-        if level.level is Level.VARYING and self.width != 1:
+        if level.level is Uniformity.VARYING and self.width != 1:
             return [*at, level]
         axes = 2 if memory.shape is TextureKind.D2 else 3
-        sizes = self.access("size", memory, [level], Kind.INT, axes)
+        sizes = self.access("size", memory, [level], ScalarKind.INT, axes)
         checked = [self.check_index(self.let(axis), size) for axis, size in zip(at, sizes, strict=False)]
         return [*checked, *at[axes:], level]
 
-    def check_race(self, memory: Memory, values: list[Value]) -> None:
+    def check_race(self, memory: MemoryRegion, values: list[Value]) -> None:
         """Refuse different values for one place."""
         raise NotImplementedError
 
     def find_level(
-        self, memory: Memory, type: TextureType, at: list[Value], bias: Value | None = None
+        self, memory: MemoryRegion, type: TextureType, at: list[Value], bias: Value | None = None
     ) -> list[Value]:
         """The level from the differences between pixels."""
         if not self.has_helpers:
@@ -117,7 +126,7 @@ class TextureLowering(BuiltinLowering):
 
     def level_of_detail(
         self,
-        memory: Memory,
+        memory: MemoryRegion,
         at: list[Value],
         dx: list[Value],
         dy: list[Value],
@@ -125,27 +134,27 @@ class TextureLowering(BuiltinLowering):
     ) -> list[Value]:
         """The level for a step to the next pixel in two directions."""
         steps = [value for step in (dx, dy) for value in (*step, literal(0.0))[:3]]
-        return self.access("level_of_detail", memory, [*at, *steps, bias], Kind.FLOAT, 1)
+        return self.access("level_of_detail", memory, [*at, *steps, bias], ScalarKind.FLOAT, 1)
 
-    def texture_memory(self, source: tree.BindingRead) -> Memory:
+    def texture_memory(self, source: tree.BindingRead) -> MemoryRegion:
         """A texture or image."""
         name = source.declaration.name
         known = self.memories.get(name)
         if known is None:
             assert isinstance(source.type, TextureType | ImageType)
-            space = Space.IMAGE if isinstance(source.type, ImageType) else Space.TEXTURE
-            known = Memory(name, space, writable=space is Space.IMAGE, shape=source.type.kind)
+            space = AddressSpace.IMAGE if isinstance(source.type, ImageType) else AddressSpace.TEXTURE
+            known = MemoryRegion(name, space, writable=space is AddressSpace.IMAGE, shape=source.type.kind)
             self.memories[name] = known
         return known
 
     def access(
-        self, operation: str, memory: Memory, arguments: list[Value], kind: Kind, count: int
+        self, operation: str, memory: MemoryRegion, arguments: list[Value], kind: ScalarKind, count: int
     ) -> list[Value]:
         """An access and its results."""
         arguments = [self.let(value) for value in arguments]
-        level = max([value.level for value in arguments], default=Level.DISPATCH)
+        level = max([value.level for value in arguments], default=Uniformity.DISPATCH)
         if memory.writable and operation == "load":
-            level = max(level, Level.GROUP)
+            level = max(level, Uniformity.GROUP)
         results = tuple(self.variable(memory.name, kind, level) for _ in range(count))
         mask = self.scope.mask
         self.emit(lanes.TextureAccess(self.line, operation, memory, tuple(arguments), results, mask))

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from rhi.shading.ir.lanes import Code, Space
+from rhi.shading.ir.lanes import AddressSpace, Code
 from rhi.shading.numpy import runtime as numpy_runtime
 from rhi.shading.numpy.writer import write_numpy
 
@@ -27,7 +27,7 @@ INVOCATIONS: Final = 1 << 18
 
 def write_kernel(code: Code) -> str:
     """The module of a compute stage: `run`, and what its launch must know."""
-    shared = {memory.name: memory.length for memory in code.memories if memory.space is Space.SHARED}
+    shared = {memory.name: memory.length for memory in code.memories if memory.space is AddressSpace.SHARED}
     head = [
         "import numpy as np",
         "from rhi.shading.numpy import runtime as R",

@@ -11,13 +11,23 @@ import math
 from typing import Final
 
 from rhi.shading.ir import lanes
-from rhi.shading.ir.lanes import Code, Kind, Memory, Space, Value
+from rhi.shading.ir.lanes import AddressSpace, Code, MemoryRegion, ScalarKind, Value
 from rhi.shading.ir.primitives import spelling
 
 __rhi_internal__ = True
 
-_ZEROS: Final = {Kind.FLOAT: "F(0)", Kind.INT: "np.int32(0)", Kind.UINT: "np.uint32(0)", Kind.BOOL: "False"}
-_DTYPES: Final = {Kind.FLOAT: "F", Kind.INT: "np.int32", Kind.UINT: "np.uint32", Kind.BOOL: "np.bool_"}
+_ZEROS: Final = {
+    ScalarKind.FLOAT: "F(0)",
+    ScalarKind.INT: "np.int32(0)",
+    ScalarKind.UINT: "np.uint32(0)",
+    ScalarKind.BOOL: "False",
+}
+_DTYPES: Final = {
+    ScalarKind.FLOAT: "F",
+    ScalarKind.INT: "np.int32",
+    ScalarKind.UINT: "np.uint32",
+    ScalarKind.BOOL: "np.bool_",
+}
 
 
 def write_numpy(code: Code) -> str:
@@ -43,7 +53,7 @@ class _Writer:
         if names:
             head.append(f"    {names}= arguments")
         for memory in self.code.memories:
-            if memory.space is Space.CONSTANT:
+            if memory.space is AddressSpace.CONSTANT:
                 numbers = (
                     ", ".join(map(repr, memory.values)).replace("inf", "np.inf").replace("nan", "np.nan")
                 )
@@ -53,9 +63,13 @@ class _Writer:
         head.extend(f"    {name} = {text}" for text, name in self.constants.items())
         return "\n".join([*head, *self.lines, f"    return ({results})"]) + "\n"
 
-    def name(self, memory: Memory) -> str:
+    def name(self, memory: MemoryRegion) -> str:
         """What a shader's class names ends in an underscore, since the module has names of its own."""
-        return memory.name if memory.space in (Space.PRIVATE, Space.CONSTANT) else f"{memory.name}_"
+        return (
+            memory.name
+            if memory.space in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
+            else f"{memory.name}_"
+        )
 
     def add(self, depth: int, text: str) -> None:
         self.lines.append("    " * depth + text)
@@ -75,7 +89,7 @@ class _Writer:
                 return f"({self.value(base)} + P.lanes * {stride})"
             case lanes.Count(memory=memory):
                 return f"np.int32({self.name(memory)}.size // {memory.stride})"
-            case lanes.Input(place=lanes.Place.LOCAL_INDEX):
+            case lanes.Input(place=lanes.DispatchIndex.LOCAL_INDEX):
                 return "P.local_index"
             case lanes.Input(place=place, axis=axis):
                 return f"P.{place.value}[{axis}]"
@@ -85,10 +99,10 @@ class _Writer:
                 return self.load(node)
         raise TypeError(f"no NumPy for {node}")
 
-    def literal(self, kind: Kind, value: float) -> str:
-        if kind is Kind.BOOL:
+    def literal(self, kind: ScalarKind, value: float) -> str:
+        if kind is ScalarKind.BOOL:
             return repr(bool(value))
-        if kind is Kind.FLOAT:
+        if kind is ScalarKind.FLOAT:
             number = float(value)
             text = repr(number) if math.isfinite(number) else f'float("{number}")'
             text = f"F({text})"
@@ -105,11 +119,11 @@ class _Writer:
         memory = node.memory
         address = self.address(node.index, node.scale, node.offset)
         mask = node.mask.name if node.mask is not None else "None"
-        if memory.space is Space.PRIVATE:
+        if memory.space is AddressSpace.PRIVATE:
             return f"R.load_private({self.name(memory)}, {address}, {mask})"
-        if memory.space is Space.CONSTANT:
+        if memory.space is AddressSpace.CONSTANT:
             return f"R.load({self.name(memory)}, {address}, {mask})"
-        if memory.space is Space.SHARED:
+        if memory.space is AddressSpace.SHARED:
             return f"R.load_shared({self.name(memory)}, {address}, {mask}, P, {_DTYPES[node.kind]})"
         return f"R.load_words({self.name(memory)}, {address}, {mask}, {_DTYPES[node.kind]})"
 
@@ -163,7 +177,7 @@ class _Writer:
                 self.jump("break", mask, depth)
             case lanes.Continue(none=mask):
                 self.jump("continue", mask, depth)
-            case lanes.Body(block=inner):
+            case lanes.InlinedCall(block=inner):
                 self.block(inner, depth)
             case _:
                 raise TypeError(f"no NumPy for {node}")
@@ -177,12 +191,12 @@ class _Writer:
                 self.statement(statement, depth)
         self.add(depth, word)
 
-    def target(self, memory: Memory, index: Value, scale: int, offset: int) -> str:
+    def target(self, memory: MemoryRegion, index: Value, scale: int, offset: int) -> str:
         return f"{self.name(memory)}, {self.address(index, scale, offset)}"
 
     def store(self, node: lanes.Store, depth: int) -> None:
         mask = node.mask.name if node.mask is not None else "None"
-        function = {Space.PRIVATE: "store_private", Space.SHARED: "store_shared"}.get(
+        function = {AddressSpace.PRIVATE: "store_private", AddressSpace.SHARED: "store_shared"}.get(
             node.memory.space, "store"
         )
         for i, value in enumerate(node.values):
@@ -192,7 +206,7 @@ class _Writer:
     def atomic(self, node: lanes.Atomic, depth: int) -> None:
         mask = node.mask.name if node.mask is not None else "None"
         target = self.target(node.memory, node.index, node.scale, node.offset)
-        shared = node.memory.space is Space.SHARED
+        shared = node.memory.space is AddressSpace.SHARED
         values = ", ".join(map(self.value, node.values))
         result = f"{node.result.name} = " if node.result is not None else ""
         wanted = node.result is not None

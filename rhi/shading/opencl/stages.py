@@ -29,7 +29,7 @@ from typing import Final
 
 from rhi.contract.descriptors import Binding, Stage
 from rhi.shading.ir import tree
-from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, Bounds, Level, StageCode
+from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, Bounds, StageCode, Uniformity
 from rhi.shading.ir.text import StageText
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl.writer import Writer
@@ -102,4 +102,4 @@ class _StageWriter(Writer):
         array, _, word = node.name.partition("_")
         if not word:
             return node.name if node.name != FIRST_VERTEX else "vertex.s0"
-        return self.cast(node.kind, node.level is Level.VARYING, f"{array}[{word}]")
+        return self.cast(node.kind, node.level is Uniformity.VARYING, f"{array}[{word}]")

@@ -3,7 +3,7 @@
 - A kernel's arguments are the shader's bindings in order: `constant uint *` for a uniform block, `global uint *` and
   the number of elements for a buffer. Its work-items are a work-group's invocations divided by the width, in one
   dimension; the groups may have three.
-- Memory is words, cast by `as_float` and `as_int`. A mask is an int vector of 0 and -1.
+- MemoryRegion is words, cast by `as_float` and `as_int`. A mask is an int vector of 0 and -1.
 - With a width of 1 there are no masks: loops, branches and returns are C's.
 """
 
@@ -15,7 +15,17 @@ from typing import Final
 
 from rhi.contract.descriptors import Binding, BindingKind, TextureKind
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Affine, Code, Kind, Level, Literal, Memory, Space, Value, number
+from rhi.shading.ir.lanes import (
+    AddressSpace,
+    Affine,
+    Code,
+    Literal,
+    MemoryRegion,
+    ScalarKind,
+    Uniformity,
+    Value,
+    number,
+)
 from rhi.shading.ir.primitives import spelling
 from rhi.shading.ir.text import Lines, StageText, power_steps
 from rhi.shading.language.builtins import Precision
@@ -24,14 +34,14 @@ from rhi.shading.opencl.textures import textures_text
 
 __rhi_internal__ = True
 
-_NAMES: Final = {Kind.FLOAT: "float", Kind.INT: "int", Kind.UINT: "uint", Kind.BOOL: "int"}
+_NAMES: Final = {ScalarKind.FLOAT: "float", ScalarKind.INT: "int", ScalarKind.UINT: "uint", ScalarKind.BOOL: "int"}
 _ATOMICS: Final = {"exchange": "xchg", "compare_exchange": "cmpxchg"}
 _SPACES: Final = {
-    Space.STORAGE: "global",
-    Space.SHARED: "local",
-    Space.UNIFORM: "constant",
-    Space.PRIVATE: "private",
-    Space.CONSTANT: "constant",
+    AddressSpace.STORAGE: "global",
+    AddressSpace.SHARED: "local",
+    AddressSpace.UNIFORM: "constant",
+    AddressSpace.PRIVATE: "private",
+    AddressSpace.CONSTANT: "constant",
 }
 _LONGEST_STRIDE: Final = 8
 _LARGEST_POWER: Final = 64
@@ -73,7 +83,7 @@ class Writer:
         with self.lines.braces(f"kernel void compute({', '.join(parameters)})"):
             self.lines.add("const int rhi_item = (int)get_local_id(0);")
             for memory in self.code.memories:
-                if memory.space is Space.SHARED:
+                if memory.space is AddressSpace.SHARED:
                     self.lines.add(f"local uint {self.name(memory)}[{memory.length}];")
             self.body()
         return self.finish()
@@ -109,15 +119,15 @@ class Writer:
         called = prelude.functions_in(body + textures)
         texts += [prelude.function_text(name, self.width) for name in called] + [textures] * bool(textures)
         for memory in self.code.memories:
-            if memory.space is Space.CONSTANT:
+            if memory.space is AddressSpace.CONSTANT:
                 words = ", ".join(self.word(memory.kind, value) for value in memory.values)
                 texts.append(f"constant uint {self.name(memory)}[{memory.length}] = {{{words}}};")
         if self.native is not None:
             texts.append(self.native.declarations)
         return "\n".join([*texts, *self.helpers.values()]).split("\n")
 
-    def word(self, kind: Kind, value: float) -> str:
-        if kind is Kind.FLOAT:
+    def word(self, kind: ScalarKind, value: float) -> str:
+        if kind is ScalarKind.FLOAT:
             return f"0x{struct.unpack('<I', struct.pack('<f', value))[0]:08x}u"
         return f"{int(value) & 0xFFFFFFFF}u"
 
@@ -132,18 +142,18 @@ class Writer:
 
     # -- types and values
 
-    def type(self, kind: Kind, vector: bool) -> str:
+    def type(self, kind: ScalarKind, vector: bool) -> str:
         return _NAMES[kind] + (self.suffix if vector else "")
 
     def is_vector(self, value: Value) -> bool:
-        return value.level is Level.VARYING and self.width > 1
+        return value.level is Uniformity.VARYING and self.width > 1
 
     def wide(self, value: Value, vector: bool = True) -> str:
         """A value as a vector, if that is wanted."""
         text = self.value(value)
         if not vector or self.is_vector(value) or self.width == 1:
             return text
-        if value.kind is Kind.BOOL:
+        if value.kind is ScalarKind.BOOL:
             text = f"-({text})"
         return f"({self.type(value.kind, True)})({text})"
 
@@ -159,14 +169,14 @@ class Writer:
             case Affine(kind=kind, base=base, stride=stride):
                 steps = self.steps or "RHI_LANES"
                 steps = steps if stride == 1 else f"{steps} * {stride}"
-                steps = f"as_uint{self.width}({steps})" if kind is Kind.UINT else steps
+                steps = f"as_uint{self.width}({steps})" if kind is ScalarKind.UINT else steps
                 return f"({self.value(base)} + {steps})"
             case lanes.Count(memory=memory):
                 return f"{self.name(memory)}_count"
-            case lanes.Input(place=lanes.Place.ITEM):
+            case lanes.Input(place=lanes.DispatchIndex.ITEM):
                 return "rhi_item"
             case lanes.Input(place=place, axis=axis):
-                function = "get_group_id" if place is lanes.Place.GROUP_ID else "get_num_groups"
+                function = "get_group_id" if place is lanes.DispatchIndex.GROUP_ID else "get_num_groups"
                 return f"((int){function}({axis}))"
             case lanes.Apply():
                 return self.apply(node)
@@ -180,11 +190,11 @@ class Writer:
 
     def literal(self, node: Literal) -> str:
         value = node.value
-        if node.kind is Kind.BOOL:
+        if node.kind is ScalarKind.BOOL:
             return "1" if value else "0"
-        if node.kind is Kind.UINT:
+        if node.kind is ScalarKind.UINT:
             return f"{int(value) & 0xFFFFFFFF}u"
-        if node.kind is Kind.INT:
+        if node.kind is ScalarKind.INT:
             return (
                 "((int)0x80000000)"
                 if value == -(2**31)
@@ -208,7 +218,7 @@ class Writer:
                 return self.whole_power(base, int(exponent.value))
         row, vector = spelling(node.operation, self.precision), self.is_vector(node)
         texts = [
-            self.wide(one, vector and (not row.infix or one.kind is Kind.BOOL)) for one in node.arguments
+            self.wide(one, vector and (not row.infix or one.kind is ScalarKind.BOOL)) for one in node.arguments
         ]
         template = row.vector if vector and row.vector else row.opencl
         return template.format(*texts, type=self.type(node.kind, vector))
@@ -216,46 +226,46 @@ class Writer:
     def whole_power(self, base: Value, exponent: int) -> str:
         """Squares and factors, from the exponent's highest bit down."""
         name = f"rhi_power_{exponent}"
-        type = self.type(Kind.FLOAT, self.is_vector(base))
+        type = self.type(ScalarKind.FLOAT, self.is_vector(base))
         head = f"inline __attribute__((overloadable, always_inline)) {type} {name}({type} x)"
         self.helper(f"{name} {type}", f"{head} {{ {type} r = x; {power_steps(exponent)} return r; }}")
         return f"{name}({self.value(base)})"
 
     # -- memory
 
-    def name(self, memory: Memory) -> str:
+    def name(self, memory: MemoryRegion) -> str:
         """What a shader's class names ends in an underscore, since C has names of its own, such as `signed`."""
-        named = memory.space not in (Space.PRIVATE, Space.CONSTANT)
+        named = memory.space not in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
         return f"{memory.name}_" if named else memory.name
 
-    def pointer(self, memory: Memory) -> str:
-        if memory.space is Space.PRIVATE:
+    def pointer(self, memory: MemoryRegion) -> str:
+        if memory.space is AddressSpace.PRIVATE:
             return f"(private uint *){self.name(memory)}"
         return self.name(memory)
 
-    def words(self, memory: Memory) -> str:
-        if memory.space is Space.STORAGE:
+    def words(self, memory: MemoryRegion) -> str:
+        if memory.space is AddressSpace.STORAGE:
             return f"{self.name(memory)}_count * {memory.stride}" if memory.stride > 1 else f"{self.name(memory)}_count"
         return str(memory.length)
 
     def address(self, index: Value, scale: int, offset: int) -> Value:
         return index * number(scale) + number(offset)
 
-    def cast(self, kind: Kind, vector: bool, text: str) -> str:
-        if kind is Kind.UINT:
+    def cast(self, kind: ScalarKind, vector: bool, text: str) -> str:
+        if kind is ScalarKind.UINT:
             return text
         return f"as_{self.type(kind, vector)}({text})"
 
     def load(self, node: lanes.Load) -> str:
         memory, index = node.memory, node.index
-        if memory.space is Space.PRIVATE:
+        if memory.space is AddressSpace.PRIVATE:
             return self.load_private(node)
         if not self.is_vector(index):
             return self.cast(
                 node.kind, False, f"{self.name(memory)}[{self.value(self.address(index, node.scale, node.offset))}]"
             )
         space = _SPACES[memory.space]
-        if isinstance(index, Affine) and memory.space in (Space.STORAGE, Space.SHARED):
+        if isinstance(index, Affine) and memory.space in (AddressSpace.STORAGE, AddressSpace.SHARED):
             stride = index.stride * node.scale
             if 0 < stride <= _LONGEST_STRIDE:
                 first, offset = index.base * number(node.scale), node.offset
@@ -278,11 +288,11 @@ class Writer:
         place = self.wide(index)
         if node.mask is not None:
             place = f"({place} & {self.mask(node.mask)})"
-        varying = memory.level is Level.VARYING
+        varying = memory.level is Uniformity.VARYING
         if varying:
             place = f"{place} * {self.width} + RHI_LANES"
         text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {place})")
-        return text if varying or node.kind is not Kind.BOOL else f"(-{text})"
+        return text if varying or node.kind is not ScalarKind.BOOL else f"(-{text})"
 
     def mask(self, mask: lanes.Variable | None) -> str:
         return mask.name if mask is not None else f"(int{self.width})(-1)"
@@ -302,7 +312,7 @@ class Writer:
     def statement(self, node: lanes.Statement) -> None:
         match node:
             case lanes.Let(variable=variable, value=value):
-                vector = variable.level is Level.VARYING
+                vector = variable.level is Uniformity.VARYING
                 name = f"{self.type(variable.kind, vector)} {variable.name}"
                 text = self.wide(value, vector) if value is not None else "0"
                 self.add(node, f"{name} = {text};")
@@ -331,9 +341,9 @@ class Writer:
                 self.jump(node, "break", mask)
             case lanes.Continue(none=mask):
                 self.jump(node, "continue", mask)
-            case lanes.Leave(body=body, none=mask):
+            case lanes.Return(body=body, none=mask):
                 self.jump(node, f"goto end_{body.label}", mask)
-            case lanes.Body(label=label, block=inner, is_left=is_left):
+            case lanes.InlinedCall(label=label, block=inner, is_left=is_left):
                 with self.lines.braces("", *node.line):
                     self.block(inner)
                     if is_left:
@@ -348,8 +358,8 @@ class Writer:
         bad = self.wide(wrong) if mask is None else f"{self.wide(wrong)} & {self.mask(mask)}"
         self.add(node, f"rhi_check({bad}, {self.wide(given)}, {self.value(limit)}, rhi_faults, RHI_HERE);")
 
-    def begin(self, node: lanes.Statement, memory: Memory, zeros: bool) -> None:
-        vector = memory.level is Level.VARYING
+    def begin(self, node: lanes.Statement, memory: MemoryRegion, zeros: bool) -> None:
+        vector = memory.level is Uniformity.VARYING
         self.add(node, f"{self.type(memory.kind, vector)} {self.name(memory)}[{memory.length}];")
         if zeros:
             fill = f"{self.name(memory)}[i] = 0"
@@ -357,7 +367,7 @@ class Writer:
 
     def set(self, node: lanes.Set) -> str:
         variable = node.variable
-        text = self.wide(node.value, variable.level is Level.VARYING)
+        text = self.wide(node.value, variable.level is Uniformity.VARYING)
         if node.mask is not None:
             text = f"select({variable.name}, {text}, {node.mask.name})"
         return f"{variable.name} = {text}"
@@ -377,11 +387,11 @@ class Writer:
 
     def bits(self, value: Value, vector: bool) -> str:
         text = self.wide(value, vector)
-        return text if value.kind is Kind.UINT else f"as_{self.type(Kind.UINT, vector)}({text})"
+        return text if value.kind is ScalarKind.UINT else f"as_{self.type(ScalarKind.UINT, vector)}({text})"
 
     def store(self, node: lanes.Store) -> None:
         memory, index = node.memory, node.index
-        if memory.space is Space.PRIVATE:
+        if memory.space is AddressSpace.PRIVATE:
             self.store_private(node)
             return
         if not self.is_vector(index):
@@ -418,7 +428,7 @@ class Writer:
 
     def store_private(self, node: lanes.Store) -> None:
         memory, index, (value,) = node.memory, node.index, node.values
-        vector = memory.level is Level.VARYING
+        vector = memory.level is Uniformity.VARYING
         if not self.is_vector(index):
             place = f"{self.name(memory)}[{self.value(index)}]"
             text = self.wide(value, vector)
@@ -463,7 +473,7 @@ class Writer:
         operation, name, results = node.operation, node.memory.name, node.results
         self.textures.add(node.memory.shape)
         each = self.width > 1
-        varies = each and bool(results) and results[0].level is Level.VARYING
+        varies = each and bool(results) and results[0].level is Uniformity.VARYING
         first = ".s0" if each and not varies else ""
         texts = [self.wide(value, each) for value in node.arguments]
         if operation in ("size", "levels"):
@@ -485,7 +495,7 @@ class Writer:
             axes = [f", {axis}" if operation == "size" else "" for axis in range(len(results))]
             words = [f"{function}({arguments}{axis}){first}" for axis in axes]
         else:
-            kind, whole = self.type(Kind.UINT, each), f"{results[0].name}_words"
+            kind, whole = self.type(ScalarKind.UINT, each), f"{results[0].name}_words"
             self.add(node, f"{kind} {whole}[4]; {function}({name}_, {arguments}, {whole});")
             words = [
                 self.cast(result.kind, varies, f"{whole}[{i}]{first}") for i, result in enumerate(results)

@@ -13,8 +13,8 @@ from rhi.shading.ir.tree import Constant, Expression
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.builtins import BUILTINS, Builtin, Effect
-from rhi.shading.language.function import Function
-from rhi.shading.language.source import MISSING, place_of, source_of, suggest
+from rhi.shading.language.function import ShadingFunction
+from rhi.shading.language.source import MISSING, source_of, span_of, suggest
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.textures import methods_of
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, with_scalar
@@ -102,7 +102,7 @@ class CallParser(ExpressionParser):
         function = self.program.instance(callee, types, node, self.source)
         if function.has_effect:
             self.mark_effect()
-        return tree.Call(function.result, place_of(node), function, arguments)
+        return tree.Call(function.result, span_of(node), function, arguments)
 
     def _argument(self, callee: Callee, signature: Signature, name: str, at: ast.expr) -> Expression:
         wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
@@ -138,7 +138,7 @@ class CallParser(ExpressionParser):
             found = _PYTHON_BUILTINS.get(found, found)
         if isinstance(found, Builtin):
             return self._call_builtin(node, found, [])
-        if isinstance(found, Function):
+        if isinstance(found, ShadingFunction):
             return self._call_python(node, Callee(source_of(found.python), None, False))
         if found is builtins.len:
             return self._length(node)
@@ -191,7 +191,7 @@ class CallParser(ExpressionParser):
                 )
         if row.effect is Effect.BARRIER or row.effect is Effect.WRITE:
             self.mark_effect()
-        return tree.BuiltinCall(overload.result, place_of(node), row, overload, tuple(converted))
+        return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 
     def check_memory(self, place: Expression, at: ast.AST) -> None:
         """Refuse an atomic's first argument unless it is a place in writable storage or shared memory."""
@@ -206,10 +206,10 @@ class CallParser(ExpressionParser):
             self.refuse(rules.WRONG_ARGUMENTS, node, f"len of {len(node.args)} arguments", "len(array)")
         value = self.expression(node.args[0])
         if isinstance(value.type, ArrayType):
-            return Constant(INT, place_of(node), value.type.length, literal=True)
+            return Constant(INT, span_of(node), value.type.length, literal=True)
         if not isinstance(value.type, StorageType):
             self.refuse(rules.WRONG_TYPE, node.args[0], f"len({value.type})", "arrays and storage")
-        return tree.Length(INT, place_of(node), value)
+        return tree.Length(INT, span_of(node), value)
 
     def _zeros(self, node: ast.Call) -> Expression:
         if len(node.args) != 2 or node.keywords:
@@ -222,7 +222,7 @@ class CallParser(ExpressionParser):
             self.refuse(
                 rules.OUT_OF_RANGE, node.args[1], ast.unparse(node.args[1]), "a constant of 1 or more"
             )
-        return tree.Zeros(ArrayType(element, int(length.value)), place_of(node))
+        return tree.Zeros(ArrayType(element, int(length.value)), span_of(node))
 
     def _construct_struct(self, node: ast.Call, cls: type[Struct]) -> Expression:
         type = cls.shading_type
@@ -246,17 +246,17 @@ class CallParser(ExpressionParser):
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
         for field in type.fields:
             if field.name not in parts:
-                default = self.constant(cls._defaults.get(field.name), place_of(node), field.name)
+                default = self.constant(cls._defaults.get(field.name), span_of(node), field.name)
                 if default is None:
                     self.refuse(rules.WRONG_ARGUMENTS, node, f"no {field.name!r}", ", ".join(names))
                 parts[field.name] = self.convert(default, field.type, node)
-        return tree.Construct(type, place_of(node), tuple(parts[name] for name in names))
+        return tree.Construct(type, span_of(node), tuple(parts[name] for name in names))
 
     def _construct(self, node: ast.Call, type: Type) -> Expression:
         if node.keywords:
             self.refuse(rules.WRONG_ARGUMENTS, node, f"{node.keywords[0].arg}=…", "arguments by position")
         parts = [self.expression(argument) for argument in node.args]
-        place = place_of(node)
+        place = span_of(node)
         types = ", ".join(str(part.type) for part in parts)
         if isinstance(type, ScalarType):
             if len(parts) == 1 and isinstance(parts[0].type, ScalarType):

@@ -1,7 +1,7 @@
 """From Python's syntax to typed expressions.
 
 `ExpressionParser` handles one function; what a name is depends on the function's variables
-(`rhi.shading.parser.statements`), and a call of another function on the stage being compiled (`Program`).
+(`rhi.shading.parser.statements`), and a call of another function on the stage being compiled (`StageContext`).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from rhi.shading.ir.tree import Constant, Expression, Operator
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Builtin
 from rhi.shading.language.shader import Declaration, Shader
-from rhi.shading.language.source import MISSING, Place, Source, place_of, suggest, suggest_name
+from rhi.shading.language.source import MISSING, Source, SourceSpan, span_of, suggest, suggest_name
 from rhi.shading.language.textures import methods_of
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, is_value, scalar_of
 from rhi.shading.language.vectors import Composite
@@ -74,7 +74,7 @@ _ORDER_FUNCTIONS: Final = {
 _AXES: Final = ("xyzw", "rgba")
 
 
-class Program(Protocol):
+class StageContext(Protocol):
     """What an expression needs of the stage being compiled."""
 
     shader: type[Shader]
@@ -94,7 +94,7 @@ class Program(Protocol):
 class ExpressionParser:
     """Parses the expressions of one function."""
 
-    def __init__(self, program: Program, source: Source, owner: type | None, self_name: str | None) -> None:
+    def __init__(self, program: StageContext, source: Source, owner: type | None, self_name: str | None) -> None:
         self.program = program
         self.source = source
         self.owner = owner
@@ -114,7 +114,7 @@ class ExpressionParser:
             parts = tuple(self.converted(part, wanted.scalar) for part in node.elts)
             if len(parts) != wanted.size:
                 self.refuse(rules.WRONG_TYPE, node, f"{len(parts)} components", str(wanted))
-            return tree.Construct(wanted, place_of(node), parts)
+            return tree.Construct(wanted, span_of(node), parts)
         parse = getattr(self, f"_{type(node).__name__.lower()}", None)
         if parse is None:
             tip = "array(float, 4) makes an array of zeros; a constant one is a tuple of the module's or the class's"
@@ -146,7 +146,7 @@ class ExpressionParser:
         return value
 
     def refuse(
-        self, rule: Any, at: ast.AST | Place, given: str = "", allowed: str = "", tip: str = ""
+        self, rule: Any, at: ast.AST | SourceSpan, given: str = "", allowed: str = "", tip: str = ""
     ) -> NoReturn:
         self.source.refuse(rule, at, given, allowed, tip)
 
@@ -156,7 +156,7 @@ class ExpressionParser:
     # -- leaves
 
     def _constant(self, node: ast.Constant) -> Expression:
-        constant = self.constant(node.value, place_of(node), "")
+        constant = self.constant(node.value, span_of(node), "")
         if constant is None:
             self.refuse(rules.SYNTAX, node, f"a {type(node.value).__name__}", "numbers and bools")
         return constant
@@ -179,7 +179,7 @@ class ExpressionParser:
         return []
 
     def _as_expression(self, found: Any, node: ast.expr, name: str) -> Expression:
-        constant = self.constant(found, place_of(node), name)
+        constant = self.constant(found, span_of(node), name)
         if constant is None:
             self.refuse(
                 rules.NOT_SHADING,
@@ -190,7 +190,7 @@ class ExpressionParser:
             )
         return constant
 
-    def constant(self, value: Any, place: Place, name: str) -> Expression | None:
+    def constant(self, value: Any, place: SourceSpan, name: str) -> Expression | None:
         """A Python value as a constant, or None if it can't be one."""
         if isinstance(value, enum.Enum) and isinstance(value, int):
             value = int(value)
@@ -212,7 +212,7 @@ class ExpressionParser:
             return self._constant_array(value, place, name)
         return None
 
-    def _constant_array(self, value: tuple[Any, ...], place: Place, name: str) -> Expression | None:
+    def _constant_array(self, value: tuple[Any, ...], place: SourceSpan, name: str) -> Expression | None:
         elements = [self.constant(part, place, name) for part in value]
         types = [element.type for element in elements if element is not None]
         if len(types) != len(elements):
@@ -233,7 +233,7 @@ class ExpressionParser:
         if isinstance(node.op, ast.UAdd):
             return operand
         op = _UNARY[type(node.op)]
-        result = unary(op, operand, place_of(node))
+        result = unary(op, operand, span_of(node))
         if result is None:
             tip = "use invert(v)" if op is Operator.NOT and isinstance(operand.type, VectorType) else ""
             self.refuse(rules.WRONG_TYPE, node, f"{op.value} {operand.type}", tip=tip)
@@ -247,7 +247,7 @@ class ExpressionParser:
     def binary(self, op: Operator, left: Expression, right: Expression, at: ast.AST) -> Expression:
         """A typed binary operation, or a refusal."""
         try:
-            result = binary(op, left, right, place_of(at))
+            result = binary(op, left, right, span_of(at))
         except (ZeroDivisionError, OverflowError, ValueError, TypeError) as error:
             self.refuse(rules.OUT_OF_RANGE, at, str(error))
         if result is None:
@@ -290,7 +290,7 @@ class ExpressionParser:
             converted = convert(value, other.type)
             if converted is not None:
                 pair = (converted, other) if value is then else (other, converted)
-                return tree.Select(other.type, place_of(node), condition, *pair)
+                return tree.Select(other.type, span_of(node), condition, *pair)
         self.refuse(rules.WRONG_TYPE, node, f"{then.type} or {otherwise.type}", "one type")
 
     # -- members and elements
@@ -325,7 +325,7 @@ class ExpressionParser:
         if found is not MISSING:
             return self._as_expression(found, node, node.attr)
         base = self.expression(node.value)
-        place = place_of(node)
+        place = span_of(node)
         if isinstance(base.type, StructType):
             field = base.type.field(node.attr)
             if field is None:
@@ -342,12 +342,12 @@ class ExpressionParser:
             places = tuple(axes[: type.size].find(letter) for letter in node.attr)
             if len(places) <= 4 and min(places) >= 0:
                 result = type.scalar if len(places) == 1 else VECTORS[type.scalar, len(places)]
-                return tree.Swizzle(result, place_of(node), base, places)
+                return tree.Swizzle(result, span_of(node), base, places)
         allowed = " or ".join(axes[: type.size] for axes in _AXES)
         self.refuse(rules.UNKNOWN_MEMBER, node, f"{type}.{node.attr}", f"up to 4 of {allowed}")
 
     def _field_of_shader(self, node: ast.Attribute) -> Expression:
-        shader, place = self.program.shader, place_of(node)
+        shader, place = self.program.shader, span_of(node)
         declared: Declaration | None = shader._declared.get(node.attr)
         if declared is not None:
             return tree.BindingRead(declared.type, place, declared)
@@ -362,7 +362,7 @@ class ExpressionParser:
 
     def _subscript(self, node: ast.Subscript) -> Expression:
         base = self.expression(node.value)
-        type, place = base.type, place_of(node)
+        type, place = base.type, span_of(node)
         if isinstance(type, StorageType | ArrayType):
             element: Type = type.element
         elif isinstance(type, VectorType):
@@ -397,7 +397,7 @@ class ExpressionParser:
 
     # -- for calls and statements
 
-    def cast(self, value: Expression, type: ScalarType | VectorType, place: Place) -> Expression:
+    def cast(self, value: Expression, type: ScalarType | VectorType, place: SourceSpan) -> Expression:
         """A conversion asked for by name."""
         if value.type == type:
             return value

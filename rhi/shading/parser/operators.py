@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, MatrixType, ScalarType, VectorType
 from rhi.shading.ir.tree import Binary, Constant, Convert, Expression, Operator, Unary
-from rhi.shading.language.source import Place
+from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import Type, converts, scalar_of, with_scalar
 
 __rhi_internal__ = True
@@ -62,7 +62,7 @@ def convert(value: Expression, type: Type) -> Expression | None:
     return Convert(type, value.place, value)
 
 
-def unary(op: Operator, operand: Expression, place: Place) -> Expression | None:
+def unary(op: Operator, operand: Expression, place: SourceSpan) -> Expression | None:
     """`-x`, `~x` or `not x`."""
     scalar = scalar_of(operand.type)
     if op is Operator.NOT:
@@ -80,7 +80,7 @@ def unary(op: Operator, operand: Expression, place: Place) -> Expression | None:
     return Unary(operand.type, place, op, operand)
 
 
-def binary(op: Operator, left: Expression, right: Expression, place: Place) -> Expression | None:
+def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
     """`left op right`, folded if both are constants.
 
     Raises:
@@ -102,7 +102,7 @@ def binary(op: Operator, left: Expression, right: Expression, place: Place) -> E
     return node
 
 
-def _binary(op: Operator, left: Expression, right: Expression, place: Place) -> Expression | None:
+def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
     if op is Operator.MATRIX_MULTIPLY:
         return _matrix_multiply(left, right, place)
     if op in (Operator.AND, Operator.OR):
@@ -179,7 +179,7 @@ def _meet(left: Expression, right: Expression) -> ScalarType | None:
     return None
 
 
-def _matrix_multiply(left: Expression, right: Expression, place: Place) -> Expression | None:
+def _matrix_multiply(left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
     a, b = left.type, right.type
     if isinstance(a, MatrixType) and a == b:
         return Binary(a, place, Operator.MATRIX_MULTIPLY, left, right)
@@ -189,7 +189,7 @@ def _matrix_multiply(left: Expression, right: Expression, place: Place) -> Expre
     return None
 
 
-def _with_matrix(op: Operator, left: Expression, right: Expression, place: Place) -> Expression | None:
+def _with_matrix(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
     a, b = left.type, right.type
     if a == b and op in (Operator.ADD, Operator.SUBTRACT, Operator.MULTIPLY):
         return Binary(a, place, op, left, right)

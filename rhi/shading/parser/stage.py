@@ -17,8 +17,8 @@ from rhi.errors import CallSite, ShaderError
 from rhi.shading.ir import tree
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Builtin, Effect
-from rhi.shading.language.shader import Memory, Shader
-from rhi.shading.language.source import Source, place_of, show
+from rhi.shading.language.shader import Shader, StorageClass
+from rhi.shading.language.source import Source, show, span_of
 from rhi.shading.language.types import StorageType, Type
 from rhi.shading.parser.signatures import AnyLength, Callee, find_method
 from rhi.shading.parser.statements import FunctionParser
@@ -73,7 +73,7 @@ class StageParser:
             for parameter, type in zip(described.parameters, types, strict=True)
         )
         function = tree.Function(
-            source.node.name, source.file, place_of(source.node), parameters, described.result
+            source.node.name, source.file, span_of(source.node), parameters, described.result
         )
         self.instances[source.function, types] = function
         FunctionParser(self, callee, types, function).parse()
@@ -109,7 +109,7 @@ def _collect(
                 declared.add(declaration.name)
                 loaded.add(declaration.name)
                 writable = isinstance(declaration.type, StorageType) and declaration.type.writable
-                if writable or declaration.memory is Memory.IMAGE:
+                if writable or declaration.storage_class is StorageClass.IMAGE:
                     stored.add(declaration.name)
         for node in tree.walk(function.body):
             match node:

@@ -22,11 +22,11 @@ from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.function import NATIVE
-from rhi.shading.language.shader import Memory
-from rhi.shading.language.source import Place, place_of
+from rhi.shading.language.shader import StorageClass
+from rhi.shading.language.source import SourceSpan, span_of
 from rhi.shading.language.types import VOID, StorageType, Type
 from rhi.shading.parser.calls import CallParser
-from rhi.shading.parser.expressions import BINARY, Program
+from rhi.shading.parser.expressions import BINARY, StageContext
 from rhi.shading.parser.operators import convert
 from rhi.shading.parser.signatures import Callee, evaluate_annotation
 
@@ -81,7 +81,7 @@ class FunctionParser(CallParser):
     """Parses one function into a `tree.Function`."""
 
     def __init__(
-        self, program: Program, callee: Callee, types: tuple[Type, ...], function: tree.Function
+        self, program: StageContext, callee: Callee, types: tuple[Type, ...], function: tree.Function
     ) -> None:
         signature = callee.signature
         super().__init__(program, callee.source, callee.owner, signature.self_name)
@@ -128,7 +128,7 @@ class FunctionParser(CallParser):
         if variable.local not in self.assigned and self.reachable:
             self.refuse(rules.UNASSIGNED, at, repr(name))
         self._use(variable)
-        return tree.Read(variable.local.type, place_of(at), variable.local)
+        return tree.Read(variable.local.type, span_of(at), variable.local)
 
     def has_variable(self, name: str) -> bool:
         return name in self.stored or name in self.variables
@@ -216,13 +216,13 @@ class FunctionParser(CallParser):
             self.refuse(rules.SYNTAX, node, "a value that nobody uses", "a call, an assignment")
         value = self.expression(node.value)
         if isinstance(value, tree.BuiltinCall) and value.builtin.effect is Effect.DISCARD:
-            self._append(tree.Discard(place_of(node)))
+            self._append(tree.Discard(span_of(node)))
             self.mark_effect()
             self.reachable = False
             return
         if value.type != VOID and not tree.has_effect(value):
             self.refuse(rules.SYNTAX, node, f"a {value.type} that nobody uses", "a call with an effect")
-        self._append(tree.Evaluate(place_of(node), value))
+        self._append(tree.Evaluate(span_of(node), value))
 
     def _assign(self, node: ast.Assign) -> None:
         if len(node.targets) != 1:
@@ -236,7 +236,7 @@ class FunctionParser(CallParser):
             self._assign_name(target, value, node)
             return
         place = self._place(target)
-        self._append(tree.Assign(place_of(node), place, self.converted(node.value, place.type)))
+        self._append(tree.Assign(span_of(node), place, self.converted(node.value, place.type)))
 
     def _annassign(self, node: ast.AnnAssign) -> None:
         if not isinstance(node.target, ast.Name) or node.value is None:
@@ -266,7 +266,7 @@ class FunctionParser(CallParser):
                 self.refuse(rules.TYPE_CHANGED, node, f"{target.id}: {value.type}", str(local.type))
             value = converted
         self._use(variable)
-        statement = tree.Assign(place_of(node), tree.Read(local.type, place_of(target), local), value)
+        statement = tree.Assign(span_of(node), tree.Read(local.type, span_of(target), local), value)
         if new:
             variable.first, variable.first_block = statement, self.blocks[-1]
         local.writes += 1
@@ -281,7 +281,7 @@ class FunctionParser(CallParser):
         if isinstance(node.target, ast.Name):
             self._assign_name(node.target, value, node)
             return
-        self._append(tree.Assign(place_of(node), place, self.convert(value, place.type, node)))
+        self._append(tree.Assign(span_of(node), place, self.convert(value, place.type, node)))
 
     def _place(self, node: ast.expr) -> Expression:
         """An expression that can be assigned to, or a refusal."""
@@ -295,7 +295,7 @@ class FunctionParser(CallParser):
             self.refuse(rules.NOT_WRITABLE, node, "a component twice")
         return place
 
-    def _check_place(self, place: Expression, node: ast.AST) -> Memory | None:
+    def _check_place(self, place: Expression, node: ast.AST) -> StorageClass | None:
         root = tree.root_of(place)
         if isinstance(root, tree.Read):
             root.local.writes += 1
@@ -305,22 +305,22 @@ class FunctionParser(CallParser):
                 rules.NOT_WRITABLE, node, "a value that has no place", "variables, StorageRW, shared memory"
             )
         declaration = root.declaration
-        if declaration.memory is Memory.STORAGE:
+        if declaration.storage_class is StorageClass.STORAGE:
             assert isinstance(declaration.type, StorageType)
             if not declaration.type.writable:
                 tip = f"declare it as StorageRW[{declaration.type.element}]"
                 self.refuse(rules.NOT_WRITABLE, node, f"{declaration.name}: {declaration.type}", tip=tip)
             if root is place:
                 self.refuse(rules.NOT_WRITABLE, node, "a whole buffer", "its elements")
-        elif declaration.memory is not Memory.SHARED:
+        elif declaration.storage_class is not StorageClass.SHARED:
             self.refuse(
                 rules.NOT_WRITABLE,
                 node,
-                f"{declaration.name}, a {declaration.memory.value}",
+                f"{declaration.name}, a {declaration.storage_class.value}",
                 "StorageRW, shared",
             )
         self.mark_effect()
-        return declaration.memory
+        return declaration.storage_class
 
     def check_memory(self, place: Expression, at: ast.AST) -> None:
         if self._check_place(place, at) is None or isinstance(place, tree.Swizzle):
@@ -344,7 +344,7 @@ class FunctionParser(CallParser):
         if isinstance(condition, Constant):
             if condition.value:
                 self.assigned, self.reachable = after_then, then_reachable
-            self._append(Splice(place_of(node), then if condition.value else otherwise))
+            self._append(Splice(span_of(node), then if condition.value else otherwise))
             return
         if then_reachable and self.reachable:
             self.assigned &= after_then
@@ -382,7 +382,7 @@ class FunctionParser(CallParser):
                 rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])"
             )
         bounds = [self._bound(argument) for argument in call.args]
-        place = place_of(node)
+        place = span_of(node)
         if len(bounds) == 1:
             bounds.insert(0, Constant(INT, place, 0))
         if len(bounds) == 2:
@@ -413,7 +413,7 @@ class FunctionParser(CallParser):
     def _bound(self, node: ast.expr) -> Expression:
         value = self.expression(node)
         if value.type is UINT:
-            return self.cast(value, INT, place_of(node))
+            return self.cast(value, INT, span_of(node))
         return self.convert(value, INT, node, "bound")
 
     def _no_else(self, node: ast.For | ast.While) -> None:
@@ -424,11 +424,11 @@ class FunctionParser(CallParser):
         if self.reachable:
             self.breaks[-1].append(set(self.assigned))
         self.reachable = False
-        self._append(tree.Break(place_of(node)))
+        self._append(tree.Break(span_of(node)))
 
     def _continue(self, node: ast.Continue) -> None:
         self.reachable = False
-        self._append(tree.Continue(place_of(node)))
+        self._append(tree.Continue(span_of(node)))
 
     def _return(self, node: ast.Return) -> None:
         result = self.function.result
@@ -441,7 +441,7 @@ class FunctionParser(CallParser):
         else:
             value = self.converted(node.value, result)
         self.reachable = False
-        self._append(tree.Return(place_of(node), value))
+        self._append(tree.Return(span_of(node), value))
 
 
 def _finish(block: Block) -> tree.Block:
@@ -484,9 +484,9 @@ def _native_line(node: ast.FunctionDef, body: str) -> int:
     return 0
 
 
-def _header(node: ast.stmt) -> Place:
+def _header(node: ast.stmt) -> SourceSpan:
     """The place of a statement's first line."""
-    return Place(node.lineno, node.col_offset, 0)
+    return SourceSpan(node.lineno, node.col_offset, 0)
 
 
 def _first_word(node: ast.stmt) -> str:

@@ -15,7 +15,7 @@ from rhi.errors import CallSite, ShaderError
 from rhi.shading.language import rules
 from rhi.shading.language.function import NATIVE
 from rhi.shading.language.shader import Shader
-from rhi.shading.language.source import Place, place_of, show, source_of
+from rhi.shading.language.source import SourceSpan, show, source_of, span_of
 
 __rhi_internal__ = True
 
@@ -60,7 +60,7 @@ def _named(method: FunctionType) -> set[str]:
     }
 
 
-def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple[str, Place]:
+def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple[str, SourceSpan]:
     """Where a class declares a binding: the file of its methods, and the place of `name: …` or `name = …` in it."""
     file = method.__code__.co_filename
     for node in ast.walk(ast.parse("".join(linecache.getlines(file)))):
@@ -72,5 +72,5 @@ def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple
                     else [getattr(statement, "target", None)]
                 )
                 if any(isinstance(target, ast.Name) and target.id == name for target in targets):
-                    return file, place_of(statement)
-    return file, Place(method.__code__.co_firstlineno)
+                    return file, span_of(statement)
+    return file, SourceSpan(method.__code__.co_firstlineno)

@@ -11,7 +11,7 @@ import rhi
 from renderer.content import load_scene
 from renderer.frame import SceneResources
 from renderer.scene import Camera
-from renderer.shaders import MeshPart, Place
+from renderer.shaders import MeshPart, ObjectPosition
 from renderer.visibility.gpu.draw_lists import (
     AddCounts,
     CountKeys,
@@ -35,7 +35,7 @@ def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
     rng = np.random.default_rng(seed)
     marks = rng.choice([HIDDEN, VISIBLE, OUTSIDE, DRAWN], count).astype(np.uint32)
     places, boxes, parts = (
-        np.zeros(n, s.dtype) for n, s in ((count, Place), (count, Occludee), (5, MeshPart))
+        np.zeros(n, s.dtype) for n, s in ((count, ObjectPosition), (count, Occludee), (5, MeshPart))
     )
     places["mesh"], places["mirrored"] = rng.integers(0, 5, count), rng.random(count) < 0.3
     # Between the borders of half octaves, so that a logarithm's last bit doesn't matter.
@@ -101,7 +101,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
     resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
     arrays = resources.arrays
     given_arrays = type(arrays)(
-        arrays.view, arrays.objects, device.storage(Place, places), device.storage(MeshPart, parts)
+        arrays.view, arrays.objects, device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
     )
     for _ in range(2):  # the second time nothing is VISIBLE any more
         lists.list_draws(given_arrays)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, IndexFormat, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format, IndexFormat
 
 
 def test_formats_with_equal_parts_are_still_different():
@@ -38,7 +38,7 @@ def test_a_formats_name_tells_its_channels_and_bits(format):
 
 def test_integer_formats_are_those_that_shaders_read_as_integers():
     integers = {f for f in Format if f.is_integer}
-    assert integers == {f for f in Format if f.kind in (Kind.UINT, Kind.INT)}
+    assert integers == {f for f in Format if f.kind in (ChannelKind.UINT, ChannelKind.INT)}
     assert all(f.name.endswith("I") for f in integers)
 
 

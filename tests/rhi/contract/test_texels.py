@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
 from rhi.contract.texels import decode, encode, halve
 
-NORMALIZED = [f for f in COLOR_FORMATS if f.kind in (Kind.UNORM, Kind.SNORM, Kind.SRGB)]
+NORMALIZED = [f for f in COLOR_FORMATS if f.kind in (ChannelKind.UNORM, ChannelKind.SNORM, ChannelKind.SRGB)]
 BY_NAME = {"ids": lambda f: f.name}
 
 
@@ -31,19 +31,19 @@ def test_every_stored_value_of_a_normalized_format_survives_a_round_trip(format)
 @pytest.mark.parametrize("format", NORMALIZED, **BY_NAME)
 def test_the_ends_of_a_normalized_format_are_exact_and_what_lies_beyond_saturates(format):
     limits = np.iinfo(format.dtype)
-    low = -1.0 if format.kind is Kind.SNORM else 0.0
+    low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
     assert one(format, 1.0) == one(format, 7.0) == one(format, np.inf) == limits.max
     assert one(format, low) == one(format, -7.0) == one(format, -np.inf) == round(low * limits.max)
     assert one(format, np.nan) == 0
 
 
-@pytest.mark.parametrize("format", [f for f in NORMALIZED if f.kind is not Kind.SRGB], **BY_NAME)
+@pytest.mark.parametrize("format", [f for f in NORMALIZED if f.kind is not ChannelKind.SRGB], **BY_NAME)
 @given(value=st.floats(-1.0, 1.0))
 @settings(max_examples=60)
 def test_normalized_values_go_to_the_nearest_step(format, value):
     steps = int(np.iinfo(format.dtype).max)
     exact = Fraction(value) * steps
-    if format.kind is not Kind.SNORM:
+    if format.kind is not ChannelKind.SNORM:
         exact = max(exact, Fraction(0))
     assert abs(Fraction(int(one(format, value))) - exact) <= Fraction(1, 2) + Fraction(1, 1 << 30)
 
@@ -75,7 +75,7 @@ def test_integers_saturate_and_keep_every_bit(format):
     assert (one(format, 2.4), one(format, 2.6), one(format, np.nan)) == (2, 3, 0)
 
 
-@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is Kind.FLOAT], **BY_NAME)
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is ChannelKind.FLOAT], **BY_NAME)
 def test_floats_are_rounded_once_and_overflow_to_infinity(format):
     largest = np.finfo(format.dtype).max
     assert one(format, float(largest)) == largest

@@ -120,9 +120,9 @@ def binding_words(shader: type[Shader], bindings: dict[str, Any]) -> dict[str, A
     """A shader's bindings as words."""
     words = {}
     for name, declaration in shader._declared.items():
-        if declaration.memory.value == "uniform":
+        if declaration.storage_class.value == "uniform":
             words[name] = uniform_words(declaration.type, bindings[name], name)
-        elif declaration.memory.value in ("texture", "image"):
+        elif declaration.storage_class.value in ("texture", "image"):
             words[name] = bindings[name]
         else:
             words[name] = storage_words(declaration.type.element, bindings[name], name)

@@ -24,7 +24,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import Context
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses, Pool, Retired, Uploads
 from rhi.backends.cl.raster.boxes import Boxes
 from rhi.backends.cl.raster.builds import Builds, Kernel
@@ -150,7 +150,7 @@ class Batch:
         views: what their VIEW columns number.
     """
 
-    def __init__(self, context: Context, builds: Builds, addresses: Addresses, retired: Retired) -> None:
+    def __init__(self, context: ClContext, builds: Builds, addresses: Addresses, retired: Retired) -> None:
         self._builds = builds
         self._queue = context.queue
         self.prepared = PreparedDraws()

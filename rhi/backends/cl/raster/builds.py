@@ -22,7 +22,7 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import PAGE, Context, allocate_pages, build, build_again
+from rhi.backends.cl.context import PAGE, ClContext, allocate_pages, build, build_again
 from rhi.backends.cl.raster.tables import BATCH
 
 __rhi_internal__ = True
@@ -57,7 +57,7 @@ class Kernel:
 class Builds:
     """What builds a device's kernels."""
 
-    def __init__(self, context: Context) -> None:
+    def __init__(self, context: ClContext) -> None:
         self._context = context
         self._threads: ThreadPoolExecutor | None = None
         self._local = threading.local()

@@ -21,7 +21,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.fence import is_done
 from rhi.backends.cl.pools import Addresses
@@ -37,7 +37,7 @@ class _Memory:
 
     __slots__ = ("_buffer", "_queue", "_shared", "address", "batch", "host", "words")
 
-    def __init__(self, context: Context, addresses: Addresses, counters: int) -> None:
+    def __init__(self, context: ClContext, addresses: Addresses, counters: int) -> None:
         self.host = allocate_pages(8 * counters).view(np.uint64)
         self.words = self.host.data
         self._shared = context.shares_memory
@@ -117,7 +117,7 @@ class Counters:
     """
 
     def __init__(
-        self, context: Context, addresses: Addresses, count_into: Callable[[int], None], flush: Callable[[], None],
+        self, context: ClContext, addresses: Addresses, count_into: Callable[[int], None], flush: Callable[[], None],
         is_gathering: Callable[[], bool],
     ) -> None:  # fmt: skip
         """`count_into` is told the address of the counter for the draws that follow, 0: none; `is_gathering` says

@@ -29,7 +29,7 @@ _FACTORS: Final = np.array(
 """Of a hash: odd, their bits evenly set."""
 
 
-class Place:
+class DrawSlot:
     """A prepared draw's place in the table; given back with its holder."""
 
     __slots__ = ("_leave", "memory", "number")
@@ -97,7 +97,7 @@ class DrawLists:
         for i, (count, first, third, fourth) in zip(missing.tolist(), words[missing].tolist(), strict=True):
             place = known.places.get((count, first, third, fourth))
             if place is None:
-                place = Place(self._prepared)
+                place = DrawSlot(self._prepared)
                 # With indices third is a base vertex, which is signed.
                 bases = (third - (third >> 31 << 32), fourth) if indexed else (0, third)
                 fill(place, first, count, *bases)
@@ -119,7 +119,7 @@ class _Known:
     __slots__ = ("_hashes", "_numbers", "_words", "places")
 
     def __init__(self) -> None:
-        self.places: dict[tuple[int, int, int, int], Place] = {}
+        self.places: dict[tuple[int, int, int, int], DrawSlot] = {}
         self._hashes = np.zeros(0, np.uint64)
         self._words = np.zeros((0, len(_WORDS)), np.uint32)
         self._numbers = np.zeros(0, np.int64)

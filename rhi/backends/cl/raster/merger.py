@@ -21,7 +21,7 @@ from numpy.polynomial import Chebyshev, Polynomial
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import ProgramDescriptor
-from rhi.contract.formats import Format, Kind
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import (
     MAX_TARGETS,
     AlphaFunction,
@@ -54,7 +54,7 @@ _PASSES: Final = {
 _ALWAYS: Final = _PASSES["always"]
 _ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
 _FLOAT_BITS: Final = 32
-_KINDS: Final = {kind: number for number, kind in enumerate(Kind)}
+_KINDS: Final = {kind: number for number, kind in enumerate(ChannelKind)}
 _STENCIL_OPERATIONS: Final = {operation: number for number, operation in enumerate(StencilOperation)}
 _BLEND_OPERATIONS: Final = {operation: number for number, operation in enumerate(BlendOperation)}
 _FACTORS: Final = {
@@ -102,7 +102,7 @@ class ColorKey:
     components: int
     channels: int
     bits: int
-    kind: Kind
+    kind: ChannelKind
     blends: bool
 
 

@@ -17,7 +17,7 @@ from typing import Final
 
 import pyopencl as cl
 
-from rhi.backends.cl.context import Context
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses
 from rhi.backends.cl.programs import Faults, make_shader_error
 from rhi.backends.cl.raster import merger as targets
@@ -59,7 +59,7 @@ class Pipeline:
     """
 
     def __init__(
-        self, context: Context, builds: Builds, descriptor: ProgramDescriptor, addresses: Addresses
+        self, context: ClContext, builds: Builds, descriptor: ProgramDescriptor, addresses: Addresses
     ) -> None:
         self._builds = builds
         self.descriptor = descriptor

@@ -18,7 +18,7 @@ import pyopencl as cl
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.cl.context import Context
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.planes import Plane
 from rhi.backends.cl.pools import Addresses, IndexList, Retired
@@ -38,7 +38,7 @@ from rhi.backends.cl.raster.batches import (
 from rhi.backends.cl.raster.bindings import COLUMNS, Bindings
 from rhi.backends.cl.raster.builds import Builds, Kernel
 from rhi.backends.cl.raster.counters import Counters
-from rhi.backends.cl.raster.draw_lists import DrawLists, Place
+from rhi.backends.cl.raster.draw_lists import DrawLists, DrawSlot
 from rhi.backends.cl.raster.merger import MergerKey, make_key
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import GROUP, MAX_STREAMS
@@ -110,7 +110,7 @@ class Rasteriser:
     """
 
     def __init__(
-        self, context: Context, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers
+        self, context: ClContext, slots: Slots, buffers: Buffers, textures: Textures, samplers: Samplers
     ) -> None:
         self._context = context
         self._buffers = buffers
@@ -269,7 +269,7 @@ class Rasteriser:
         base_instance: int,
     ) -> None:  # fmt: skip
         array = self._arrays[vertex_array]
-        place = Place(self._batch.prepared)
+        place = DrawSlot(self._batch.prepared)
         self._assemble(place, array, primitive, first, count, base_vertex, base_instance)
         program = self._begin_gathering(array)
         self._bound[PREPARED], self._bound[INSTANCES] = place.number, instances
@@ -283,7 +283,7 @@ class Rasteriser:
         array = self._arrays[vertex_array]
         program = self._programs[array.descriptor.program]
         batch, bound, version = self._batch, self._bound, array.version
-        place = Place(batch.prepared)
+        place = DrawSlot(batch.prepared)
         number, known = place.number, -1
         extend, pick = batch.rows.extend, program.pick
 
@@ -332,7 +332,7 @@ class Rasteriser:
         """Draws that are numbered or, with counters, each counted by its own."""
         array = self._arrays[vertex_array]
 
-        def fill(place: Place, *draw: int) -> None:
+        def fill(place: DrawSlot, *draw: int) -> None:
             self._assemble(place, array, primitive, *draw)
 
         key = vertex_array, primitive, array.version[0]
@@ -392,7 +392,7 @@ class Rasteriser:
         self.stale = False
 
     def _assemble(
-        self, place: Place, array: _Array, primitive: Primitive, first: int, count: int, base_vertex: int,
+        self, place: DrawSlot, array: _Array, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
         """Fill in a prepared draw."""

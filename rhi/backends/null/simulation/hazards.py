@@ -20,7 +20,7 @@ from typing import Any
 
 from rhi.backends.null.resources import IndirectDraws, Resources
 from rhi.backends.null.simulation.streams import StreamMemory, Use, vertex_ranges
-from rhi.commands.context import Context
+from rhi.commands.context import StreamContext
 from rhi.commands.ops import Op
 from rhi.commands.stream import find_site
 from rhi.contract.descriptors import (
@@ -133,7 +133,7 @@ class HazardTracker:
         self._images: dict[int, tuple[Id, int, int]] = {}
         self._pass: tuple[PassDescriptor, Use] | None = None
         self._targets: frozenset[Id] = frozenset()
-        self._states = Context().states
+        self._states = StreamContext().states
         self._unfinished: dict[Id, Use | None] = {}  # queries begun or only created
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:

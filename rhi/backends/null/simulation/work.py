@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.null.execution import ExecutionState, Fate
+from rhi.backends.null.execution import DrawOutcome, ExecutionState
 from rhi.backends.null.programs import Programs
 from rhi.backends.null.resources import IndirectDraws, Resources
 from rhi.backends.null.simulation.cost import CostModel, Work, count_primitives
@@ -73,7 +73,7 @@ class WorkMeter:
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> Work:  # fmt: skip
-        if self._state.fate is Fate.DROPPED:
+        if self._state.fate is DrawOutcome.DROPPED:
             return Work(Op.DRAW)
         pixels = self._pixels(count_primitives(primitive, count) * instances)
         return Work(Op.DRAW, count * instances, pixels)

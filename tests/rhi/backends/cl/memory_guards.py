@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl import pools as memory
 from rhi.backends.cl import resources
-from rhi.backends.cl.context import Context, allocate_pages
+from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.raster import counters
 
 GUARD: Final = 1 << 14
@@ -84,7 +84,7 @@ def _allocate_pages(size: int) -> NDArray[np.uint8]:
     return made.used
 
 
-def _allocate(context: Context, size: int) -> Any:
+def _allocate(context: ClContext, size: int) -> Any:
     made = _unguarded_allocate(context, size)
     context.queue.finish()  # it is being cleared
     made.guarded.keep_free(size)

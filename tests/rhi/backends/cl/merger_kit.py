@@ -18,7 +18,7 @@ from rhi.backends.cl.context import build, open_context
 from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state, read_source
 from rhi.conformance import reference
 from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage
-from rhi.contract.formats import Format, Kind
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import (
     DEFAULTS,
     MAX_TARGETS,
@@ -104,7 +104,7 @@ def state_values(*states: State) -> dict[type, Any]:
 
 def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> ProgramDescriptor:
     """A program with an output per format."""
-    kinds = {Kind.UINT: "uint", Kind.INT: "int"}
+    kinds = {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}
     outputs = tuple(
         FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats)
     )
@@ -211,15 +211,15 @@ def expected(
         if components < 4:
             one = np.array([1], np.uint32 if format.is_integer else np.float32).view(np.uint32)[0]
             words[..., components:] = (0, 0, 0, one)[components:]
-        color = words.view({Kind.UINT: np.uint32, Kind.INT: np.int32}.get(format.kind, np.float32))
+        color = words.view({ChannelKind.UINT: np.uint32, ChannelKind.INT: np.int32}.get(format.kind, np.float32))
         color = color.astype(np.float64)
         function: BlendFunction = values[BlendFunction][location]
         if not function.is_off and not format.is_integer:
             stored = reference.decode(format, planes.colors[location])
             constant = values[BlendColor]
             constants = np.array([constant.red, constant.green, constant.blue, constant.alpha])
-            if format.kind is not Kind.FLOAT:
-                low = -1.0 if format.kind is Kind.SNORM else 0.0
+            if format.kind is not ChannelKind.FLOAT:
+                low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
                 color, constants = np.clip(color, low, 1.0), np.clip(constants, low, 1.0)
             color = reference.blend(function, color, stored, constants)
         stored_numbers = encode(format, color[..., : format.channels])

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster import draw_lists
-from rhi.backends.cl.raster.draw_lists import DrawLists, Place
+from rhi.backends.cl.raster.draw_lists import DrawLists, DrawSlot
 from rhi.backends.cl.raster.prepared import PreparedDraws
 
 COMMAND = np.dtype([(name, "u4") for name in ("count", "instances", "first", "third", "fourth")])
@@ -24,7 +24,7 @@ class Lists:
         self.fails = False
 
     def find(self, draws: NDArray[Any], key: object = 0) -> NDArray[np.int64]:
-        def fill(place: Place, *draw: int) -> None:
+        def fill(place: DrawSlot, *draw: int) -> None:
             if self.fails:
                 raise MemoryError
             self.filled[place.number] = draw

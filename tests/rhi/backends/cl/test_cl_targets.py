@@ -12,7 +12,7 @@ from merger_kit import Planes, describe, expected, run, state_values
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.merger import MergerKey, TestOrder, make_key
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, Format, Kind
+from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
 from rhi.contract.states import (
     AlphaFunction,
     AlphaReference,
@@ -48,10 +48,10 @@ def texels(format: Format, samples: int = 1, seed: int = 0) -> NDArray[Any]:
     """Random contents of a target."""
     rng = np.random.default_rng(seed)
     shape = (samples, *SIZE, format.channels)
-    if format.kind is Kind.FLOAT:
+    if format.kind is ChannelKind.FLOAT:
         return rng.normal(0, 2, shape).astype(format.dtype)
     limits = np.iinfo(format.dtype)  # type: ignore[type-var]
-    low = -limits.max if format.kind is Kind.SNORM else limits.min
+    low = -limits.max if format.kind is ChannelKind.SNORM else limits.min
     return rng.integers(low, limits.max, shape, endpoint=True).astype(format.dtype)
 
 
@@ -61,9 +61,9 @@ def fragments(formats: list[Format], samples: int = 1, seed: int = 1) -> NDArray
     words = np.empty((samples, *SIZE, 4 * len(formats)), np.uint32)
     for i, format in enumerate(formats):
         part = words[..., 4 * i : 4 * i + 4]
-        if format.kind is Kind.UINT:
+        if format.kind is ChannelKind.UINT:
             part[...] = rng.integers(0, 1 << 32, part.shape) >> rng.integers(0, 32, part.shape)
-        elif format.kind is Kind.INT:
+        elif format.kind is ChannelKind.INT:
             part[...] = rng.integers(-(1 << 31), 1 << 31, part.shape).astype(np.int32).view(np.uint32)
         else:
             part[...] = rng.uniform(-0.3, 1.3, part.shape).astype(np.float32).view(np.uint32)
@@ -94,11 +94,11 @@ def assert_merges(
     got = run(formats, depth, states, planes, *given, **more)
     wanted, exact = expected(formats, depth, states, planes, *given, **more)
     for format, color, values in zip(formats, got.colors, exact, strict=True):
-        if format.kind is Kind.FLOAT:
+        if format.kind is ChannelKind.FLOAT:
             limit = 2e-5 + np.abs(values) * (2.0**-11 if format.dtype.itemsize == 2 else 2.0**-22)
         else:
             # Rounding of sums of numbers up to 1 in float32, and the sRGB polynomials.
-            rounding = limits(format)[1] * 2.0**-21 + (2e-3 if format.kind is Kind.SRGB else 0)
+            rounding = limits(format)[1] * 2.0**-21 + (2e-3 if format.kind is ChannelKind.SRGB else 0)
             limit = np.full(values.shape, tolerance + rounding)
         assert (np.abs(color.astype(np.float64) - np.clip(values, *limits(format))) <= limit).all(), format
     if depth is not None:
@@ -107,7 +107,7 @@ def assert_merges(
 
 
 def limits(format: Format) -> tuple[float, float]:
-    if format.kind is Kind.FLOAT:
+    if format.kind is ChannelKind.FLOAT:
         return -np.inf, np.inf
     info = np.iinfo(format.dtype)  # type: ignore[type-var]
     return info.min, info.max
@@ -122,7 +122,7 @@ def test_merged_colors_are_stored_as_texels_stores_them(format: Format) -> None:
     planes, words, covered = Planes([texels(format)]), fragments([format]), coverage()
     got = run([format], None, [], planes, words, depths(None), covered)
     wanted, exact = expected([format], None, [], planes, words, depths(None), covered)
-    if format.kind is Kind.SRGB:
+    if format.kind is ChannelKind.SRGB:
         assert np.abs(got.colors[0] - exact[0]).max() <= 0.501
     else:
         np.testing.assert_array_equal(got.colors[0], wanted.colors[0])
@@ -210,7 +210,7 @@ MASKS = st.builds(ColorWrite, *[st.booleans()] * 4)
 TRIES = settings(max_examples=40)
 
 
-@pytest.mark.parametrize("format", [f for f in FLOATS if f.kind is not Kind.SNORM], ids=name)
+@pytest.mark.parametrize("format", [f for f in FLOATS if f.kind is not ChannelKind.SNORM], ids=name)
 @TRIES
 @given(function=FUNCTIONS, color=COLORS)
 def test_any_blend_function_merges_as_numpy_does(

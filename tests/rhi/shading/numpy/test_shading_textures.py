@@ -24,7 +24,7 @@ from texture_kit import assert_agree, nearest, random_levels, read_everywhere
 import rhi
 from rhi import Comparison, Device, Filter, Format, SamplerDescriptor, TextureKind, Wrap
 from rhi.conformance.shaders import Corner
-from rhi.contract.formats import COLOR_FORMATS, Kind
+from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.errors import DeviceError, ShaderError, ValidationError
 from rhi.shading import (
     DepthTexture2D,
@@ -155,7 +155,7 @@ def test_every_format_is_decoded_and_filtered(device: Device, format: Format, fi
     """A block inside has loads of its own for each size of a texel."""
     texture = HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
     slack = EIGHT_BITS if format.dtype.itemsize == 1 and filter is LINEAR else 2e-6
-    slack = max(slack, 1.3e-3) if format.kind is Kind.SRGB else slack
+    slack = max(slack, 1.3e-3) if format.kind is ChannelKind.SRGB else slack
     assert_agree(sample(device, texture, places_by_block()), slack)
 
 
@@ -543,7 +543,7 @@ class LoadInt(At):
 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=name)
 def test_integers_are_read_whole(device: Device, format: Format) -> None:
-    shader = LoadUint if format.kind is Kind.UINT else LoadInt
+    shader = LoadUint if format.kind is ChannelKind.UINT else LoadInt
     sampler = SamplerDescriptor(NEAREST, NEAREST, NEAREST)
     texture = HostTexture(random_levels(format, 7, 5), format, D2, sampler)
     results = read_everywhere(device, shader, {"source": texture}, 8, places=places(8), results=COUNT)
@@ -737,10 +737,10 @@ def copying(format: Format, annotation: Any) -> Any:
     return Copy
 
 
-_IMAGES: dict[Kind, Any] = {Kind.UINT: UintImage2D, Kind.INT: IntImage2D}
+_IMAGES: dict[ChannelKind, Any] = {ChannelKind.UINT: UintImage2D, ChannelKind.INT: IntImage2D}
 
 
-@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not Kind.SRGB], ids=name)
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is not ChannelKind.SRGB], ids=name)
 def test_images_keep_every_bit_and_nothing_is_written_outside(format: Format) -> None:
     source = random_levels(format, 11, 6, levels=1)[0]
     expected = np.zeros_like(source)
