@@ -1,15 +1,16 @@
-"""The contract of a port: what one implementation package per platform provides, and nothing else.
+"""The contract of a port: the methods that each platform implements, and the capabilities that it declares.
 
-- A backend holds no policy. It checks nothing (`rhi.device.device` has), caches no state
-  (`rhi.device.core.state_cache` has), frees nothing by itself. It does what it is told, in order.
-- Resources are named by the device's integers; a backend keeps its objects in tables indexed by them.
-- Arguments are plain data (integers, enums, frozen descriptors, bytes), so that a call of any of these
-  methods is a command that can be written down: `rhi.commands.recorder.Recorder` is a Backend that does that.
-- Everything happens in the order of the calls. A backend whose device may reorder (memory written by one
-  dispatch and read by the next) inserts what is needed to make it appear in order.
-- Conventions (conformance pins each): clip space +Y up, depth 0…1; row 0 of every image is the top row, and
-  so is texel row 0, window y = 0 and v = 0; matrices in buffers are row-major.
-- What a platform lacks is said in `capabilities`; a method that needs a missing capability is never called.
+- A backend holds no policy. Calls were validated (`rhi.device.device`) and redundant state changes removed
+  (`rhi.device.core.state_cache`) before they reach it, and it frees nothing on its own. It executes its commands in
+  order.
+- The device names resources by integers. A backend keeps its objects in tables indexed by them.
+- Arguments are plain data: integers, enums, frozen descriptors, bytes. So each call is a command that can be recorded
+  (`rhi.commands.recorder.Recorder` is a `Backend` that does so), saved, compared and replayed.
+- Commands take effect in the order of the calls. If a platform may reorder them (one dispatch writes memory that the
+  next one reads), its backend inserts the necessary barriers.
+- Conventions, each with its conformance tests: clip space has +Y up and depth 0 to 1. Row 0 of every image is its top
+  row; it is also texel row 0, window y = 0 and v = 0. Matrices in buffers are row-major.
+- `capabilities` declares what the platform lacks. A method that needs a missing capability is never called.
 """
 
 from __future__ import annotations
@@ -40,12 +41,12 @@ from rhi.contract.states import StateChange
 __rhi_internal__ = True
 
 FOREVER: Final = 3600.0
-"""Seconds after which a wait without a limit gives the device up as lost."""
+"""Timeout in seconds of a wait that has no limit; a device that takes longer counts as lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class Capabilities:
-    """What a device can do. A false flag means that the device front end refuses the call by name."""
+    """The features and limits of a device. The front end refuses calls that need a feature whose flag is False."""
 
     backend: str
     device: str
@@ -72,14 +73,15 @@ class Capabilities:
 
     compute: bool = True
     draws: bool = True
-    """Whether there are draws. Without them passes still clear and resolve; programs are compute programs."""
+    """Whether the device can draw. Without draws, passes still clear and resolve, and all programs are compute
+    programs."""
     shading: bool = True
-    """Whether draws and dispatches run shaders. A recorder of commands says False: pixels stay as cleared."""
+    """Whether draws and dispatches run shaders. False on a device that only records: pixels keep their clear value."""
     indirect_count: bool = True
-    """Indirect draws whose number comes from a buffer."""
+    """Whether the number of indirect draws can be read from a buffer."""
     occlusion_queries: bool = True
     sample_counter: bool = False
-    """A running samples-passed counter that can be taken at any point of the stream (COUNTER queries)."""
+    """Whether a running samples-passed counter can be read at any point of the stream (COUNTER queries)."""
     conditional_rendering: bool = True
     timestamps: bool = True
     stencil: bool = True
@@ -88,158 +90,161 @@ class Capabilities:
     depth_bias_clamp: bool = True
     blend_per_target: bool = True
     unsupported_formats: frozenset[Format] = frozenset()
-    """Formats of which no texture can be made."""
+    """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
-    """Formats that can't be a color target."""
+    """Formats that color targets can't have."""
     passed_over: tuple[str, ...] = ()
-    """Devices that were tried before this one, each with why it can't be used."""
+    """Devices that were tried before this one, each with the reason why it can't be used."""
 
     @property
     def renders(self) -> bool:
-        """Whether draws make pictures."""
+        """Whether draws produce pixels: the device can draw and runs shaders."""
         return self.draws and self.shading
 
 
 class PreparesDraws(Protocol):
-    """What a backend may offer besides its contract: calls whose arguments are given in advance.
+    """Optional part of the contract: draws and uniform bindings whose arguments are known in advance.
 
-    A draw and the binding of its object's constants are what happens most; where they come down to one call of
-    the platform's own, a Python frame for each is saved. A backend without these methods has nothing to do.
+    They are the most frequent commands. If each comes down to one call of the platform's API, preparing it saves a
+    Python frame per draw. A backend that doesn't gain by this leaves these methods out.
     """
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
-        """A function of (slot, offset, size) that does what `Backend.bind_uniform` would. It is called only
-        while a program is bound."""
+        """Return a function of (slot, offset, size) that is equivalent to `Backend.bind_uniform` for this buffer.
+        It is called only while a program is bound."""
 
     def prepare_draw(
         self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
-        """A function of the number of instances that does what `Backend.draw` would. It is called only while
-        `program` is bound and `AlphaTest` is off."""
+        """Return a function of the number of instances that is equivalent to `Backend.draw`. It is called only
+        while `program` is bound and `AlphaTest` is off."""
 
     def on_interruption(self, call: Callable[[], None]) -> None:
-        """Remember to call this when what is bound isn't any more, through nobody's fault: another context
-        of the process became current."""
+        """Register `call`, to be called whenever bindings are lost for a reason outside this device, such as another
+        context of the process becoming current."""
 
 
 class PreparedQueries(Protocol):
-    """Occlusion queries that are asked together and read together. Rows are places among them."""
+    """A group of occlusion queries that are drawn and read together. A row is an index into the group."""
 
     def draw(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[np.void], rows: NDArray[np.int64]
     ) -> None:
-        """What `Backend.begin_query`, a `Backend.draw` for each of `draws` (`rhi.DRAW` or, without indices,
-        `rhi.DRAW_UNINDEXED`) and `Backend.end_query` would, for each run of equal `rows`. No row comes twice; there
-        is at least one draw. A COUNTER counts these draws, too."""
+        """Draw and count: for each run of equal `rows`, the equivalent of `Backend.begin_query`, one `Backend.draw`
+        per element of `draws` (`rhi.DRAW` or, without indices, `rhi.DRAW_UNINDEXED`) and `Backend.end_query`. Each row
+        occurs in one run only; there is at least one draw. COUNTER queries count these draws, too."""
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """The samples of those that the latest `draw` asked for, in its order and in an array of the caller's own, or
-        None while they aren't all there; never waits."""
+        """Return the samples that passed, for rows of the latest `draw` and in their order, as a new array. Return
+        None while any answer is missing; never wait."""
 
 
 class PreparesQueries(Protocol):
-    """What a backend may offer besides its contract: many queries in one call, where each has its price."""
+    """Optional part of the contract: many queries in one call, for platforms on which each query has a fixed cost."""
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
-        """For OCCLUSION queries that exist. It isn't used any more once they are destroyed."""
+        """Return the group of these OCCLUSION queries. They exist already; the group isn't used after one is
+        destroyed."""
 
 
 class Backend(Protocol):
-    """One platform. All sizes and offsets are in bytes unless said otherwise.
+    """The methods that a platform implements. Sizes and offsets are in bytes unless stated otherwise.
 
-    Creation may fail: a backend then raises `DeviceError` (rules `device-out-of-memory`, `device-driver`) or,
-    for programs, `ShaderError` (rule `shader-driver`), and the id stays unused.
+    A creation that fails raises `DeviceError` (rules `device-out-of-memory`, `device-driver`) or, for programs,
+    `ShaderError` (rule `shader-driver`). The id then stays unused.
     """
 
     @property
     def capabilities(self) -> Capabilities:
-        """What this device can do; the same object all its life."""
+        """The features and limits of this device. Always the same object."""
 
     def close(self) -> None:
-        """Let go of everything; no call follows."""
+        """Release everything. No other method is called afterwards."""
 
     # -- resources ---------------------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        """Contents start as zeros."""
+        """Create a buffer filled with zeros."""
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        """Contents of all levels start as zeros."""
+        """Create a texture; all levels, layers and samples are filled with zeros."""
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        """How textures are read; the device asks once per distinct descriptor."""
+        """Create a sampler. The device creates one per distinct descriptor."""
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        """Compile what `descriptor.emit` gives in this backend's language."""
+        """Compile a program from the source that `descriptor.emit` returns for this backend's language."""
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
-        """Where the vertex stage of one program reads its inputs; its buffers exist and outlive it."""
+        """Create a vertex array: where one program's vertex stage reads its inputs. Its buffers exist and outlive
+        it."""
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        """Has no answer until it was used."""
+        """Create a query. It has no answer before its first use."""
 
     def destroy(self, resource: Id) -> None:
-        """Of any kind. The device calls it only once the GPU is done with the resource."""
+        """Destroy a resource of any kind. Called only when the GPU has finished using it."""
 
     # -- memory ------------------------------------------------------------------------------------------
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
-        """Ordered after the commands before it; for `BufferUsage.STREAM` it may be unordered."""
+        """Write bytes, in order with other commands. Writes to a `BufferUsage.STREAM` buffer may be unordered."""
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        """Waits for the commands before it."""
+        """Wait for all earlier commands, then return the bytes."""
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
-        """Source and target ranges don't overlap."""
+        """Copy bytes between buffers, or within one. The two ranges don't overlap."""
 
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
-        """Fill with a 32-bit pattern; offset and size are multiples of 4."""
+        """Fill a range with a 32-bit pattern. Offset and size are multiples of 4."""
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        """Tightly packed rows, top row first, in the format's `dtype`; not for depth formats."""
+        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats."""
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        """(layers, height, width, channels) of the format's `dtype`; depth as float32, or with `stencil` the
-        stencil part as uint8. Waits. Not for multi-sampled textures."""
+        """Wait for all earlier commands, then return (layers, height, width, channels) of the format's `dtype`. Depth
+        is float32; with `stencil`, the stencil part as uint8. Not for multi-sampled textures."""
 
     def copy_texture(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
     ) -> None:  # fmt: skip
-        """Equal formats; the regions don't overlap."""
+        """Copy texels between textures of equal format, or within one. The regions don't overlap."""
 
     def resolve_texture(self, source: Id, target: Id) -> None:
-        """Average the samples of a multi-sampled color texture into a single-sampled one of equal size."""
+        """Resolve a multi-sampled color texture: average its samples into a single-sampled one of equal size."""
 
     def generate_mipmaps(self, texture: Id) -> None:
-        """Fill levels 1… from level 0 with a 2×2 box filter (sRGB in linear light)."""
+        """Fill all levels from 1 on by filtering level 0 with a 2×2 box filter; sRGB is filtered in linear light."""
 
     # -- passes, state, binding --------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
-        """Clears ignore scissor and write masks. `Viewport.TARGET` and `Scissor.OFF` mean this size."""
+        """Begin a render pass and clear its targets. Clears ignore scissor and write masks. `Viewport.TARGET` and
+        `Scissor.OFF` stand for the size of this pass."""
 
     def end_pass(self) -> None:
-        """Resolves what the descriptor asks to resolve."""
+        """End the render pass and resolve the attachments that have a resolve target."""
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
-        """What holds from here on. At creation `rhi.contract.states.DEFAULTS` hold."""
+        """Change render states from here on. A new device has `rhi.contract.states.DEFAULTS`."""
 
     def bind_program(self, program: Id) -> None:
-        """Graphics or compute. What is bound to slots stays bound."""
+        """Bind a graphics or compute program. Slots keep their bindings."""
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        """`offset` is a multiple of `capabilities.uniform_alignment`."""
+        """Bind a range of a buffer as constants. `offset` is a multiple of `capabilities.uniform_alignment`."""
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        """`offset` is a multiple of `capabilities.storage_alignment`. Read and write."""
+        """Bind a range of a buffer for reads and writes. `offset` is a multiple of `capabilities.storage_alignment`."""
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        """All levels and layers, read through the sampler."""
+        """Bind all levels and layers of a texture, to be read through the sampler."""
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        """`layer` −1 binds all layers. Read and write."""
+        """Bind one level of a texture for reads and writes. `layer` −1 binds all layers."""
 
     # -- work --------------------------------------------------------------------------------------------
 
@@ -247,60 +252,60 @@ class Backend(Protocol):
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        """`first` and `count` in indices if the vertex array has them, else in vertices. QUADS draw each
-        group of 4 vertices (or indices) as the triangles 0 1 2, 0 2 3. The largest index of the format restarts
-        strips."""
+        """Draw. `first` and `count` are in indices if the vertex array has an index buffer, else in vertices. QUADS
+        draw each group of 4 vertices (or indices) as the triangles 0 1 2 and 0 2 3. The largest value of the index
+        format restarts a strip."""
 
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
-        """Up to `draws` draws, their arguments read from `buffer` when executed: 5 words of 32 bits each,
-        {count, instances, first, base vertex (signed), base instance} with indices or
-        {count, instances, first, base instance, unused} without. With a `count_buffer` (0: none) the number is
-        the smaller of `draws` and the uint32 at `count_offset`. Not for QUADS."""
+        """Draw up to `draws` times with arguments that are read from `buffer` during execution. Each draw is a record
+        of 5 32-bit words: `DRAW` with an index buffer, `DRAW_UNINDEXED` without. With a `count_buffer` (0: none) the
+        number of draws is the smaller of `draws` and the uint32 at `count_offset`. Not for QUADS."""
 
     def dispatch(self, x: int, y: int, z: int) -> None:
-        """Work-groups of the bound program."""
+        """Run this many work-groups of the bound compute program."""
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        """Three uint32 read when executed."""
+        """Dispatch with three uint32 counts that are read from `buffer` during execution."""
 
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self, value: int) -> None:
-        """Set the fence to `value` once everything before is done; starts that work if it lies in a queue."""
+        """Set the fence to `value` when all earlier commands have finished, and submit commands that are still
+        queued."""
 
     def completed(self) -> int:
-        """The fence's value; never waits."""
+        """Return the current value of the fence; never wait."""
 
     def wait(self, value: int, seconds: float) -> bool:
-        """Until the fence has reached `value`, at most so long; whether it has."""
+        """Wait until the fence has reached `value`, for at most `seconds`. Return whether it has."""
 
     def begin_query(self, query: Id) -> None:
-        """Start an OCCLUSION query. One at a time."""
+        """Begin counting samples for an OCCLUSION query. One query is open at a time."""
 
     def end_query(self, query: Id) -> None:
-        """Stop counting; the answer comes some time later."""
+        """End counting. The answer becomes available some time later."""
 
     def write_query(self, query: Id) -> None:
-        """Take a COUNTER or TIMESTAMP at this point of the stream."""
+        """Write the running counter (COUNTER) or the time (TIMESTAMP) at this point of the stream."""
 
     def read_query(self, query: Id) -> int | None:
-        """The latest answer, or None while it isn't there; never waits. Samples, or nanoseconds."""
+        """Return the latest answer in samples or nanoseconds, or None while it isn't available; never wait."""
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
-        """Draws until `end_conditional` are dropped if the query counted no sample (`inverted`: if it
-        counted any); an unfinished query is waited for by the device, not by the CPU."""
+        """Skip draws until `end_conditional` if the query counted no sample (`inverted`: if it counted any). The
+        device, not the CPU, waits for a query that isn't finished."""
 
     def end_conditional(self) -> None:
-        """Draws happen again."""
+        """End conditional rendering."""
 
     def push_label(self, text: str) -> None:
-        """Name the commands up to the matching `pop_label`; for tools."""
+        """Label the commands up to the matching `pop_label`, for debugging tools."""
 
     def pop_label(self) -> None:
-        """The end of the innermost label."""
+        """End the innermost label."""
 
     def present(self, texture: Id) -> None:
-        """The end of a frame; `texture` is its image, 0 for none."""
+        """End the frame. `texture` is its image, 0 for none."""

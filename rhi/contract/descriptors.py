@@ -1,9 +1,8 @@
-"""What resources, passes and programs are made from: plain frozen values, checked before a backend sees
-them.
+"""Descriptors of resources, passes and programs: plain frozen values, validated before a backend sees them.
 
-- Resources are named by integers that the device hands out, so a command is plain data: a stream of them
-  can be printed, saved, compared and replayed without translating object references.
-- Defaults are those of most uses: a 2D texture with one level, a linear sampler that repeats.
+- The device names resources by integers, so a command is plain data: a stream of commands can be printed, saved,
+  compared and replayed without translating object references.
+- Defaults serve the most common use: a 2D texture with one level, a linear sampler that repeats.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ from rhi.contract.states import Comparison
 __rhi_internal__ = True
 
 Id: TypeAlias = int
-"""A resource's name: handed out by the device, never used twice, 0 means none."""
+"""The name of a resource. The device assigns it and never uses it again; 0 means none."""
 
 Vec4: TypeAlias = tuple[float, float, float, float]
 
 WHOLE: Final = -1
-"""As a size: up to the end."""
+"""As a size: everything from the offset to the end."""
 
 
 class Primitive(enum.Enum):
-    """How vertices form primitives. QUADS are drawn as two triangles each (0 1 2, 0 2 3)."""
+    """Primitive topology. Each of the QUADS is drawn as two triangles (0 1 2, 0 2 3)."""
 
     POINTS = "points"
     LINES = "lines"
@@ -44,7 +43,8 @@ class Primitive(enum.Enum):
 
 
 class Access(enum.Enum):
-    """What a lock allows: READ copies from the device, WRITE doesn't, READ_WRITE does both."""
+    """Access to locked memory. READ copies from the device when the lock begins, WRITE copies to it when the lock ends,
+    READ_WRITE does both."""
 
     READ = "read"
     WRITE = "write"
@@ -61,8 +61,8 @@ class Access(enum.Enum):
 class BufferUsage(enum.Enum):
     """How a buffer's contents change.
 
-    STATIC: written rarely. STREAM: ring memory, written by the CPU at places the GPU is known to be done
-    with (the ring's fences say so); a backend may map it and write it without ordering.
+    STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that the GPU
+    has finished reading, so a backend may map it and write without synchronisation.
     """
 
     STATIC = "static"
@@ -71,13 +71,15 @@ class BufferUsage(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class BufferDescriptor:
+    """The size of a buffer in bytes, and how it is used."""
+
     size: int
     usage: BufferUsage = BufferUsage.STATIC
     label: str = ""
 
 
 class TextureKind(enum.Enum):
-    """A texture's shape. A cube has 6 layers: +X −X +Y −Y +Z −Z."""
+    """The dimensions of a texture. A cube has 6 layers: +X −X +Y −Y +Z −Z."""
 
     D2 = "2d"
     D2_ARRAY = "2d_array"
@@ -89,7 +91,8 @@ class TextureKind(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class TextureDescriptor:
-    """size is (width, height); layers are array layers, cube faces (6) or the depth of a 3D texture."""
+    """The shape and format of a texture. `size` is (width, height); `layers` are array layers, cube faces (6) or the
+    depth of a 3D texture."""
 
     size: tuple[int, int]
     format: Format
@@ -100,23 +103,25 @@ class TextureDescriptor:
     label: str = ""
 
     def level_size(self, level: int) -> tuple[int, int]:
-        """(width, height) of a mip level."""
+        """Return the (width, height) of a mip level."""
         return max(1, self.size[0] >> level), max(1, self.size[1] >> level)
 
     def level_layers(self, level: int) -> int:
-        """Layers of a mip level: a 3D texture's depth shrinks, an array's layers don't."""
+        """Return the number of layers of a mip level: the depth of a 3D texture shrinks, the layers of an array
+        don't."""
         return max(1, self.layers >> level) if self.kind is TextureKind.D3 else self.layers
 
 
 class Filter(enum.Enum):
-    """One texel, or a weighted mean of the nearest ones."""
+    """Texture filter: NEAREST reads one texel, LINEAR interpolates between the nearest ones."""
 
     NEAREST = "nearest"
     LINEAR = "linear"
 
 
 class Wrap(enum.Enum):
-    """What lies outside 0…1: the image again, mirrored at each turn, its edge texels, or the border color."""
+    """Texture address mode outside 0 to 1: REPEAT the image, MIRROR it at each repetition, CLAMP to its edge texels, or
+    use the sampler's BORDER color."""
 
     REPEAT = "repeat"
     MIRROR = "mirror"
@@ -126,10 +131,10 @@ class Wrap(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class SamplerDescriptor:
-    """How texels are read.
+    """How a shader samples a texture.
 
-    `mip` None reads level 0 only (loads of single texels still name their level); `compare` makes a depth
-    comparison sampler that gives 1 where `reference compare texel` holds.
+    With `mip` None only level 0 is sampled; loads of single texels may still name any level. With `compare` it is a
+    depth comparison sampler, which returns 1 where `reference compare texel` is true.
     """
 
     minify: Filter = Filter.LINEAR
@@ -145,7 +150,7 @@ class SamplerDescriptor:
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """A box of texels: x, y from the top left of the level, in texels; layer is the first of `layers`."""
+    """A box of texels of one level. x and y count from the top left; `layer` is the first of `layers`."""
 
     x: int
     y: int
@@ -159,7 +164,7 @@ class Region:
 
 
 class VertexFormat(enum.Enum):
-    """A vertex attribute in memory: (NumPy code, components, normalised, kind seen by the shader)."""
+    """The format of a vertex attribute: (NumPy code, components, normalised, scalar type in the shader)."""
 
     FLOAT = ("f4", 1, False, "float")
     FLOAT2 = ("f4", 2, False, "float")
@@ -198,7 +203,7 @@ class VertexFormat(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class VertexAttribute:
-    """Attribute `location` is `format` at `offset` bytes in each element of its stream."""
+    """Where the attribute `location` lies in each element of its stream: `offset` bytes in, as `format`."""
 
     location: int
     format: VertexFormat
@@ -207,7 +212,7 @@ class VertexAttribute:
 
 @dataclass(frozen=True, slots=True)
 class VertexStream:
-    """One buffer of vertices or, with `per_instance`, of instances. Offset and stride in bytes."""
+    """A buffer of vertices or, with `per_instance`, of instances. Offset and stride are in bytes."""
 
     buffer: Id
     offset: int
@@ -218,7 +223,7 @@ class VertexStream:
 
 @dataclass(frozen=True, slots=True)
 class VertexArrayDescriptor:
-    """All that a draw reads its vertices from, for one program's inputs."""
+    """The vertex streams and the index buffer that draws of one program read."""
 
     program: Id
     streams: tuple[VertexStream, ...]
@@ -231,8 +236,8 @@ class VertexArrayDescriptor:
 
 @dataclass(frozen=True, slots=True)
 class Attachment:
-    """A texture's level and layer as a target; `clear` None keeps what is there; `resolve` a texture that
-    gets the resolved samples at the end of the pass (level and layer 0)."""
+    """A color target: one level and layer of a texture. `clear` None loads its contents. `resolve` names the texture
+    that receives the resolved samples at the end of the pass, in its level and layer 0."""
 
     texture: Id
     level: int = 0
@@ -243,7 +248,7 @@ class Attachment:
 
 @dataclass(frozen=True, slots=True)
 class DepthAttachment:
-    """A depth (and stencil) target; None keeps what is there."""
+    """A depth target, with or without stencil. A clear value of None loads the contents."""
 
     texture: Id
     level: int = 0
@@ -254,7 +259,7 @@ class DepthAttachment:
 
 @dataclass(frozen=True, slots=True)
 class PassDescriptor:
-    """The targets of a render pass. `size` is the (width, height) that all of them have."""
+    """The targets of a render pass. All of them have `size` (width, height)."""
 
     size: tuple[int, int]
     colors: tuple[Attachment, ...] = ()
@@ -267,8 +272,8 @@ class PassDescriptor:
 
 
 class QueryKind(enum.Enum):
-    """OCCLUSION counts samples between begin and end; COUNTER takes the running samples-passed counter
-    and TIMESTAMP the time in ns, at one point of the stream."""
+    """Type of a query. OCCLUSION counts the samples that pass between begin and end. COUNTER reads the running
+    samples-passed counter and TIMESTAMP the time in nanoseconds, both at one point of the stream."""
 
     OCCLUSION = "occlusion"
     COUNTER = "counter"
@@ -279,7 +284,7 @@ class QueryKind(enum.Enum):
 
 
 class Stage(enum.Enum):
-    """A part of a program."""
+    """A shader stage of a program."""
 
     VERTEX = "vertex"
     FRAGMENT = "fragment"
@@ -289,6 +294,8 @@ class Stage(enum.Enum):
 
 
 class BindingKind(enum.Enum):
+    """Type of a binding slot."""
+
     UNIFORM = "uniform"
     STORAGE = "storage"
     TEXTURE = "texture"
@@ -299,10 +306,10 @@ class BindingKind(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """A program's binding: `slot` counts from 0 within its kind.
+    """A binding of a program. `slot` counts from 0 for each kind.
 
-    `type` is what must be bound: the host type of a uniform or storage element, the texture or image type of
-    a texture or image. `size` is the bytes of one element.
+    `type` is the type that must be bound: the host type of a uniform or storage element, or a texture or image type.
+    `size` is the size of one element in bytes.
     """
 
     name: str
@@ -315,7 +322,7 @@ class Binding:
 
 @dataclass(frozen=True, slots=True)
 class Attribute:
-    """A vertex stage input; `type` is a scalar or vector of `rhi.contract.layout`."""
+    """An input of a vertex stage. `type` is a scalar or vector of `rhi.contract.layout`."""
 
     name: str
     location: int
@@ -324,7 +331,7 @@ class Attribute:
 
 @dataclass(frozen=True, slots=True)
 class FragmentOutput:
-    """A fragment stage output; `kind` is "float", "int" or "uint"."""
+    """An output of a fragment stage. `kind` is "float", "int" or "uint"."""
 
     name: str
     location: int
@@ -333,7 +340,8 @@ class FragmentOutput:
 
 
 class Interpolation(enum.Enum):
-    """How a varying gets its value in a fragment: in the world, from the first vertex, or in the image."""
+    """How a varying is interpolated: SMOOTH with perspective correction, FLAT from the first vertex, or NO_PERSPECTIVE,
+    linearly in screen space."""
 
     SMOOTH = "smooth"
     FLAT = "flat"
@@ -344,8 +352,8 @@ class Interpolation(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class StageVarying:
-    """A value that flows from the vertex to the fragment stage, in 32-bit words: `words` of them from `word` on, a
-    matrix's row by row. `kind` is "float", "int" or "uint"."""
+    """An output of the vertex stage that the fragment stage reads. It occupies `words` 32-bit words from `word` on; a
+    matrix is stored row by row. `kind` is "float", "int" or "uint"."""
 
     name: str
     word: int

@@ -1,8 +1,8 @@
-"""Texel and index formats: what a texel is made of, and how it looks to NumPy.
+"""Texel and index formats.
 
-- A `Format` knows its channels, their kind and the NumPy dtype that `Texture.read` and `write` use; a
-  backend keeps its own table from `Format` to the names of its API.
-- Depth formats read back as float32, whatever they are stored as; stencil reads as uint8.
+- A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use. A backend keeps
+  its own table from `Format` to the names of its API.
+- Depth formats read back as float32, however they are stored; stencil reads back as uint8.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ __rhi_internal__ = True
 
 
 class ChannelKind(enum.Enum):
-    """How a shader sees a channel."""
+    """The encoding of a channel, which decides the type that a shader reads."""
 
     UNORM = "unorm"
     SNORM = "snorm"
@@ -29,9 +29,9 @@ class ChannelKind(enum.Enum):
 
 
 class Format(enum.Enum):
-    """A texel format. `channels`, `kind`, `dtype` and `texel_bytes` describe it.
+    """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
-    The value is (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
+    The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`.
     """
 
     R8 = (1, ChannelKind.UNORM, "u1", 1)
@@ -76,8 +76,8 @@ class Format(enum.Enum):
     texel_bytes: int
 
     def __init__(self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int) -> None:
-        # Two formats may agree in all four parts (D24 and D32F do), and Enum would make them aliases
-        # were the values equal; __new__ below numbers them.
+        # Two formats may have the same four parts (D24 and D32F do). Enum would make them aliases if their values
+        # were equal, so __new__ below numbers them.
         self.channels = channels
         self.kind = kind
         self.dtype = np.dtype(dtype)
@@ -90,17 +90,17 @@ class Format(enum.Enum):
 
     @property
     def is_depth(self) -> bool:
-        """Whether it is a depth format, with or without stencil."""
+        """Whether this is a depth format, with or without stencil."""
         return self.kind in (ChannelKind.DEPTH, ChannelKind.DEPTH_STENCIL)
 
     @property
     def has_stencil(self) -> bool:
-        """Whether it holds 8 bits of stencil beside the depth."""
+        """Whether this format has 8 bits of stencil beside the depth."""
         return self.kind is ChannelKind.DEPTH_STENCIL
 
     @property
     def depth_steps(self) -> int:
-        """Of a depth format of whole numbers: the number that stands for 1; 0 for floats and colors."""
+        """The integer that represents depth 1 in a fixed-point depth format; 0 for other formats."""
         return _DEPTH_STEPS.get(self.name, 0)
 
     @property
@@ -113,7 +113,7 @@ _DEPTH_STEPS: Final = {"D16": (1 << 16) - 1, "D24": (1 << 24) - 1, "D24S8": (1 <
 
 
 class IndexFormat(enum.Enum):
-    """The type of an index buffer's elements; `size` is in bytes."""
+    """The type of the elements of an index buffer. `size` is in bytes."""
 
     UINT16 = "u2"
     UINT32 = "u4"

@@ -1,11 +1,11 @@
-"""Types that CPU and device share, and where their parts lie in memory.
+"""Types that CPU and device share, and their layout in memory.
 
-- A type says what a value is (`VectorType(FLOAT, 3)`); a `Layout` says how it lies in memory: std140 for
-  uniform blocks, std430 for storage and vertices, PACKED for neither. `place` gives offsets and strides
-  (OpenGL 4.3, section 7.6.2.2), `dtype_of` the same as a NumPy dtype, padding included.
-- Matrices lie row by row, as in NumPy, so `M` uploaded as it is gives `M @ v` in a shader. A row is padded
-  like a vector: a `mat3` is float32 (3, 4), with a column that nobody reads.
-- `compare_layouts` prints two dtypes side by side: why an array can't be uploaded as it is.
+- A type describes a value (`VectorType(FLOAT, 3)`), a `Layout` its place in memory: std140 for uniform blocks, std430
+  for storage buffers and vertices, PACKED for data without padding. `place` gives offsets and strides (OpenGL 4.3,
+  section 7.6.2.2), `dtype_of` the equivalent NumPy dtype, padding included.
+- Matrices are stored row by row, as in NumPy, so a matrix `M` that is uploaded unchanged gives `M @ v` in a shader.
+  Rows are padded like vectors: a `mat3` is float32 (3, 4) with an unused column.
+- `compare_layouts` prints two dtypes side by side, to explain why an array can't be uploaded.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __rhi_internal__ = True
 
 
 class Layout(enum.Enum):
-    """How a type lies in memory."""
+    """Rules by which the parts of a type are placed in memory."""
 
     STD140 = "std140"
     STD430 = "std430"
@@ -33,7 +33,7 @@ class Layout(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class ScalarType:
-    """A bool, int, uint or float of 32 bits. A bool has no size: memory can't be shared through it."""
+    """A bool, or a 32-bit int, uint or float. A bool has no size, so it can't be part of shared memory."""
 
     name: str
     code: str = ""
@@ -52,7 +52,7 @@ _VECTOR_PREFIX: Final = {BOOL: "bvec", INT: "ivec", UINT: "uvec", FLOAT: "vec"}
 
 @dataclass(frozen=True, slots=True)
 class VectorType:
-    """2 to 4 components of one scalar type."""
+    """A vector of 2 to 4 components of one scalar type."""
 
     scalar: ScalarType
     size: int
@@ -73,7 +73,7 @@ class MatrixType:
 
 @dataclass(frozen=True, slots=True)
 class ArrayType:
-    """`length` elements of one type."""
+    """An array of `length` elements of one type."""
 
     element: HostType
     length: int
@@ -84,7 +84,7 @@ class ArrayType:
 
 @dataclass(frozen=True, slots=True)
 class Field:
-    """A named part of a struct."""
+    """A named field of a struct."""
 
     name: str
     type: HostType
@@ -92,13 +92,13 @@ class Field:
 
 @dataclass(frozen=True, slots=True)
 class StructType:
-    """Named fields in order."""
+    """A struct: named fields in order."""
 
     name: str
     fields: tuple[Field, ...]
 
     def field(self, name: str) -> Field | None:
-        """The field of that name, or None."""
+        """Return the field with this name, or None."""
         return next((field for field in self.fields if field.name == name), None)
 
     def __str__(self) -> str:
@@ -110,10 +110,10 @@ HostType: TypeAlias = ScalarType | VectorType | MatrixType | ArrayType | StructT
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where a type lies: all in bytes.
+    """Size, alignment, stride and offsets of a type in memory, in bytes.
 
-    `stride` is the distance between the elements of an array or the rows of a matrix, 0 for others;
-    `offsets` are those of a struct's fields.
+    `stride` is the distance between the elements of an array or the rows of a matrix, 0 for other types. `offsets` has
+    one entry per field of a struct.
     """
 
     size: int
@@ -123,12 +123,12 @@ class Placement:
 
 
 def round_up(value: int, alignment: int) -> int:
-    """The smallest multiple of `alignment` that is not below `value`."""
+    """Return the smallest multiple of `alignment` that is not less than `value`."""
     return -(-value // alignment) * alignment
 
 
 def is_host_shareable(type: HostType) -> bool:
-    """Whether the type has a layout: whether no bool is in it."""
+    """Return whether a type has a layout in memory, which is the case if it contains no bool."""
     match type:
         case ScalarType():
             return type is not BOOL
@@ -144,10 +144,10 @@ def is_host_shareable(type: HostType) -> bool:
 
 @lru_cache(maxsize=4096)
 def place(type: HostType, layout: Layout) -> Placement:
-    """Size, alignment, stride and offsets of `type` in `layout`.
+    """Return size, alignment, stride and offsets of `type` in `layout`.
 
     Raises:
-        TypeError: a bool is in it; sizes of bools differ between devices.
+        TypeError: the type contains a bool, whose size differs between devices.
     """
     packed, rounded = layout is Layout.PACKED, layout is Layout.STD140
     match type:
@@ -178,12 +178,12 @@ def place(type: HostType, layout: Layout) -> Placement:
 
 
 def stride_of(type: HostType, layout: Layout) -> int:
-    """Bytes from one element to the next where `type` is an array's element (a storage buffer's, say)."""
+    """Return the bytes from one element to the next in an array of `type`, such as a storage buffer."""
     return place(ArrayType(type, 1), layout).stride
 
 
 def shape_of(type: HostType) -> tuple[int, ...]:
-    """The natural shape of a value, without padding: () for a scalar or struct, (3, 3) for a `mat3`."""
+    """Return the shape of a value without padding: () for a scalar or struct, (3, 3) for a `mat3`."""
     match type:
         case VectorType(size=size):
             return (size,)
@@ -197,11 +197,11 @@ def shape_of(type: HostType) -> tuple[int, ...]:
 
 @lru_cache(maxsize=4096)
 def dtype_of(type: HostType, layout: Layout) -> np.dtype[Any]:
-    """The NumPy dtype of one value, padding included.
+    """Return the NumPy dtype of one value, padding included.
 
-    A struct gives a structured dtype with its offsets and size; a vector or matrix a subarray, where a
-    padded row or element has more columns than the natural shape (`mat3`: float32 (3, 4); a std140 array
-    of n floats: float32 (n, 4)).
+    A struct gives a structured dtype with the struct's offsets and size. A vector, matrix or array gives a subarray;
+    its padded rows or elements have more columns than the natural shape (a `mat3` is float32 (3, 4), a std140 array
+    of n floats is float32 (n, 4)).
     """
     placement = place(type, layout)
     match type:
@@ -227,7 +227,7 @@ def dtype_of(type: HostType, layout: Layout) -> np.dtype[Any]:
 
 
 def element_dtype(type: HostType, layout: Layout) -> np.dtype[Any]:
-    """The NumPy dtype of one element of an array of `type`: `dtype_of`, padded to the stride."""
+    """Return the NumPy dtype of one element of an array of `type`: `dtype_of`, padded to the stride."""
     return _padded_dtype(type, layout, stride_of(type, layout))
 
 
@@ -240,7 +240,7 @@ def _padded_dtype(element: HostType, layout: Layout, stride: int) -> np.dtype[An
 
 
 def scalar_places(type: HostType, layout: Layout, start: int = 0) -> Iterator[tuple[int, str]]:
-    """(byte offset, NumPy code) of each scalar of a value, in order, padding left out."""
+    """Yield (byte offset, NumPy code) for each scalar of a value, in order and without padding."""
     placement = place(type, layout)
     match type:
         case ScalarType(code=code):
@@ -263,7 +263,7 @@ def scalar_places(type: HostType, layout: Layout, start: int = 0) -> Iterator[tu
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """A line of a layout table: one field, its byte offset and NumPy type."""
+    """A row of a layout table: a field with its byte offset and NumPy type."""
 
     name: str
     offset: int
@@ -271,7 +271,7 @@ class Row:
 
 
 def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> Iterator[Row]:
-    """The fields of a dtype with their offsets from the start, those of nested structs by dotted name."""
+    """Yield the fields of a dtype with their offsets from its start. Fields of nested structs have dotted names."""
     base, shape = dtype.subdtype if dtype.subdtype is not None else (dtype, dtype.shape)
     if base.names is None:
         yield Row(prefix or "(element)", start, base.name + (str(list(shape)) if shape else ""))
@@ -284,8 +284,8 @@ def describe_layout(dtype: np.dtype[Any], prefix: str = "", start: int = 0) -> I
 
 
 def accepts(wanted: np.dtype[Any], given: np.dtype[Any]) -> bool:
-    """Whether elements of `given` are elements of `wanted` as they lie: every wanted field has its name, type and
-    offset, and elements are of one size. More fields, such as named padding, do no harm."""
+    """Return whether memory of dtype `given` can be read as `wanted`: elements have the same size, and each wanted
+    field is present with the same name, type and offset. Additional fields, such as named padding, are allowed."""
     if wanted == given:
         return True
     if wanted.names is None or given.names is None or wanted.itemsize != given.itemsize:
@@ -294,7 +294,7 @@ def accepts(wanted: np.dtype[Any], given: np.dtype[Any]) -> bool:
 
 
 def compare_layouts(wanted: np.dtype[Any], given: np.dtype[Any]) -> str:
-    """Two layouts side by side: field, offset and type of each, with a mark where they differ."""
+    """Return a table of two layouts side by side: field, offset and type, with a mark where they differ."""
     left = {row.name: row for row in describe_layout(wanted)}
     right = {row.name: row for row in describe_layout(given)}
     table = [("field", "offset", "wanted", "offset", "given", "")]

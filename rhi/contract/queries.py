@@ -1,5 +1,8 @@
-"""Occlusion queries of an array of draws, one at a time: what every backend can do, and what those that do more at
-once must be like."""
+"""Occlusion queries for an array of draws, executed one by one.
+
+Every backend can do this. It is also the reference for backends that execute many queries at once
+(`rhi.contract.backend.PreparesQueries`).
+"""
 
 from __future__ import annotations
 
@@ -16,7 +19,7 @@ __rhi_internal__ = True
 
 
 class PlainQueries:
-    """Occlusion queries that are begun and ended one by one, as every backend can do it."""
+    """A group of occlusion queries that begins and ends each query with a command of its own."""
 
     def __init__(self, backend: Backend, queries: Sequence[Id]) -> None:
         self._backend = backend
@@ -25,7 +28,7 @@ class PlainQueries:
     def draw(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> None:
-        """As `PreparedQueries.draw`."""
+        """Draw and count; see `rhi.contract.backend.PreparedQueries.draw`."""
         backend, queries = self._backend, self._queries
         draw, current = backend.draw, -1
         try:
@@ -42,10 +45,10 @@ class PlainQueries:
                 backend.end_query(queries[current])
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """As `PreparedQueries.read`."""
+        """Return the samples of each row, or None; see `rhi.contract.backend.PreparedQueries.read`."""
         read, queries = self._backend.read_query, self._queries
         answers = np.empty(len(rows), np.int64)
-        for place, row in reversed(list(enumerate(rows.tolist()))):  # those that come last first
+        for place, row in reversed(list(enumerate(rows.tolist()))):  # the latest answers arrive last
             samples = read(queries[row])
             if samples is None:
                 return None
@@ -54,7 +57,7 @@ class PlainQueries:
 
 
 def list_draws(draws: NDArray[Any]) -> Iterator[tuple[int, int, int, int, int]]:
-    """Draws of an array as `Backend.draw` takes them, from `first` on."""
+    """Yield the arguments of `Backend.draw` from `first` on, for each draw of an array."""
     count, instances, first, base_instance = (
         draws[name].tolist() for name in ("count", "instances", "first", "base_instance")
     )

@@ -1,15 +1,15 @@
 """Render states: the type is the state (thesis 4.2, Listings 4.5 to 4.8).
 
-- Each state is a type of its own, so a value can't go to the wrong state and a scope needs no names:
+- Each state is a type of its own, so a value can't be given to the wrong state and a scope needs no names:
   `device.states(CullMode.NONE, DepthWrite.OFF, Viewport(0, 0, 64, 64))`.
-- On/off and choice states are enums; states with numbers are frozen, interned values: equal ones are the same
-  object. So all of them hash and compare by identity, at the speed of C: a scope looks them up by hash, and a
-  dataclass's own hash costs 150 ns, Enum's 52. (Never named tuples: `Viewport(0, 0, 1, 1)` would equal
+- States with a choice are enums. States with numbers are frozen, interned values: equal values are the same object.
+  So all states hash and compare by identity, at the speed of C. A scope is looked up by the hash of its states; a
+  dataclass's own hash costs 150 ns, Enum's 52. (Named tuples won't do: `Viewport(0, 0, 1, 1)` would equal
   `Scissor(0, 0, 1, 1)`.)
-- `ColorWrite` and `BlendFunction` exist once per color target: a plain value is for all targets,
-  `ColorWrite.OFF.at(2)` for one.
+- `ColorWrite` and `BlendFunction` exist once per color target: a plain value applies to all targets,
+  `ColorWrite.OFF.at(2)` to one.
 - `STATE_TYPES` fixes the order of a state vector; commonly changed states come first.
-- The thesis's `ZTEST_USE_W` has no counterpart: no hardware with a W buffer is left.
+- The thesis's `ZTEST_USE_W` has no counterpart: current hardware has no W buffer.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ MAX_TARGETS: Final = 8
 
 
 class Comparison(enum.Enum):
-    """`new OP stored`: a parameter of samplers and stencil states, not a state itself."""
+    """A comparison `new OP stored`. It is a parameter of samplers and stencil states, not a state itself."""
 
     NEVER = "never"
     LESS = "less"
@@ -44,7 +44,7 @@ class Comparison(enum.Enum):
 
 
 class CullMode(enum.Enum):
-    """Which faces are dropped."""
+    """Which faces are culled."""
 
     NONE = "none"
     FRONT = "front"
@@ -54,7 +54,7 @@ class CullMode(enum.Enum):
 
 
 class FrontFace(enum.Enum):
-    """Which winding, seen with +Y up, is the front."""
+    """The winding of front faces, seen with +Y up."""
 
     COUNTER_CLOCKWISE = "counter_clockwise"
     CLOCKWISE = "clockwise"
@@ -63,7 +63,7 @@ class FrontFace(enum.Enum):
 
 
 class DepthTest(enum.Enum):
-    """OFF lets every fragment pass; it doesn't stop depth writes (`DepthWrite` does)."""
+    """Depth test. OFF lets every fragment pass, but doesn't disable depth writes (`DepthWrite` does)."""
 
     OFF = "off"
     ON = "on"
@@ -72,7 +72,7 @@ class DepthTest(enum.Enum):
 
 
 class DepthWrite(enum.Enum):
-    """OFF leaves the stored depth as it is."""
+    """Whether fragments that pass write their depth."""
 
     OFF = "off"
     ON = "on"
@@ -81,7 +81,8 @@ class DepthWrite(enum.Enum):
 
 
 class DepthFunction(enum.Enum):
-    """`fragment OP stored`. Depth is reversed by default (near 1, far 0), so the default is GREATER."""
+    """The depth comparison `fragment OP stored`. Depth is reversed by default (near 1, far 0), so the default is
+    GREATER."""
 
     NEVER = "never"
     LESS = "less"
@@ -96,7 +97,8 @@ class DepthFunction(enum.Enum):
 
 
 class AlphaTest(enum.Enum):
-    """ON drops a fragment unless `alpha of target 0 OP reference` (needs `capabilities.alpha_test`)."""
+    """Alpha test. ON discards a fragment unless `alpha of target 0 OP reference` is true. It needs
+    `capabilities.alpha_test`."""
 
     OFF = "off"
     ON = "on"
@@ -105,7 +107,7 @@ class AlphaTest(enum.Enum):
 
 
 class AlphaFunction(enum.Enum):
-    """The alpha test's comparison; its reference is `AlphaReference`."""
+    """The comparison of the alpha test. Its reference is `AlphaReference`."""
 
     NEVER = "never"
     LESS = "less"
@@ -120,7 +122,7 @@ class AlphaFunction(enum.Enum):
 
 
 class StencilTest(enum.Enum):
-    """OFF neither tests nor writes stencil."""
+    """Stencil test. OFF neither tests nor writes stencil values."""
 
     OFF = "off"
     ON = "on"
@@ -129,7 +131,7 @@ class StencilTest(enum.Enum):
 
 
 class AlphaToCoverage(enum.Enum):
-    """ON turns alpha into a coverage mask on multi-sampled targets."""
+    """Alpha to coverage. ON turns the alpha of target 0 into a coverage mask on multi-sampled targets."""
 
     OFF = "off"
     ON = "on"
@@ -141,22 +143,22 @@ _VALUES: Final[WeakValueDictionary[tuple[object, ...], Any]] = WeakValueDictiona
 
 
 class _Interned(type):
-    """Makes equal values of a class the same object."""
+    """Metaclass that interns: equal values of a class are the same object."""
 
     def __call__(cls, *arguments: Any, **named: Any) -> Any:
-        value = super().__call__(*arguments, **named)  # which checks the numbers
+        value = super().__call__(*arguments, **named)  # validates the numbers
         key = (cls, *(getattr(value, name) for name in cls.__match_args__))  # type: ignore[attr-defined]
         return _VALUES.setdefault(key, value)
 
 
-if TYPE_CHECKING:  # type checkers take a metaclass's __call__ for the constructor's signature
+if TYPE_CHECKING:  # type checkers would use the metaclass's __call__ as the constructor's signature
 
     class _Value: ...
 
 else:
 
     class _Value(metaclass=_Interned):
-        """Base of the states with numbers: interned, so identity is equality."""
+        """Base class of states with numbers. Values are interned, so equality is identity."""
 
         __slots__ = ("__weakref__",)
 
@@ -186,7 +188,7 @@ def _is_finite(*numbers: float) -> bool:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AlphaReference(_Value):
-    """What the alpha test compares with, 0…1."""
+    """The reference value of the alpha test, 0 to 1."""
 
     value: float = 0.5
 
@@ -196,7 +198,7 @@ class AlphaReference(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ColorWrite(_Value):
-    """Which channels are written; `target` None means all targets."""
+    """The channels that fragments write. `target` None applies to all targets."""
 
     red: bool = True
     green: bool = True
@@ -211,7 +213,7 @@ class ColorWrite(_Value):
         _check(self.target is None or 0 <= self.target < MAX_TARGETS, self, f"target 0 to {MAX_TARGETS - 1}")
 
     def at(self, target: int) -> ColorWrite:
-        """The same for one color target."""
+        """Return this state for one color target."""
         return ColorWrite(self.red, self.green, self.blue, self.alpha, target)
 
 
@@ -220,7 +222,7 @@ ColorWrite.OFF = ColorWrite(False, False, False, False)
 
 
 class BlendFactor(enum.Enum):
-    """What source or destination is multiplied by; CONSTANT is the `BlendColor`."""
+    """The factor of the source or destination color in blending. CONSTANT is the `BlendColor`."""
 
     ZERO = "zero"
     ONE = "one"
@@ -240,7 +242,7 @@ class BlendFactor(enum.Enum):
 
 
 class BlendOperation(enum.Enum):
-    """MINIMUM and MAXIMUM ignore the factors."""
+    """How blending combines source and destination. MINIMUM and MAXIMUM ignore the factors."""
 
     ADD = "add"
     SUBTRACT = "subtract"
@@ -253,10 +255,10 @@ class BlendOperation(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlendFunction(_Value):
-    """`source · source factor OP destination · destination factor`; alpha may differ from color.
+    """Blending: `source · source factor OP destination · destination factor`. Alpha may differ from color.
 
-    `BlendFunction.OFF`, `ALPHA`, `ADDITIVE`, `PREMULTIPLIED` and `MULTIPLY` are the common ones. `target` None
-    means all targets. Integer targets don't blend.
+    Common functions are `BlendFunction.OFF`, `ALPHA`, `ADDITIVE`, `PREMULTIPLIED` and `MULTIPLY`. `target` None applies
+    to all targets. Integer targets don't blend.
     """
 
     source: BlendFactor = BlendFactor.ONE
@@ -277,8 +279,8 @@ class BlendFunction(_Value):
         _check(self.target is None or 0 <= self.target < MAX_TARGETS, self, f"target 0 to {MAX_TARGETS - 1}")
 
     def at(self, target: int) -> BlendFunction:
-        """The same for one color target."""
-        # Not by dataclasses.replace: a refusal would name its line as the user's.
+        """Return this state for one color target."""
+        # Not with dataclasses.replace: an error would name a line of `dataclasses` as the user's.
         return BlendFunction(
             self.source,
             self.destination,
@@ -291,7 +293,7 @@ class BlendFunction(_Value):
 
     @property
     def is_off(self) -> bool:
-        """Whether it only replaces, so that blending can be switched off."""
+        """Whether the source only replaces the destination, so that blending can be disabled."""
         return (
             self.source is BlendFactor.ONE
             and self.destination is BlendFactor.ZERO
@@ -316,7 +318,7 @@ BlendFunction.MULTIPLY = BlendFunction(BlendFactor.DESTINATION_COLOR, BlendFacto
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BlendColor(_Value):
-    """The constant of the CONSTANT blend factors."""
+    """The color of the CONSTANT blend factors."""
 
     red: float = 0.0
     green: float = 0.0
@@ -328,7 +330,7 @@ class BlendColor(_Value):
 
 
 class StencilOperation(enum.Enum):
-    """What becomes of the stored stencil value; the plain INCREMENT and DECREMENT stop at 255 and 0."""
+    """How the stored stencil value changes. INCREMENT and DECREMENT saturate at 255 and 0."""
 
     KEEP = "keep"
     ZERO = "zero"
@@ -344,8 +346,8 @@ class StencilOperation(enum.Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilFront(_Value):
-    """Front faces (and points and lines): `reference & mask OP stored & mask`, and what happens to the
-    stored value when the stencil test fails, when the depth test fails, and when both pass."""
+    """Stencil test of front faces, points and lines: the comparison `reference & mask OP stored & mask`, and how the
+    stored value changes when the stencil test fails, when the depth test fails, and when both pass."""
 
     function: Comparison = Comparison.ALWAYS
     stencil_fail: StencilOperation = StencilOperation.KEEP
@@ -355,7 +357,7 @@ class StencilFront(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilBack(_Value):
-    """Back faces; see `StencilFront`."""
+    """Stencil test of back faces; see `StencilFront`."""
 
     function: Comparison = Comparison.ALWAYS
     stencil_fail: StencilOperation = StencilOperation.KEEP
@@ -374,7 +376,7 @@ class _StencilBytes(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilReference(_StencilBytes):
-    """The value compared with and written by REPLACE, 0…255, front and back."""
+    """The stencil reference of front and back faces, 0 to 255: the value to compare with, and which REPLACE writes."""
 
     front: int = 0
     back: int = 0
@@ -382,7 +384,7 @@ class StencilReference(_StencilBytes):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilReadMask(_StencilBytes):
-    """ANDed to both sides of the stencil comparison."""
+    """The mask that both sides of the stencil comparison are ANDed with."""
 
     front: int = 255
     back: int = 255
@@ -390,7 +392,7 @@ class StencilReadMask(_StencilBytes):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilWriteMask(_StencilBytes):
-    """The bits that stencil writes change."""
+    """The bits that stencil writes may change."""
 
     front: int = 255
     back: int = 255
@@ -398,9 +400,9 @@ class StencilWriteMask(_StencilBytes):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Viewport(_Value):
-    """Where clip space lands, in texels from the target's top left corner, and its depth range.
+    """The rectangle that clip space maps to, in texels from the target's top left corner, and its depth range.
 
-    `Viewport.TARGET` (the default) is the whole target of the pass, whichever that is.
+    `Viewport.TARGET`, the default, is the whole target of the current pass.
     """
 
     x: float = 0.0
@@ -423,9 +425,9 @@ Viewport.TARGET = Viewport()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scissor(_Value):
-    """The only texels a pass's draws may touch, from the target's top left corner; clears ignore it.
+    """The rectangle of texels that draws may write, from the target's top left corner. Clears ignore it.
 
-    `Scissor.OFF` (the default) is the whole target. A scissor of width or height 0 lets nothing through.
+    `Scissor.OFF`, the default, is the whole target. A scissor of width or height 0 discards every fragment.
     """
 
     x: int = 0
@@ -445,8 +447,8 @@ Scissor.OFF = Scissor()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DepthBias(_Value):
-    """A constant added to every depth, in units of the smallest step of the depth format (positive is a
-    larger depth value: nearer under reversed depth)."""
+    """A constant that is added to every depth, in units of the smallest step of the depth format. A positive bias gives
+    a larger depth value, which is nearer with reversed depth."""
 
     units: float = 0.0
 
@@ -456,8 +458,8 @@ class DepthBias(_Value):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolygonOffset(_Value):
-    """`slope` times a polygon's steepest depth slope is added to its depth; with `clamp` not 0 the whole
-    offset (bias included) is kept within it (needs `capabilities.depth_bias_clamp`)."""
+    """Slope-scaled depth offset: `slope` times the steepest depth slope of a polygon is added to its depth. A `clamp`
+    other than 0 limits the whole offset, bias included; it needs `capabilities.depth_bias_clamp`."""
 
     slope: float = 0.0
     clamp: float = 0.0
@@ -516,20 +518,20 @@ DEFAULTS: Final[dict[type, State]] = {
     AlphaReference: AlphaReference(),
     AlphaToCoverage: AlphaToCoverage.OFF,
 }
-"""What holds where no scope says otherwise."""
+"""The value of each state outside all scopes."""
 
 STATE_TYPES: Final = tuple(DEFAULTS)
 PER_TARGET: Final = (ColorWrite, BlendFunction)
 
 
 class StateChange(NamedTuple):
-    """One value for the hardware. For `ColorWrite` and `BlendFunction`, `value` is a tuple of 8, one per
-    target; for the other types it is the state itself."""
+    """A new value of one state type. For `ColorWrite` and `BlendFunction`, `value` is a tuple of 8, one per target; for
+    the other types it is the state itself."""
 
     type: type
     value: object
 
 
 def default_values() -> tuple[object, ...]:
-    """What holds where nothing was set, in the order of `STATE_TYPES`."""
+    """Return the default value of each state type, in the order of `STATE_TYPES`."""
     return tuple((v,) * MAX_TARGETS if t in PER_TARGET else v for t, v in DEFAULTS.items())

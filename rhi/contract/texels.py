@@ -1,9 +1,9 @@
-"""Texels: numbers to what a format stores and back, and the box filter of mip levels.
+"""Encoding and decoding of texels, and the box filter of mip levels.
 
-- Conversions are those of the graphics APIs: clamp, scale, round to nearest; NaN becomes 0 where the format
-  has none. They are computed in float64 and rounded once.
+- Conversions follow the graphics APIs: clamp, scale, round to nearest. NaN becomes 0 if the format can't store it.
+  They are computed in float64 and rounded once.
 - sRGB formats store gamma-encoded colors and linear alpha (IEC 61966-2-1, the exact piecewise curve).
-- Depth is kept as float32, rounded to the values that the format could store.
+- Depth is stored as float32, rounded to values that the format can represent.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the f
 
 
 def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
-    """(…, channels) linear values as the format stores them; the channel axis must fit the format."""
+    """Return (…, channels) linear values as the format stores them. The last axis must fit the format's channels."""
     kind = format.kind
     if kind is ChannelKind.FLOAT:
-        with np.errstate(over="ignore"):  # what is too large becomes infinite
+        with np.errstate(over="ignore"):  # values that are too large become infinite
             return values.astype(format.dtype)
     values = np.where(np.isnan(values), 0.0, values)
     if format.is_depth:
@@ -45,7 +45,7 @@ def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
 
 
 def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
-    """The linear values of stored texels, as a shader would see them."""
+    """Return the linear values of stored texels, as a shader reads them."""
     values = texels.astype(np.float64)
     kind = format.kind
     if kind in (ChannelKind.UNORM, ChannelKind.SRGB):
@@ -58,10 +58,10 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
 
 
 def halve(format: Format, level: NDArray[np.generic], layers: int) -> NDArray[np.generic]:
-    """The next mip level of a (layers, height, width, channels) one, with `layers` layers.
+    """Return the next mip level of a (layers, height, width, channels) level, with `layers` layers.
 
-    Each texel is the mean of the area it covers: 2×2 texels, or 3 with fractional weights along an odd
-    axis, so that no row or column is lost and the mean of the level stays what it was.
+    Each texel is the mean of the area that it covers: 2 texels along an even axis, 3 with fractional weights along an
+    odd one. So no row or column is lost, and the mean of the level is preserved.
     """
     depth, height, width, channels = level.shape
     shape = (layers, max(1, height // 2), max(1, width // 2), channels)
@@ -84,7 +84,7 @@ def halve(format: Format, level: NDArray[np.generic], layers: int) -> NDArray[np
 
 
 def _taps(start: int, stop: int, size: int, target: int) -> list[_Taps]:
-    """The source texels of target texels `start` to `stop` along one axis, and their weights."""
+    """Return the source texels of target texels `start` to `stop` along one axis, with their weights."""
     index = np.arange(start, stop)
     if size == target:
         return [(index, np.ones(len(index)))]
@@ -108,5 +108,5 @@ def _to_srgb(linear: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def from_srgb(encoded: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Linear light of gamma-encoded values, both 0 to 1 (IEC 61966-2-1)."""
+    """Return the linear light of gamma-encoded values; both are 0 to 1 (IEC 61966-2-1)."""
     return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

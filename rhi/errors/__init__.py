@@ -1,11 +1,11 @@
-"""Errors that help: what rule was broken, by which call, where in the user's file, and what to do.
+"""Errors that help: which rule was broken, by which call, on which line of the user's program, and what to do.
 
-- Every refusal names one `Rule`: a stable id, a sentence, a tip. The table of the core's rules is
-  `rhi.errors.rules`, that of the shading language `rhi.shading.language.rules`; both add to `RULES` by being defined.
-- An error names the *user's* line. Modules of this package carry `__rhi_internal__ = True` in their
-  globals, and `find_user_frame` walks out past every frame so marked. The recorder uses the same mark,
-  because looking a name up in a frame's globals is the cheapest way out of a package (40 ns a frame).
-- Nothing here imports anything else of the package.
+- Every error names one `Rule`: a stable id, a sentence, a tip. `rhi.errors.rules` is the table of the interface's
+  rules, `rhi.shading.language.rules` that of the shading language. Defining a rule adds it to `RULES`.
+- An error names the *user's* line. Modules of this package have `__rhi_internal__ = True` among their globals, and
+  `find_user_frame` skips all frames with this mark. The recorder uses the same mark: to look up a name in the globals
+  of a frame is the cheapest way to leave a package (40 ns a frame).
+- This module imports nothing else of the package.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ RULES: Final[dict[str, Rule]] = {}
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """One thing that a caller may get wrong.
+    """A rule that a call can break: a stable id, a sentence that states the fault, and a tip.
 
-    Defining a rule adds it to `RULES`; an id can be used once.
+    Defining a rule adds it to `RULES`. Each id can be used only once.
     """
 
     id: str
@@ -54,13 +54,13 @@ class CallSite:
 
 
 class RhiError(Exception):
-    """Base of all errors of this package.
+    """Base class of all errors of this package.
 
     Attributes:
-        rule: the broken rule; `rule.id` is stable and what tests should compare.
+        rule: the broken rule. Tests should compare `rule.id`, which is stable.
         call: the refused call, as text.
-        given, allowed: what was passed and what may be passed, as text; may be empty.
-        site: the user's line, or None when no user frame was found.
+        given, allowed: the value that was passed and the values that are allowed, as text; may be empty.
+        site: the user's line, or None if the whole stack is internal.
     """
 
     def __init__(
@@ -85,7 +85,7 @@ class RhiError(Exception):
                 listener.note_error(self, sys._getframe(1))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """So that an error comes back from another process as what it is."""
+        """Support pickling, so that an error keeps its type and parts when it comes from another process."""
         return type(self), (self.rule, self.call, self.given, self.allowed, self.tip, self.site)
 
     def _describe(self) -> str:
@@ -105,15 +105,15 @@ class RhiError(Exception):
 
 
 class ValidationError(RhiError, ValueError):
-    """A call that the rules of the interface forbid; nothing of it was done."""
+    """A call that breaks a rule of the interface. It had no effect."""
 
 
 class ShaderError(RhiError, TypeError):
-    """A shader that does not type-check or that a driver refuses."""
+    """A shader that doesn't type-check, or that the driver refuses."""
 
 
 class DeviceError(RhiError, RuntimeError):
-    """The device itself: a missing driver, out of memory, a lost device."""
+    """A fault of the device itself: a missing driver, no memory left, a lost device."""
 
 
 class Listener(Protocol):
@@ -142,7 +142,7 @@ def _as_text(value: object) -> str:
 
 
 def find_user_frame(depth: int = 1) -> FrameType | None:
-    """The innermost frame outside this package, searched from `depth` frames above the caller."""
+    """Return the innermost frame outside this package, starting `depth` frames above the caller."""
     frame: FrameType | None = sys._getframe(depth)
     while frame is not None and MARK in frame.f_globals:
         frame = frame.f_back
@@ -150,7 +150,7 @@ def find_user_frame(depth: int = 1) -> FrameType | None:
 
 
 def find_call_site() -> CallSite | None:
-    """The user's line that led here, or None when the whole stack is internal."""
+    """Return the user's line that led to this call, or None if the whole stack is internal."""
     frame = find_user_frame(2)
     if frame is None:
         return None

@@ -1,0 +1,123 @@
+"""What the project says of its own structure is true: paths in back-ticks lead to modules and files that exist."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import tokenize
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("rhi", "renderer")
+FOLDERS = ("rhi", "renderer", "examples", "benchmarks", "tests")
+PAGES = [
+    ROOT / "README.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted((ROOT / "examples").glob("*/README.md")),
+]
+PROGRAMS = [
+    path
+    for folder in FOLDERS
+    for path in sorted((ROOT / folder).rglob("*.py*"))
+    if path.suffix in (".py", ".pyi")
+]
+TICKED = re.compile(r"`([^`\n]+)`")
+DOTTED = re.compile(r"(?:rhi|renderer)(?:\.\w+)+")
+FILE = re.compile(r"(?:rhi|renderer|tests|docs|examples|benchmarks|scripts)/[\w./-]*\.(?:py|pyi|cl|md|sh)")
+MOVED = "docs/changes.md"  # lists names that are gone, beside those that took their place
+
+
+def read_prose(path: Path) -> Iterator[tuple[int, str]]:
+    """The text of a page, or the strings and comments of a program, with their first lines."""
+    if path.suffix == ".md":
+        yield (
+            1,
+            re.sub(
+                r"```.*?```", lambda block: "\n" * block[0].count("\n"), path.read_text(), flags=re.DOTALL
+            ),
+        )
+        return
+    with path.open("rb") as file:
+        for token in tokenize.tokenize(file.readline):
+            if token.type in (tokenize.STRING, tokenize.COMMENT):
+                yield token.start[0], token.string
+
+
+def find_mentions(path: Path, pattern: re.Pattern[str]) -> Iterator[tuple[int, str]]:
+    """What a file mentions in back-ticks, each with its line."""
+    for start, text in read_prose(path):
+        for ticked in TICKED.finditer(text):
+            match = pattern.match(ticked[1])
+            if match is not None:
+                yield start + text.count("\n", 0, ticked.start()), match[0]
+
+
+def resolves(dotted: str) -> bool:
+    """Whether a dotted path names a module, or something in one."""
+    parts = dotted.split(".")
+    for count in range(len(parts), 0, -1):
+        name = ".".join(parts[:count])
+        try:
+            found: object = importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            if error.name is not None and (name == error.name or name.startswith(error.name + ".")):
+                continue
+            raise
+        try:
+            for part in parts[count:]:
+                found = getattr(found, part)
+        except AttributeError:
+            # A field of a dataclass without a default, or one that only instances have.
+            owner = getattr(found, "__annotations__", {}) if isinstance(found, type) else {}
+            return part in owner or part in getattr(found, "__slots__", ())
+        return True
+    return False
+
+
+def describe(path: Path, line: int, mention: str) -> str:
+    return f"{path.relative_to(ROOT)}:{line}: {mention}"
+
+
+@pytest.mark.parametrize("folder", ["pages", *FOLDERS])
+def test_every_dotted_path_in_back_ticks_resolves(folder: str) -> None:
+    paths = PAGES if folder == "pages" else [path for path in PROGRAMS if path.is_relative_to(ROOT / folder)]
+    mentions = [
+        (path, *mention) for path in paths for mention in find_mentions(path, DOTTED) if not path.match(MOVED)
+    ]
+    known = {dotted: resolves(dotted) for dotted in {mention for _, _, mention in mentions}}
+    assert [describe(*mention) for mention in mentions if not known[mention[2]]] == []
+
+
+def test_every_file_in_back_ticks_exists() -> None:
+    wrong = [
+        describe(path, line, file)
+        for path in (*PAGES, *PROGRAMS)
+        if not path.match(MOVED)
+        for line, file in find_mentions(path, FILE)
+        if not (ROOT / file).exists()
+    ]
+    assert wrong == []
+
+
+@pytest.mark.parametrize(
+    "dotted",
+    [
+        "rhi.Device",
+        "rhi.contract.Backend.draw",
+        "rhi.contract.backend",
+        "renderer.measure",
+        "rhi.Capabilities.draws",
+    ],
+)
+def test_a_path_that_exists_resolves(dotted: str) -> None:
+    assert resolves(dotted)
+
+
+@pytest.mark.parametrize(
+    "dotted", ["rhi.validation", "renderer.technique", "rhi.Device.paint", "rhi.contract.backends"]
+)
+def test_a_path_that_does_not_exist_is_found(dotted: str) -> None:
+    assert not resolves(dotted)
