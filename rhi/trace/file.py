@@ -28,7 +28,6 @@ from rhi.contract.descriptors import ProgramDescriptor, Region, TextureDescripto
 from rhi.device.device import Device
 from rhi.errors import CallSite, refuse
 from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, Reader, Writer, source_name
-from rhi.trace.check import Checker
 from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of
 from rhi.trace.rules import (
     TRACE_ARRAY,
@@ -38,6 +37,7 @@ from rhi.trace.rules import (
     TRACE_INCOMPLETE,
     TRACE_VERSION,
 )
+from rhi.trace.validation import SequenceValidator
 
 __rhi_internal__ = True
 
@@ -201,7 +201,7 @@ class _Loader:
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
         self.stream = CommandStream()
-        self.checker = Checker()
+        self.validator = SequenceValidator()
         self.arrays: dict[int, NDArray[Any]] = {}
         self.sites: list[CodeType] = []
 
@@ -320,7 +320,7 @@ class _Loader:
             array = values[-1]
             plain = array.dtype == np.uint8 and array.ndim == 1
             if op is Op.WRITE_TEXTURE and not plain:
-                texture = self.checker.context.resources.get(values[0])
+                texture = self.validator.context.resources.get(values[0])
                 plain = (
                     isinstance(texture, TextureDescriptor)
                     and array.dtype == texture.format.dtype
@@ -330,7 +330,7 @@ class _Loader:
                 self.reader.refuse(TRACE_ARRAY, f"{where}: {array.dtype} of shape {array.shape}",
                                    "uint8 in one dimension, or the texels that the region has")  # fmt: skip
             values = [*values[:-1], array.tobytes()]
-        self.checker.check(op, values, failure is not None, where, self.reader)
+        self.validator.check(op, values, failure is not None, where, self.reader)
         return values
 
 

@@ -27,8 +27,8 @@ from rhi.device.device import Device
 from rhi.errors import RhiError, refuse
 from rhi.errors.rules import PASS_OPEN
 from rhi.trace.file import Trace, as_trace
-from rhi.trace.fit import check_fit
 from rhi.trace.ids import ID_ARGUMENTS, map_ids
+from rhi.trace.validation import check_capabilities
 
 __rhi_internal__ = True
 
@@ -74,7 +74,7 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
     if core.render_pass is not None:
         refuse(PASS_OPEN, "rhi.trace.replay", "a device with an open render pass")
     stream = trace.stream
-    check_fit(stream, on.capabilities)
+    check_capabilities(stream, on.capabilities)
     player = _Player(stream, on)
     try:
         player.play()

@@ -18,8 +18,8 @@ from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_MEMORY, PASS_OPEN
 from rhi.testing import expect
 from rhi.trace import diff, load, replay, save
-from rhi.trace.fit import check_fit
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_INCOMPLETE
+from rhi.trace.validation import check_capabilities
 
 needs_gl = pytest.mark.skipif(not gl_works(), reason="no GL device here")
 
@@ -276,7 +276,7 @@ def test_a_device_that_lacks_something_is_refused_before_anything_is_issued(
     file: Path, null_device: rhi.Device, lacking: dict[str, object], op: Op
 ) -> None:
     trace = load(file)
-    check_fit(trace.stream, null_device.capabilities)
+    check_capabilities(trace.stream, null_device.capabilities)
     null_device._core.capabilities = dataclasses.replace(null_device.capabilities, **lacking)
     with refuses(TRACE_CAPABILITY, null_device) as refusal:
         replay(trace, on=null_device)

@@ -1,19 +1,24 @@
-"""Whether each command of a trace can be issued where it stands.
+"""Validation of traces: whether each command is valid where it stands, and whether a device can execute it.
 
-A device refuses wrong calls before a backend hears of them, and backends rely on it. A trace may come from
-anybody, so what it needs of that is checked here again, on plain data: that resources exist and are of the
-right kind, that ranges lie inside them, that passes, labels and queries pair up, and that what is created can
-be. What only a driver can know (whether a shader compiles) and what only the GPU sees (the values of indices and
-indirect arguments) is not.
+A device validates calls before they reach its backend, and backends rely on that. A trace may come from anybody, so the
+same is checked here again, on plain data.
+
+- `SequenceValidator` follows the commands while a file is loaded: resources exist and have the right type, ranges lie
+  inside them, passes, labels and queries are paired, and descriptors are possible. Not checked is what only a driver
+  knows (whether a shader compiles) and what only the GPU sees (the values of indices and indirect arguments).
+- `check_capabilities` compares a loaded trace with the limits of the device that is to replay it, before the first
+  command is issued.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final, TypeVar
 
 from rhi.commands.context import StreamContext
-from rhi.commands.ops import Op
+from rhi.commands.ops import WIDTHS, Op
+from rhi.commands.stream import CommandStream
+from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import (
     BufferDescriptor,
     Id,
@@ -27,34 +32,47 @@ from rhi.contract.descriptors import (
     TextureKind,
     VertexArrayDescriptor,
 )
+from rhi.contract.states import AlphaTest, AlphaToCoverage, StencilTest
+from rhi.errors import refuse
 from rhi.trace.archive import Reader
-from rhi.trace.rules import TRACE_REFERENCE, TRACE_SIZE
+from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
 
 __rhi_internal__ = True
 
 T = TypeVar("T")
 
 MAX_MEMORY: Final = 16 << 30
-"""Bytes that a trace's resources may take at a time."""
+"""Limit of the memory that resources of a trace occupy at the same time, in bytes."""
 MAX_TEXTURE: Final = 1 << 16
 MAX_SLOT: Final = 1 << 10
 MAX_COUNT: Final = 1 << 32
 MAX_LABELS: Final = 1 << 10
 
+_QUERY_CAPABILITIES: Final = {
+    QueryKind.OCCLUSION: "occlusion_queries",
+    QueryKind.COUNTER: "sample_counter",
+    QueryKind.TIMESTAMP: "timestamps",
+}
+_STATE_CAPABILITIES: Final = {
+    AlphaTest.ON: "alpha_test",
+    StencilTest.ON: "stencil",
+    AlphaToCoverage.ON: "alpha_to_coverage",
+}
 
-class UnsoundError(Exception):
-    """The command can't be issued here; the text says why."""
+
+class InvalidCommandError(Exception):
+    """The command is invalid at this point; the text gives the reason."""
 
 
 class TooLargeError(Exception):
-    """It would make more than a trace may."""
+    """The command would exceed the memory that a trace may use."""
 
 
-class Checker:
-    """Follows a trace.
+class SequenceValidator:
+    """Validates the commands of a trace in order.
 
     Attributes:
-        context: what holds after the commands that were checked.
+        context: states, labels, bindings and resources after the commands so far.
     """
 
     def __init__(self) -> None:
@@ -67,17 +85,17 @@ class Checker:
         self._signalled = 0
 
     def check(self, op: Op, values: Sequence[Any], failed: bool, where: str, reader: Reader) -> None:
-        """Refuse the file if this command can't come next. One that failed changes nothing, and may have been
-        larger than what there was room for."""
+        """Refuse the file if this command isn't valid next. A command that `failed` when it was recorded has no effect,
+        and may have requested more memory than there was."""
         before = self._total, self._query, self._conditional, self._signalled
         rule = getattr(self, f"_{op.method}", None)
         try:
             for value in values:
                 if type(value) is int and abs(value) > 1 << 53:
-                    raise UnsoundError(f"{value} is out of range")
+                    raise InvalidCommandError(f"{value} is out of range")
             if rule is not None:
                 rule(*values)
-        except UnsoundError as error:
+        except InvalidCommandError as error:
             reader.refuse(TRACE_REFERENCE, f"{where}: {op.method}: {error}", "what a device would have issued")
         except TooLargeError as error:
             if not failed:
@@ -87,18 +105,18 @@ class Checker:
         else:
             self.context.follow(op, values)
 
-    # -- what is asked for ---------------------------------------------------------------------------------
+    # -- conditions -------------------------------------------------------------------------------------
 
     def _find(self, resource: Id, kind: type[T]) -> T:
         found = self.context.resources.get(resource)
         if not isinstance(found, kind):
             what = "nothing" if found is None else f"a {type(found).__name__}"
-            raise UnsoundError(f"id {resource} is {what}, not a {kind.__name__}")
+            raise InvalidCommandError(f"id {resource} is {what}, not a {kind.__name__}")
         return found
 
     def _need(self, condition: bool, otherwise: str) -> None:
         if not condition:
-            raise UnsoundError(otherwise)
+            raise InvalidCommandError(otherwise)
 
     def _create(self, resource: Id, size: int = 0) -> None:
         self._need(resource > 0 and resource not in self._used, f"id {resource} was used before")
@@ -111,7 +129,7 @@ class Checker:
     def _range(self, buffer: Id, offset: int, size: int) -> None:
         descriptor = self._find(buffer, BufferDescriptor)
         if not (offset >= 0 and size >= 0 and offset + size <= descriptor.size):
-            raise UnsoundError(f"bytes {offset} to {offset + size} of a buffer of {descriptor.size}")
+            raise InvalidCommandError(f"bytes {offset} to {offset + size} of a buffer of {descriptor.size}")
 
     def _region(self, texture: Id, level: int, region: Region) -> TextureDescriptor:
         descriptor = self._find(texture, TextureDescriptor)
@@ -349,3 +367,131 @@ class Checker:
         self._outside()
         if texture:
             self._find(texture, TextureDescriptor)
+
+
+# -- a device's capabilities ---------------------------------------------------------------------------------
+
+
+def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
+    """Refuse a trace that a device can't replay, and name the first command that it doesn't support.
+
+    Raises:
+        ValidationError: `trace-capability`.
+    """
+    checks: dict[Op, Callable[[Capabilities, Any], Iterator[str]]] = {
+        Op.CREATE_TEXTURE: _limit_texture,
+        Op.CREATE_SAMPLER: _limit_sampler,
+        Op.CREATE_QUERY: _limit_query,
+        Op.CREATE_PROGRAM: _limit_program,
+        Op.BEGIN_PASS: _limit_pass,
+        Op.SET_STATES: _limit_states,
+        Op.BIND_UNIFORM: _limit_uniform,
+        Op.BIND_STORAGE: _limit_storage,
+        Op.BIND_TEXTURE: _limit_sampled,
+        Op.BIND_IMAGE: _limit_image,
+        Op.DRAW_INDIRECT: _limit_indirect,
+        Op.DISPATCH: _limit_dispatch,
+        Op.BEGIN_CONDITIONAL: _limit_conditional,
+    }
+    checked: set[tuple[Any, ...]] = set()
+    place, index, data = 0, 0, stream.data
+    while place < len(data):
+        op = data[place]
+        end = place + WIDTHS[op] - 2
+        if op in checks:
+            entry = tuple(data[place:end])
+            if entry not in checked:
+                checked.add(entry)
+                for reason in checks[op](limits, entry[1:]):
+                    given = f"command {index}: {stream[index]}"
+                    refuse(TRACE_CAPABILITY, f"rhi.trace.replay on {limits.backend}", given, reason)
+        place, index = end + 2, index + 1
+
+
+def _limit_texture(limits: Capabilities, values: Any) -> Iterator[str]:
+    descriptor = values[1]
+    if max(descriptor.size) > limits.max_texture_size:
+        yield f"textures up to {limits.max_texture_size}"
+    if descriptor.layers > limits.max_texture_layers:
+        yield f"up to {limits.max_texture_layers} layers"
+    if descriptor.samples > limits.max_samples:
+        yield f"up to {limits.max_samples} samples"
+    if descriptor.format in limits.unsupported_formats:
+        yield f"formats other than {descriptor.format.name}"
+
+
+def _limit_sampler(limits: Capabilities, values: Any) -> Iterator[str]:
+    if values[1].max_anisotropy > limits.max_anisotropy:
+        yield f"anisotropy up to {limits.max_anisotropy:g}"
+
+
+def _limit_query(limits: Capabilities, values: Any) -> Iterator[str]:
+    if not getattr(limits, _QUERY_CAPABILITIES[values[1]]):
+        yield f"needs capabilities.{_QUERY_CAPABILITIES[values[1]]}"
+
+
+def _limit_program(limits: Capabilities, values: Any) -> Iterator[str]:
+    descriptor = values[1]
+    if Stage.COMPUTE in descriptor.stages:
+        x, y, z = descriptor.work_group
+        fits = all(0 < n <= most for n, most in zip((x, y, z), limits.max_work_group, strict=True))
+        if not limits.compute or not fits or x * y * z > limits.max_work_group_invocations:
+            yield f"work-groups up to {limits.max_work_group}, {limits.max_work_group_invocations} in all"
+        if descriptor.shared_bytes > limits.max_shared_bytes:
+            yield f"up to {limits.max_shared_bytes} bytes of shared memory"
+    if len(descriptor.attributes) > limits.max_vertex_attributes:
+        yield f"up to {limits.max_vertex_attributes} attributes"
+
+
+def _limit_pass(limits: Capabilities, values: Any) -> Iterator[str]:
+    if len(values[0].colors) > limits.max_color_targets:
+        yield f"up to {limits.max_color_targets} color targets"
+
+
+def _limit_states(limits: Capabilities, values: Any) -> Iterator[str]:
+    for change in values[0]:
+        if isinstance(change.value, AlphaTest | StencilTest | AlphaToCoverage) and change.value in _STATE_CAPABILITIES:
+            name = _STATE_CAPABILITIES[change.value]
+            if not getattr(limits, name):
+                yield f"needs capabilities.{name}"
+
+
+def _limit_uniform(limits: Capabilities, values: Any) -> Iterator[str]:
+    slots, most, step = limits.max_uniform_slots, limits.max_uniform_bytes, limits.uniform_alignment
+    return _limit_range(values, slots, most, step)
+
+
+def _limit_storage(limits: Capabilities, values: Any) -> Iterator[str]:
+    slots, most, step = limits.max_storage_slots, limits.max_storage_bytes, limits.storage_alignment
+    return _limit_range(values, slots, most, step)
+
+
+def _limit_range(values: Any, slots: int, most: int, step: int) -> Iterator[str]:
+    slot, _, offset, size = values
+    if slot >= slots or size > most or offset % step:
+        yield f"{slots} slots of up to {most} bytes at multiples of {step}"
+
+
+def _limit_sampled(limits: Capabilities, values: Any) -> Iterator[str]:
+    if values[0] >= limits.max_texture_slots:
+        yield f"{limits.max_texture_slots} slots"
+
+
+def _limit_image(limits: Capabilities, values: Any) -> Iterator[str]:
+    if values[0] >= limits.max_image_slots:
+        yield f"{limits.max_image_slots} slots"
+
+
+def _limit_indirect(limits: Capabilities, values: Any) -> Iterator[str]:
+    if values[6] and not limits.indirect_count:
+        yield "needs capabilities.indirect_count"
+
+
+def _limit_dispatch(limits: Capabilities, values: Any) -> Iterator[str]:
+    if not limits.compute or any(n > most for n, most in zip(values, limits.max_dispatch, strict=True)):
+        yield f"up to {limits.max_dispatch} work-groups"
+
+
+def _limit_conditional(limits: Capabilities, values: Any) -> Iterator[str]:
+    if not limits.conditional_rendering:
+        yield "needs capabilities.conditional_rendering"
