@@ -1,6 +1,6 @@
-"""What holds at a point of a stream: states, labels, program, bindings, resources and pass.
+"""The context at a point of a stream: states, labels, program, bindings, resources and render pass.
 
-None of it is stored with a command. It is derived by a `StreamContext` that is fed the commands before it.
+None of it is stored with a command. A `StreamContext` derives it by following the commands before that point.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ __rhi_internal__ = True
 
 
 class StreamContext:
-    """What holds at a point of a stream. Its methods are the commands that change it.
+    """The context at a point of a stream. It has one method for each command that changes the context.
 
     Attributes:
-        states: the value of every state type, as the backend was told.
+        states: the value of every state type, as sent to the backend.
         labels: the open labels, outermost first.
-        program: the bound program, 0 for none.
-        render_pass: the open pass, None outside.
-        resources: what each living resource was made from, by id.
-        slots: what is bound, by kind and slot: the arguments of the binding command after the slot.
+        program: the id of the bound program, 0 for none.
+        render_pass: the descriptor of the open pass, or None outside a pass.
+        resources: the descriptors of existing resources, by id.
+        slots: the bindings by (kind, slot): the arguments of the binding command that follow the slot.
     """
 
     __slots__ = ("labels", "program", "render_pass", "resources", "slots", "states")
@@ -106,7 +106,7 @@ class StreamContext:
         return twin
 
     def follow(self, op: int, arguments: Sequence[Any]) -> None:
-        """Take a command into account; most change nothing."""
+        """Update the context by one command. Most commands change nothing."""
         change = _CHANGES[op]
         if change is not None:
             change(self, *arguments)
@@ -117,4 +117,4 @@ _Change: TypeAlias = Callable[..., None]
 _CHANGES: Final[tuple[_Change | None, ...]] = tuple(getattr(StreamContext, op.method, None) for op in Op)
 
 CONTEXT_OPS: Final = frozenset(op for op in Op if _CHANGES[op] is not None)
-"""Those that a `StreamContext` follows."""
+"""The ops that change a `StreamContext`."""

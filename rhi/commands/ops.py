@@ -1,9 +1,6 @@
-"""What can be commanded: one `Op` for each `Backend` method that is a command, and what holds after them.
+"""The operations: one `Op` for each method of `rhi.contract.Backend` that is a command.
 
-- The names, order and types of a command's arguments come from the signatures of `rhi.contract.backend.Backend` and
-  are said nowhere else.
-- States, labels, program, bindings, resources and pass at a command aren't stored with it but derived, by a
-  `Context` that is fed the commands before it.
+The names, order and types of a command's arguments come from the method's signature and are stated nowhere else.
 """
 
 from __future__ import annotations
@@ -26,10 +23,10 @@ __rhi_internal__ = True
 
 
 class Op(enum.IntEnum):
-    """What a command does: one member for each method of `Backend` that is a command.
+    """The operation of a command, one per method of `rhi.contract.Backend` that is a command.
 
-    Reads that wait are commands, since they order what the device does. `capabilities`, `completed`,
-    `read_query` (which never wait) and `close` aren't.
+    Reads that wait are commands, because they order the work of the device. `capabilities`, `completed` and
+    `read_query`, which never wait, and `close` aren't commands.
     """
 
     CREATE_BUFFER = 0
@@ -73,12 +70,12 @@ class Op(enum.IntEnum):
 
     @property
     def method(self) -> str:
-        """The name of the `Backend` method."""
+        """The name of the method in `rhi.contract.Backend`."""
         return self.name.lower()
 
     @property
     def parameters(self) -> dict[str, str]:
-        """The arguments' names, in order, with their types as written in `Backend`."""
+        """The parameter names in order, with their annotations in `rhi.contract.Backend`."""
         return _PARAMETERS[self]
 
 
@@ -90,10 +87,10 @@ def _read_parameters(op: Op) -> dict[str, str]:
 _PARAMETERS: Final = {op: _read_parameters(op) for op in Op}
 DRAWS: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
 WIDTHS: Final = tuple(1 + len(op.parameters) + 2 for op in Op)
-"""Places that a command takes in a stream: its op, its arguments, its call site (two)."""
+"""Number of list elements per command in a stream: its op, its arguments, and two for its call site."""
 
 States: TypeAlias = dict[type, object]
-"""The value of each state type; for those that exist per target a tuple of 8, one per target."""
+"""The value of each state type. For types that exist per target it is a tuple of 8, one per target."""
 
 Descriptor: TypeAlias = (
     BufferDescriptor
@@ -103,6 +100,6 @@ Descriptor: TypeAlias = (
     | VertexArrayDescriptor
     | QueryKind
 )
-"""What a resource is made from."""
+"""The descriptor of a resource."""
 
 

@@ -1,10 +1,10 @@
-"""Commands: the stream of what was called, and how it is looked at.
+"""The command stream: recorded commands, and views of them.
 
-- A stream is one flat list, `op, arguments…, code, lasti` after one another. A tuple for each command took
-  2.5 times as long: an object per command keeps the garbage collector busy (any tuple that holds an enum
-  stays tracked), and its header is a third of the memory. Where commands begin is found when someone looks.
-- A call site is a code object and an instruction offset, turned into a file and line only when asked for.
-  Code objects are never hashed: their hash reads all of their contents.
+- A stream is one flat list of entries `op, arguments…, code, lasti`. A tuple per command took 2.5 times as long: one
+  object per command keeps the garbage collector busy (a tuple that holds an enum stays tracked), and its header is a
+  third of the memory. The start of each command is found when the stream is read.
+- A call site is a code object and an instruction offset. It is resolved to a file and line on request. Code objects
+  are never hashed, because their hash reads all of their contents.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["Command", "CommandStream", "Commands", "Failure", "Op", "Refusal", "
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Why a call failed: the rule's id, or the exception's type where no rule was named."""
+    """The reason why a call failed: the id of a rule, or the exception's type if it names no rule."""
 
     error: str
     message: str
@@ -39,13 +39,13 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """A call that was refused and so never became a command.
+    """A call that was refused, and therefore never became a command.
 
     Attributes:
-        index: how many commands came before it.
+        index: number of commands before it.
         error: the rule's id.
-        call, given, allowed: what the message says.
-        labels: those it was made in, outermost first.
+        call, given, allowed: the parts of the error message.
+        labels: the open labels at the call, outermost first.
     """
 
     index: int
@@ -68,7 +68,7 @@ def _on_one_line(text: str) -> str:
 
 
 def find_site(code: CodeType | None, offset: int) -> CallSite | None:
-    """The line of an instruction, by its offset in bytes; None without code."""
+    """Return the line of the instruction at an offset in bytes, or None without a code object."""
     if code is None:
         return None
     position = next(islice(code.co_positions(), offset // 2, None), None)
@@ -77,10 +77,10 @@ def find_site(code: CodeType | None, offset: int) -> CallSite | None:
 
 
 class Command:
-    """One call, with its arguments: `command.op`, `command["count"]`, `command.site`.
+    """One recorded call with its arguments: `command.op`, `command["count"]`, `command.site`.
 
-    What is derived from the commands before it (labels, states, program, bindings, resources, render_pass)
-    can be had until the stream is cleared (`command-cleared` after that).
+    Labels, states, program, bindings, resources and render pass are derived from the commands before it. They are
+    available until the stream is cleared; afterwards they raise `command-cleared`.
     """
 
     __slots__ = ("_code", "_generation", "_stream", "failure", "index", "offset", "op", "values")
@@ -91,64 +91,64 @@ class Command:
         self._generation = stream.generation
         self._code: CodeType | None = code
         self.offset: int = lasti
-        """The calling instruction in the caller's code, in bytes."""
+        """Offset of the calling instruction in the caller's code, in bytes."""
         self.index = index
-        """Its place in the stream."""
+        """Index of the command in its stream."""
         self.op = op
         self.values: tuple[Any, ...] = values
-        """The arguments, in order."""
+        """The arguments in order."""
         self.failure: Failure | None = stream.failures.get(index)
-        """Why the call failed, None if it didn't."""
+        """The reason why the call failed, or None."""
 
     @property
     def stream(self) -> CommandStream:
-        """The stream that it is in."""
+        """The stream that contains this command."""
         return self._stream
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """The arguments by their names in `Backend`."""
+        """The arguments by their parameter names in `rhi.contract.Backend`."""
         return dict(zip(self.op.parameters, self.values, strict=True))
 
     def __getitem__(self, name: str) -> Any:
-        """An argument by its name; `command-argument` if there is no such."""
+        """Return an argument by its name; an unknown name raises `command-argument`."""
         _check_argument(self.op, name)
         return self.arguments[name]
 
     @property
     def site(self) -> CallSite | None:
-        """The user's line, None if the call came from no user code."""
+        """The user's line that made the call, or None if no user code was on the stack."""
         return find_site(self._code, self.offset)
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """The labels it lies in, outermost first. A push and its pop lie in what is around them."""
+        """The open labels, outermost first. The commands that push and pop a label are outside of it."""
         labels = self._context().labels
         return labels[:-1] if self.op is Op.POP_LABEL else labels
 
     @property
     def states(self) -> States:
-        """The states in effect."""
+        """The render states in effect."""
         return self._context().states.copy()
 
     @property
     def program(self) -> Id:
-        """The bound program, 0 for none."""
+        """The id of the bound program, 0 for none."""
         return self._context().program
 
     @property
     def render_pass(self) -> PassDescriptor | None:
-        """The open pass, None outside."""
+        """The descriptor of the open render pass, or None outside a pass."""
         return self._context().render_pass
 
     def resource(self, resource: Id) -> Descriptor | None:
-        """What a resource that is alive at this command was made from."""
+        """Return the descriptor of a resource that exists at this command, or None."""
         return self._context().resources.get(resource)
 
     @property
     def bindings(self) -> dict[str, tuple[int, ...]]:
-        """What the bound program reads, by the names of its bindings: (buffer, offset, size) of a uniform or
-        storage range, (texture, sampler) of a texture, (texture, level, layer) of an image."""
+        """The bindings of the bound program by name: (buffer, offset, size) of a uniform or storage range, (texture,
+        sampler) of a texture, (texture, level, layer) of an image."""
         context = self._context()
         program = context.resources.get(context.program)
         bindings = program.bindings if isinstance(program, ProgramDescriptor) else ()
@@ -175,7 +175,7 @@ def _check_argument(op: Op, name: str) -> None:
 
 
 class Commands(Sequence[Command]):
-    """Some commands of a stream, in order. It stays as it is while the stream grows."""
+    """A fixed selection of commands of a stream, in order. It doesn't change while the stream grows."""
 
     __slots__ = ("_indices", "_stream")
 
@@ -184,7 +184,7 @@ class Commands(Sequence[Command]):
         self._indices = indices
 
     def indices(self) -> Sequence[int]:
-        """Their places in the stream."""
+        """Return the indices of these commands in the stream."""
         return self._indices
 
     def __len__(self) -> int:
@@ -211,8 +211,8 @@ class Commands(Sequence[Command]):
         where: Callable[[Command], bool] | None = None,
         **arguments: object,
     ) -> Commands:
-        """Those that meet all conditions: one of the ops, inside the label (at any depth), with these
-        arguments (`instances=4`; needs `op`), and for which `where` holds.
+        """Return the commands that meet all conditions: their op is `op` or one of several, they are inside the label
+        at any depth, they have these argument values (`instances=4`; requires `op`), and `where` is true for them.
 
         Raises:
             ValidationError: `command-argument` for an argument that the op doesn't have.
@@ -241,12 +241,13 @@ class Commands(Sequence[Command]):
         return Commands(stream, [index for index in candidates if meets(Command(stream, index))])
 
     def draws(self) -> Commands:
-        """The draws among them, indirect ones included."""
+        """Return the draws among these commands, indirect draws included."""
         return self.filter(DRAWS)
 
     @property
     def refusals(self) -> tuple[Refusal, ...]:
-        """The calls that were refused between the first and the last of them, or of the whole stream."""
+        """The calls that were refused between the first and the last of these commands; all of them for a whole
+        stream."""
         indices, refused = self.indices(), self._stream._refusals
         if self._stream is self or not refused:
             return tuple(refused)
@@ -254,8 +255,8 @@ class Commands(Sequence[Command]):
         return tuple(refusal for refusal in refused if first < refusal.index <= last)
 
     def format(self, limit: int | None = None, refusals: Sequence[Refusal] | None = None) -> str:
-        """One line each, at most `limit` commands, indented by the labels they lie in, with the refused calls at
-        their places: `refusals`, or those of `refusals` the attribute."""
+        """Return the commands as text, one line each and indented by their labels, at most `limit` of them. Refused
+        calls are listed in between: the given `refusals`, or else those of the `refusals` property."""
         refused = deque(self.refusals if refusals is None else refusals)
         lines: list[str] = []
         shown = 0
@@ -282,19 +283,20 @@ def _format_refusal(refusal: Refusal) -> str:
 
 
 PRINTED: Final = 1000
-"""Lines of a stream's `str`."""
+"""Number of commands that `str` of a stream shows."""
 
 
 class CommandStream(Commands):
-    """All commands that a `Recorder` wrote down, oldest first.
+    """All commands that a `Recorder` has recorded, oldest first.
 
-    It lives and grows: `stream[:]` is what it holds now.
+    The stream grows as more commands are recorded; `stream[:]` selects those that it contains now.
 
     Attributes:
-        data: the flat list; append whole entries only (`op, *arguments, code, lasti`).
-        failures: by index, those calls that raised.
-        generation: how often the stream was cleared.
-        is_complete: whether all commands since its beginning are in it: never cleared, nothing left out.
+        data: the flat list of entries (`op, *arguments, code, lasti`). Only whole entries may be appended.
+        failures: the calls that raised an exception, by index.
+        generation: number of times that the stream was cleared.
+        is_complete: whether the stream contains all commands since its creation: it was never cleared and recording
+            was never paused.
     """
 
     __slots__ = (
@@ -308,13 +310,13 @@ class CommandStream(Commands):
         self._refusals: list[Refusal] = []
         self.generation = 0
         self.is_complete = True
-        self._starts = array("Q")  # where each command begins in data, as far as anyone has looked
-        self._base = StreamContext()  # what holds before the first command
-        self._gaps: list[tuple[int, int, tuple[Any, ...]]] = []  # (index, op, arguments) of what was left out
-        self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context has followed
+        self._starts = array("Q")  # where each command begins in data, as far as it was read
+        self._base = StreamContext()  # the context before the first command
+        self._gaps: list[tuple[int, int, tuple[Any, ...]]] = []  # (index, op, arguments) of commands that weren't kept
+        self._cursor = (0, 0, self._base.copy())  # (commands, gaps) that the context includes
 
     def indices(self) -> range:
-        """All places: 0 to the number of commands."""
+        """Return the indices of all commands."""
         return range(len(self))
 
     def __len__(self) -> int:
@@ -326,12 +328,12 @@ class CommandStream(Commands):
         return len(starts)
 
     def op(self, index: int) -> Op:
-        """The op of a command."""
+        """Return the op of a command."""
         op: int = self.data[self._starts[index]]
         return _OPS[op]
 
     def entry(self, index: int) -> tuple[Op, tuple[Any, ...], CodeType | None, int]:
-        """(op, arguments, code, lasti) of a command; the index must have been below `len`."""
+        """Return (op, arguments, code, lasti) of a command. The index must be less than an earlier `len`."""
         start = self._starts[index]
         op = _OPS[self.data[start]]
         end = start + WIDTHS[op]
@@ -339,7 +341,7 @@ class CommandStream(Commands):
         return op, tuple(self.data[start + 1 : end - 2]), code, lasti
 
     def context(self, index: int) -> StreamContext:
-        """What holds at a command, itself not included; valid until the next call of this method."""
+        """Return the context just before a command. It is valid until the next call of this method."""
         done, gaps, context = self._cursor
         if index < done:
             done, gaps, context = 0, 0, self._base.copy()
@@ -357,7 +359,7 @@ class CommandStream(Commands):
         return context
 
     def clear(self) -> None:
-        """Forget all commands. States, labels, program and pass go on holding for those that follow."""
+        """Remove all commands. States, labels, program and pass remain known for the commands that follow."""
         self._base = self.context(len(self)).copy()
         self.data.clear()
         self.failures.clear()
@@ -369,12 +371,12 @@ class CommandStream(Commands):
         self.is_complete = False
 
     def assume(self, resource: Id, descriptor: Descriptor) -> None:
-        """Know of a resource that was made before the first command."""
+        """Declare a resource that was created before the first command."""
         self._base.resources[resource] = descriptor
         self._cursor = (0, 0, self._base.copy())
 
     def leave_out(self, entry: tuple[Any, ...]) -> None:
-        """In place of `data.extend(entry)`: don't keep the command, but what holds after it."""
+        """Update the context by a command without keeping it; used instead of `data.extend(entry)`."""
         self.is_complete = False
         if entry[0] in CONTEXT_OPS:
             self._gaps.append((len(self), entry[0], entry[1:-2]))

@@ -1,7 +1,7 @@
-"""Commands as text: one readable line, in the words a user wrote them with.
+"""Commands as text: one line each, in the form of the call that made them.
 
-Arguments are shown as source where they can be (`CullMode.NONE`, `Region(0, 0, 4, 4)`), without the fields
-that hold their defaults; written memory by its size.
+Arguments are shown as Python source where possible (`CullMode.NONE`, `Region(0, 0, 4, 4)`), without fields that have
+their default value. Memory is shown by its size.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ __rhi_internal__ = True
 
 
 def describe_call(method: str, arguments: Mapping[str, object]) -> str:
-    """`method(name=value, …)`."""
+    """Return a call as text: `method(name=value, …)`."""
     return f"{method}({', '.join(f'{name}={describe(value)}' for name, value in arguments.items())})"
 
 
 def describe(value: object) -> str:
-    """A value as source text, shortened."""
+    """Return a value as shortened source text."""
     if isinstance(value, enum.Enum):
         return f"{type(value).__name__}.{value.name}"
     if isinstance(value, bytes):
@@ -45,12 +45,12 @@ def _describe_change(change: StateChange) -> str:
 
 
 def _describe_dataclass(value: object) -> str:
-    """By the name its class gives it (`Scissor.OFF`), or without the fields that hold their default."""
+    """Return a value's name in its class (`Scissor.OFF`), or its source without fields that have their default."""
     name = type(value).__name__
     for constant, known in vars(type(value)).items():
         if type(known) is type(value) and known == value:
             return f"{name}.{constant}"
-    if hasattr(value, "emit"):  # a program's parts fill pages
+    if hasattr(value, "emit"):  # a program in full would take pages
         return f"{name}({getattr(value, 'name', '')!r})"
     parts: list[str] = []
     gap = False
