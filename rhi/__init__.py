@@ -1,6 +1,7 @@
 """A render hardware interface for Python.
 
-Write a renderer once against `Device`; run it on OpenGL, or on the null device that records every command.
+Write a renderer once against `Device`, and run it on OpenGL, on OpenCL, or on the null device, which records every
+command.
 
     with rhi.create_device() as device:
         program = device.program(Triangle)
@@ -9,7 +10,7 @@ Write a renderer once against `Device`; run it on OpenGL, or on the null device 
             device.draw(program, mesh, tint=tint)
         pixels = image.read()
 
-Drivers are loaded when a device is made, not when this package is imported.
+Drivers are loaded when a device is created, not when this package is imported.
 """
 
 from rhi.commands.recorder import Recorder

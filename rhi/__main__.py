@@ -1,6 +1,8 @@
-"""`python -m rhi`: which backends work on this machine, what they can do, and what to install for the rest.
-`python -m rhi trace` looks at traces, `python -m rhi shading accuracy` measures built-ins,
-`python -m rhi new-backend` begins a port."""
+"""`python -m rhi` lists the backends that work on this machine, what they support, and what to install for the others.
+
+`python -m rhi trace` inspects traces, `python -m rhi shading accuracy` measures built-in functions, and
+`python -m rhi new-backend` starts a port.
+"""
 
 from __future__ import annotations
 
@@ -27,16 +29,17 @@ __rhi_internal__ = True
 
 _COMMANDS: Final = """\
 commands, each with --help:
-  trace             look at recorded commands: show, replay, diff, reduce
-  shading accuracy  the error and the time of the shading language's built-ins
-  new-backend       write the package that a port starts from
+  trace             inspect recorded commands: show, replay, diff, reduce
+  shading accuracy  measure error and time of the shading language's built-in functions
+  new-backend       write a package to start a port from
 
 RHI_BACKEND=null python app.py runs a program on the backend of that name.
 """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Print the report, or run `trace …`, `shading …` or `new-backend …`; 0 if a backend that renders works, else 1."""
+    """Print the report, or run `trace …`, `shading …` or `new-backend …`. Return 0 if a backend that renders works,
+    else 1."""
     given = list(sys.argv[1:] if arguments is None else arguments)
     if given[:1] == ["trace"]:
         return trace_cli.main(given[1:])
@@ -47,7 +50,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         prog="python -m rhi",
         usage="%(prog)s [-h] [--json]\n       %(prog)s COMMAND …",
-        description="Say which backends work on this machine, what they can do, and what to install for the rest.",
+        description="List the backends that work here, what they support, and what to install for the others.",
         epilog=_COMMANDS,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -59,10 +62,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _new_backend(arguments: Sequence[str]) -> int:
-    """Write the package that a port starts from; 2 if it can't be."""
+    """Write a package to start a port from. Return 0, or 2 on an error."""
     parser = argparse.ArgumentParser(
         prog="python -m rhi new-backend",
-        description="Write a package that registers a new backend and fails the conformance kit by name.",
+        description="Write a package that registers a new backend; all its methods still raise NotImplementedError.",
         epilog="example:\n  python -m rhi new-backend vulkan --folder ports\n"
         "  pip install --editable ports/rhi-vulkan\n"
         "  pytest --pyargs rhi.conformance --rhi-backend vulkan --tb=line -q",
@@ -80,7 +83,7 @@ def _new_backend(arguments: Sequence[str]) -> int:
         print(f"error: {error}", file=sys.stderr)
         return 2
     print(root)
-    print(f"next: pip install --editable {root}, then let the kit say what to write first:\n"
+    print(f"next: pip install --editable {root}, then let the conformance kit tell what to implement first:\n"
           f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} --tb=line -q", file=sys.stderr)  # fmt: skip
     return 0
 
@@ -135,7 +138,7 @@ def _as_text(reports: list[BackendReport]) -> str:
 
 
 def _say_choice(reports: list[BackendReport]) -> str:
-    """What `create_device` chooses without a name, and what would be faster."""
+    """Return the backend that `create_device` chooses without a name, and whether another one is faster."""
     named = os.environ.get("RHI_BACKEND")
     if named:
         usable = ":" in named or any(r.name == named and r.usable for r in reports)

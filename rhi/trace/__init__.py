@@ -1,10 +1,11 @@
-"""Traces: what a device was told, as a file that any backend replays.
+"""Traces: the commands of a device as a file that any backend can replay.
 
-    save(device, "frame.zip")                                    # recorded on null, say
+    save(device, "frame.zip")                                    # recorded on the null device, for example
     image = replay(load("frame.zip"), on=gl_device).image
 
-- A trace is the recorder's stream, from the making of the device on (`file`; docs/traces.md has the format).
-- `replay` issues it on any device; `diff` aligns two of them by labels; `reduce` shrinks one that fails.
+- A trace is the recorder's stream since the creation of the device (`file`; docs/traces.md describes the format).
+- `replay` executes it on any device, `diff` compares two traces label by label, `reduce` shrinks one that shows a
+  fault.
 """
 
 from rhi.trace.diff import Difference, Differences, diff

@@ -1,7 +1,7 @@
-"""The zip that a trace is: members by fixed names, read without trust.
+"""The zip archive of a trace: members with fixed names, read without trusting their author.
 
-Nothing is ever unpacked to disk. Names, methods, sizes and array headers are checked before anything of that
-size is made: `trace-file`, `trace-member`, `trace-size`, `trace-array`.
+Nothing is unpacked to disk. Names, compression methods, sizes and array headers are validated before memory of that
+size is allocated: `trace-file`, `trace-member`, `trace-size`, `trace-array`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ __rhi_internal__ = True
 HEADER: Final = "trace.json"
 COMMANDS: Final = "commands.jsonl"
 MAX_BYTES: Final = 1 << 30
-"""What a trace may take when unpacked, if nothing else is said."""
+"""Default limit of the unpacked size of a trace, in bytes."""
 
 _MEMBERS: Final = re.compile(
     r"trace\.json|commands\.jsonl|arrays/(0|[1-9]\d{0,8})\.npy"
@@ -36,17 +36,17 @@ _METHODS: Final = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
 def array_name(number: int) -> str:
-    """The member that holds an array."""
+    """Return the name of the member that contains an array."""
     return f"arrays/{number}.npy"
 
 
 def source_name(program: int, stage: str, language: str) -> str:
-    """The member that holds a stage's text."""
+    """Return the name of the member that contains the source of a stage."""
     return f"programs/{program}.{stage}.{language}"
 
 
 class Writer:
-    """Writes members; the file appears under its name when it is whole."""
+    """Writes the members of a trace. The file gets its name when it is complete."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -54,7 +54,7 @@ class Writer:
         self._zip = zipfile.ZipFile(self._part, "w", zipfile.ZIP_DEFLATED, compresslevel=1)
 
     def write(self, name: str, data: bytes | str) -> None:
-        info = zipfile.ZipInfo(name)  # with a date of its own: equal traces are equal files
+        info = zipfile.ZipInfo(name)  # with a fixed date, so that equal traces give equal files
         self._zip.writestr(info, data, zipfile.ZIP_DEFLATED)
 
     def write_array(self, number: int, array: NDArray[Any]) -> None:
@@ -76,7 +76,7 @@ class Writer:
 
 
 class Reader:
-    """Reads the members of a file that anybody may have written."""
+    """Reads the members of a file that may come from anybody."""
 
     def __init__(self, path: Path, max_bytes: int) -> None:
         self._path = path
@@ -110,7 +110,7 @@ class Reader:
             self.refuse(TRACE_FILE, f"{name}, compressed by method {info.compress_type}", "stored or deflated")
 
     def refuse(self, rule: Rule, given: object, allowed: object = "") -> NoReturn:
-        """Refuse the file."""
+        """Refuse the file for breaking a rule."""
         refuse(rule, f"rhi.trace.load({self._path.name!r})", given, allowed)
 
     def __contains__(self, name: str) -> bool:
@@ -120,7 +120,7 @@ class Reader:
         return list(self._infos)
 
     def read(self, name: str) -> bytes:
-        """A member, as long as it says it is and with the right checksum."""
+        """Return the bytes of a member, after checking its size and checksum."""
         try:
             return self._zip.read(self._infos[name])
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
@@ -133,7 +133,7 @@ class Reader:
             self.refuse(TRACE_FILE, f"{name}: {error}", "text in UTF-8")
 
     def read_array(self, number: int) -> NDArray[Any]:
-        """An array of plain numbers."""
+        """Return a member as an array of plain numbers."""
         name = array_name(number)
         if name not in self._infos:
             self.refuse(TRACE_ARRAY, f"no {name}", "each array that a command names")

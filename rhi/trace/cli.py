@@ -1,7 +1,7 @@
 """`python -m rhi trace show|replay|diff|reduce`.
 
-Results go to stdout, all else to stderr. Whatever is wrong with the input ends in one line, `error: …`, and exit
-code 2; `diff` exits with 1 if the traces differ.
+Results go to stdout, all other text to stderr. Any fault of the input gives one line, `error: …`, and exit code 2.
+`diff` exits with 1 if the traces differ.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ examples:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run a command; returns the exit code."""
+    """Run a command and return the exit code."""
     options = _make_parser().parse_args(arguments)
     try:
         code: int = options.run(options)
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str]) -> int:
 def _make_parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="python -m rhi trace",
-        description="Look at recorded command streams.",
+        description="Inspect recorded command streams.",
         epilog=_EXAMPLES,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -133,7 +133,7 @@ def _reduce(options: argparse.Namespace) -> int:
 
 
 def _import(text: str) -> Callable[[Trace], bool]:
-    """`file.py:function` or `module:function`."""
+    """Return the function that `file.py:function` or `module:function` names."""
     place, _, name = text.rpartition(":")
     if not place or not name.isidentifier():
         raise ValueError(f"{text!r} is no FILE.py:FUNCTION")
@@ -158,7 +158,7 @@ def _fail(message: str) -> int:
 
 
 def encode_png(image: NDArray[Any]) -> bytes:
-    """(height, width, channels) texels as a PNG: 8 bits, gray or RGB, without alpha (PNG, ISO/IEC 15948)."""
+    """Return (height, width, channels) texels as a PNG: 8 bits, gray or RGB, without alpha (PNG, ISO/IEC 15948)."""
     if image.dtype.kind == "f":
         values = (np.clip(np.nan_to_num(image), 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
     elif image.dtype.itemsize > 1:

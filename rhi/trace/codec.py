@@ -1,9 +1,10 @@
-"""Values to JSON and back, by the types that `Backend`'s signatures and the descriptors' fields declare.
+"""Conversion of command arguments to JSON and back.
 
-- The contract is the schema: an argument is written without a tag and read back as its declared type, and
-  nothing else; so a file can't make anything but integers, enums and descriptors.
-- An enum is its member's name, a descriptor an object of its fields, a tuple an array. A field that a file lacks
-  takes its default, so that descriptors may get fields without a new version.
+- The contract is the schema: the types are those of the signatures of `Backend` and of the descriptors' fields.
+  Arguments are written without type tags and read back as the declared type only. So a file can't create anything but
+  plain values, enums and descriptors.
+- An enum is written as its member's name, a descriptor as an object of its fields, a tuple as an array. A missing field
+  gets its default, so descriptors can gain fields without a new version of the format.
 """
 
 from __future__ import annotations
@@ -25,25 +26,25 @@ from rhi.trace.rules import TRACE_SOURCE
 __rhi_internal__ = True
 
 LANGUAGES: Final = ("glsl", "opencl1", "opencl4", "opencl8", "opencl16")
-"""In which a program's stages are saved, as far as they can be had in them."""
+"""Languages in which the stages of a program are saved, as far as they exist in them."""
 
 _STATES: Final = {state_type.__name__: state_type for state_type in STATE_TYPES}
 
 
 class MismatchError(Exception):
-    """What was read isn't of the declared type; the text says where and what."""
+    """A value that was read doesn't have the declared type. The text says where."""
 
 
 @cache
 def argument_types(op: Op) -> dict[str, Any]:
-    """The declared types of a command's arguments."""
+    """Return the declared types of the arguments of an op."""
     hints = get_type_hints(getattr(Backend, op.method))
     return {name: hints[name] for name in op.parameters}
 
 
 @cache
 def field_types(cls: type) -> dict[str, Any]:
-    """The declared types of a descriptor's fields."""
+    """Return the declared types of the fields of a descriptor."""
     hints = get_type_hints(cls)
     return {field.name: hints[field.name] for field in dataclasses.fields(cls)}
 
@@ -52,7 +53,7 @@ def field_types(cls: type) -> dict[str, Any]:
 
 
 def encode(value: Any) -> Any:
-    """A value of the contract as JSON; memory and programs' sources are kept elsewhere."""
+    """Return a value of the contract as JSON. Memory and program sources are stored separately."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
     if isinstance(value, enum.Enum):
@@ -80,10 +81,10 @@ def encode(value: Any) -> Any:
 
 
 def decode(wanted: Any, given: Any, where: str) -> Any:
-    """`given` as the type `wanted`.
+    """Return `given`, parsed from JSON, as the type `wanted`.
 
     Raises:
-        MismatchError: it isn't.
+        MismatchError: the value doesn't have this type.
     """
     origin = get_origin(wanted)
     if origin in (Union, types.UnionType):

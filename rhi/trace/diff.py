@@ -1,11 +1,12 @@
-"""`diff`: what two traces do differently, aligned by labels.
+"""`diff`: the differences between two traces, aligned by labels.
 
-- Labels make a tree. Children of a label are aligned with those of the label that stands for it on the other
-  side, so a command that is missing in one pass doesn't shift the comparison of the next.
-- Ids are compared by what they stand for (kind, label or descriptor, which of several), so one more texture at
-  the start doesn't change every later command. A program is its name and its sources.
-- Commands of the same kind that stand in each other's place are one change, told by the arguments that differ.
-- Refused calls are compared like commands, each at its place: by rule and call.
+- Labels form a tree. The children of a label are aligned with those of the corresponding label, so a command that is
+  missing in one pass doesn't shift the comparison of the next.
+- Ids are compared by the resource that they name (its type, its label or descriptor, and which of several equal
+  ones). So an additional texture at the start doesn't change every later command. A program is compared by its name
+  and sources.
+- Two commands of the same op at the same place are one change, described by the arguments that differ.
+- Refused calls are compared like commands, by rule and call.
 """
 
 from __future__ import annotations
@@ -37,11 +38,11 @@ REFUSED: Final = "refused"
 
 @dataclass(frozen=True)
 class Difference:
-    """One command, or refused call, that is only in one trace, or two that stand in each other's place.
+    """A command or refused call that only one trace has, or two that differ at the same place.
 
     Attributes:
-        labels: where, outermost first.
-        a, b: the command or refusal in each trace, None where there is none.
+        labels: the labels around it, outermost first.
+        a, b: the command or refusal in each trace, or None.
         changes: for two commands, "argument: value in a → value in b".
     """
 
@@ -60,7 +61,7 @@ class Difference:
 
 
 class Differences(Sequence[Difference]):
-    """All differences in order; false if there are none. As text they stand under their labels."""
+    """All differences in order; an empty one is false. Its text lists them under their labels."""
 
     def __init__(self, items: list[Difference]) -> None:
         self._items = items
@@ -87,7 +88,7 @@ class Differences(Sequence[Difference]):
 
 
 def diff(a: Source, b: Source) -> Differences:
-    """What `b` does differently from `a`."""
+    """Return the differences of trace `b` from trace `a`."""
     left, right = _Side(_stream(a)), _Side(_stream(b))
     found: list[Difference] = []
     _compare(left, right, left.root, right.root, (), found)
@@ -100,7 +101,7 @@ def _stream(source: Source) -> CommandStream:
 
 @dataclass(slots=True)
 class _Node:
-    """A label: its children, each a command, a refused call or another label, and what each is compared by."""
+    """A label with its children (commands, refused calls and labels) and the key by which each is compared."""
 
     index: int
     keys: list[Hashable] = field(default_factory=list)
@@ -112,7 +113,7 @@ class _Node:
 
 
 class _Side:
-    """One trace, ready to be compared."""
+    """One of the two traces, prepared for the comparison."""
 
     def __init__(self, stream: CommandStream) -> None:
         self.stream = stream
@@ -140,7 +141,7 @@ class _Side:
             path[-1].add_refusal(refusal)
 
     def _key(self, op: Op, values: tuple[Any, ...], failure: object) -> Hashable:
-        """What a command is compared by; equal ones are worked out once."""
+        """Return the key by which a command is compared; it is computed once for equal commands."""
         if op.method.startswith("create_"):
             made = (op, self.normalize(values[1]))
             self._seen[made] += 1
@@ -160,7 +161,7 @@ class _Side:
         return self.names.get(resource, f"id {resource}") if resource else "none"
 
     def normalize(self, value: Any) -> Hashable:
-        """A value with names in place of ids."""
+        """Return a value with names in place of ids."""
         if isinstance(value, ProgramDescriptor):
             texts = sorted((language, stage.value, text) for (language, stage), text in sources_of(value).items())
             return repr(encode(value)), tuple(texts)
@@ -179,7 +180,7 @@ class _Side:
 def _compare(
     left: _Side, right: _Side, a: _Node, b: _Node, labels: tuple[str, ...], found: list[Difference]
 ) -> None:
-    """The differences between the children of two labels."""
+    """Append the differences between the children of two labels."""
     x = y = 0
     for next_x, next_y in [*align(a.keys, b.keys), (len(a.keys), len(b.keys))]:
         _tell(left, right, a.items[x:next_x], b.items[y:next_y], labels, found)
@@ -195,7 +196,7 @@ def _tell(
     left: _Side, right: _Side, removed: list[int | Refusal | _Node], added: list[int | Refusal | _Node],
     labels: tuple[str, ...], found: list[Difference],
 ) -> None:  # fmt: skip
-    """What lies between two things that agree: changes where kinds agree, else removals, then additions."""
+    """Append the differences between two matches: changes where the kinds are equal, else removals, then additions."""
     a = [_thing(left.stream, item) for item in removed]
     b = [_thing(right.stream, item) for item in added]
     x = y = 0
@@ -215,7 +216,7 @@ def _thing(stream: CommandStream, item: int | Refusal | _Node) -> Thing:
 
 
 def _kind(thing: Thing) -> Hashable:
-    """Things of one kind may stand in each other's place."""
+    """Return the kind of a command or refusal. Two of the same kind can be reported as one change."""
     return thing.op if isinstance(thing, Command) else (REFUSED, thing.call)
 
 

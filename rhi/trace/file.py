@@ -1,9 +1,8 @@
-"""`save` and `load`: a stream of commands as a file (docs/traces.md describes it).
+"""`save` and `load`: a command stream as a file; docs/traces.md describes the format.
 
-- A loaded trace is a stream like any other: what can be asked of a recorded command can be asked of a loaded
-  one, its call site included.
-- What is loaded has been checked: types by `codec`, sizes and names by `archive`, and by `check` that each
-  command can be issued where it stands, since backends check nothing.
+- A loaded trace has an ordinary stream. Loaded commands have everything that recorded ones have, call sites included.
+- Loading validates everything, because backends don't: `codec` the types, `archive` names and sizes, `validation`
+  that each command is valid where it stands.
 """
 
 from __future__ import annotations
@@ -43,17 +42,17 @@ __rhi_internal__ = True
 
 FORMAT: Final = "rhi-trace"
 VERSION: Final = 2
-"""2: refused calls have lines of their own."""
+"""Version of the format. 2 added lines for refused calls."""
 _OPS: Final = {op.method: op for op in Op}
 
 
 @dataclass(frozen=True, eq=False)
 class Trace:
-    """A stream of commands from the making of a device on.
+    """The complete stream of a device since its creation.
 
     Attributes:
-        stream: the commands; ask of them what can be asked of a recorded stream.
-        backend: the backend's name where it was recorded, "" if that isn't known.
+        stream: the commands, as an ordinary stream.
+        backend: name of the backend on which the trace was recorded, "" if it is unknown.
     """
 
     stream: CommandStream
@@ -64,12 +63,12 @@ class Trace:
 
     @property
     def refusals(self) -> tuple[Refusal, ...]:
-        """The calls that were refused when it was recorded."""
+        """The calls that were refused while the trace was recorded."""
         return self.stream.refusals
 
     def keep(self, indices: list[int], *, refusals: bool = True) -> Trace:
-        """A trace of some of the commands, in order, and of the refused calls between them unless they aren't
-        wanted."""
+        """Return a trace of some of the commands, in order. It includes the refused calls between them, unless
+        excluded."""
         kept = CommandStream()
         if refusals:
             for refusal in self.refusals:
@@ -84,7 +83,7 @@ class Trace:
 
 
 def as_trace(source: Trace | Device | CommandStream) -> Trace:
-    """What was recorded, as a trace.
+    """Return a recorded stream as a trace.
 
     Raises:
         ValidationError: `trace-incomplete` if the stream was cleared or its recording paused.
@@ -101,14 +100,14 @@ def as_trace(source: Trace | Device | CommandStream) -> Trace:
 
 
 def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> None:
-    """Write all that was recorded to a file. An existing file is replaced, and only by a whole one.
+    """Write a recorded stream to a file. An existing file is replaced only when the new one is complete.
 
     Raises:
         ValidationError: `trace-incomplete` if the stream was cleared or its recording paused.
     """
     trace = as_trace(source)
     with Writer(Path(path)) as writer:
-        numbers: dict[bytes, int] = {}  # arrays by digest: what is written each frame is kept once
+        numbers: dict[bytes, int] = {}  # arrays by digest, so that data that is written each frame is stored once
         sites: dict[tuple[str, int, str], int] = {}
         lines: list[str] = []
         refusals = deque(trace.refusals)
@@ -185,18 +184,18 @@ def _texel_bytes(texture: TextureDescriptor, region: Region) -> int:
 
 
 def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES) -> Trace:
-    """Read a trace, whoever wrote it; `max_bytes` is the most it may take when unpacked.
+    """Read a trace, which may come from anybody. `max_bytes` limits its unpacked size.
 
     Raises:
-        ValidationError: a rule `trace-…`: the file is damaged, too large, or no trace.
-        OSError: it can't be opened.
+        ValidationError: the file is damaged, too large, or not a trace (rules `trace-…`).
+        OSError: the file can't be opened.
     """
     with Reader(Path(path), max_bytes) as reader:
         return _Loader(reader).load()
 
 
 class _Loader:
-    """Reads one file."""
+    """Reads one trace file."""
 
     def __init__(self, reader: Reader) -> None:
         self.reader = reader
@@ -315,7 +314,7 @@ class _Loader:
                     sources.texts[language, stage] = self.reader.read_text(name)
 
     def _check(self, where: str, op: Op, values: list[Any], failure: Failure | None) -> list[Any]:
-        """The arguments as a backend gets them: memory as bytes."""
+        """Return the arguments in the form that backends receive: memory as bytes."""
         if op in (Op.WRITE_BUFFER, Op.WRITE_TEXTURE):
             array = values[-1]
             plain = array.dtype == np.uint8 and array.ndim == 1
@@ -335,7 +334,7 @@ class _Loader:
 
 
 def _make_code(file: str, line: int, function: str) -> CodeType:
-    """A code object that a command can name as its caller: a call site is a code object and an offset."""
+    """Return a code object that stands for a call site, since a call site is a code object and an offset."""
     return _nowhere.__code__.replace(
         co_filename=file, co_firstlineno=max(0, min(line, 1 << 30)), co_name=function, co_qualname=function
     )

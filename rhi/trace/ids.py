@@ -1,4 +1,4 @@
-"""Which parts of a command are resource ids, by the contract's own annotations (`Id`)."""
+"""The resource ids in a command, found by the contract's annotations (`Id`)."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __rhi_internal__ = True
 ID_ARGUMENTS: Final = {
     op: tuple(i for i, annotation in enumerate(op.parameters.values()) if annotation == "Id") for op in Op
 }
-"""By op, the places of the arguments that are resource ids."""
+"""The indices of the arguments that are resource ids, by op."""
 
 
 def map_ids(value: Any, translate: Callable[[Id], Id]) -> Any:
-    """A descriptor with its resource ids translated; 0 stays 0."""
+    """Return a value with all resource ids in it translated; 0 stays 0."""
     if type(value) is tuple:
         parts = tuple(map_ids(part, translate) for part in value)
         return parts if any(new is not old for new, old in zip(parts, value, strict=True)) else value
@@ -36,7 +36,7 @@ def map_ids(value: Any, translate: Callable[[Id], Id]) -> Any:
 
 
 def ids_of(op: Op, values: Sequence[Any]) -> Iterator[Id]:
-    """All resources that a command names."""
+    """Yield all resource ids in a command."""
     for place in ID_ARGUMENTS[op]:
         if values[place]:
             yield values[place]

@@ -1,10 +1,10 @@
-"""`reduce`: the smallest trace that still shows a fault (delta debugging: Zeller, Hildebrandt 2002).
+"""`reduce`: find a small trace that still shows a fault, by delta debugging (Zeller, Hildebrandt 2002).
 
-- Parts are left out, half of the commands first and single ones last, as long as the predicate holds.
-- What is left of a trace after each cut is made whole before it is tried: a resource takes along all that
-  uses it, a label, pass or query goes with both of its ends, and draws need their pass and program.
-- Refused calls stay if the fault can't be seen without them, else they go first.
-- `write_test` writes the result as a pytest file that needs nothing but this package.
+- Commands are removed, first half of them and finally single ones, as long as the predicate stays true.
+- After each removal the rest is made valid before it is tried: with a resource go all commands that use it, a label,
+  pass or query loses both of its ends, and draws need their pass and program.
+- Refused calls are removed first, unless the fault can't be seen without them.
+- `write_test` writes the result as a pytest file that depends on this package only.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ _DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
 
 
 def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = ATTEMPTS) -> Trace:
-    """The smallest part of a trace, found in so many attempts, for which `predicate` still holds.
+    """Return the smallest part of a trace for which `predicate` is true, as far as it is found in `attempts` tries.
 
-    `predicate(trace)` says whether the fault is there: it looks at the commands, or replays them on a device
-    of its own. An error of this package in it means that it isn't.
+    `predicate(trace)` returns whether the fault is present. It inspects the commands, or replays them on a device of
+    its own. If it raises an error of this package, the fault counts as absent.
 
     Raises:
-        ValidationError: `trace-predicate` if the predicate doesn't hold for the whole trace.
+        ValidationError: `trace-predicate` if the predicate is false for the whole trace.
     """
 
     refusals = True
@@ -74,7 +74,7 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
                 attempts -= 1
                 if holds(candidate):
                     kept, shrunk = candidate, True
-                    continue  # what follows has moved to `start`
+                    continue  # the commands that follow have moved to `start`
             start += size
         if size == 1 and not shrunk:
             break
@@ -83,7 +83,7 @@ def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = 
 
 
 class _Parts:
-    """How the commands of a stream hang together."""
+    """The dependencies between the commands of a stream."""
 
     def __init__(self, stream: CommandStream) -> None:
         entries = [stream.entry(index)[:2] for index in range(len(stream))]
@@ -103,12 +103,12 @@ class _Parts:
                 self.partners[begin], self.partners[index] = index, begin
 
     def make_whole(self, indices: list[int]) -> list[int]:
-        """Those of the commands that can still be issued, in order."""
+        """Return those of the commands that are still valid, in order."""
         while True:
             fitting = self._drop_unfit(indices)
             if len(fitting) == len(indices):
                 return fitting
-            indices = fitting  # what was dropped may have been one end of a pair
+            indices = fitting  # a removed command may have been one end of a pair
 
     def _drop_unfit(self, indices: list[int]) -> list[int]:
         chosen = set(indices)
@@ -146,12 +146,12 @@ class _Parts:
 
 
 def write_test(trace: Trace, path: str | PathLike[str], predicate: Callable[[Trace], bool]) -> None:
-    """Write a pytest file that holds the trace and fails as long as the predicate holds.
+    """Write a pytest file that contains the trace and fails as long as the predicate is true.
 
-    `predicate` must be a function with a `def` of its own; the imports of its module that it uses are copied.
+    `predicate` must be defined with `def`. The imports of its module that it uses are copied.
 
     Raises:
-        ValidationError: `trace-predicate` if its source can't be had.
+        ValidationError: `trace-predicate` if the source of the predicate isn't available.
     """
     source, imports = _source_of(predicate)
     name = predicate.__name__
@@ -175,7 +175,7 @@ def write_test(trace: Trace, path: str | PathLike[str], predicate: Callable[[Tra
 
 
 def _source_of(predicate: Callable[[Trace], bool]) -> tuple[str, list[str]]:
-    """A function's text, and the imports of its module whose names it uses."""
+    """Return the source of a function, and the imports of its module whose names it uses."""
     try:
         if not isinstance(predicate, FunctionType) or predicate.__name__ == "<lambda>":
             raise OSError("a function with a def is needed")

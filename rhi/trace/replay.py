@@ -1,11 +1,11 @@
-"""`replay`: the commands of a trace, issued again on any device.
+"""`replay`: execute the commands of a trace on any device.
 
-- Resource ids and fence values are translated to those of the device, so it may have been used before and may
-  be used after: states that were set are put back, open passes and labels are closed.
-- Ring memory (`BufferUsage.STREAM`) becomes plain memory: a ring relies on the fences of the device it was
-  recorded on, which were passed there at other times. Plain writes are in order.
-- A call that failed when it was recorded is issued too; that it fails again is noted, not raised. One that was
-  refused never became a command: it is reported, since there is nothing to issue.
+- Resource ids and fence values are translated to those of the device. So the device may have been used before, and can
+  be used afterwards: its states are restored, passes and labels that the trace left open are ended.
+- Ring memory (`BufferUsage.STREAM`) becomes plain memory, whose writes are in order. A ring relies on the fences of the
+  device on which it was recorded.
+- A call that failed when it was recorded is executed, too; if it fails again, that is noted and not raised. A refused
+  call never became a command, so it is only reported.
 """
 
 from __future__ import annotations
@@ -42,15 +42,16 @@ _PAIRED: Final = frozenset({
 
 @dataclass
 class Replay:
-    """What came of a replay.
+    """The result of a replay.
 
     Attributes:
-        image: what was presented last, (height, width, channels) of the format's dtype, top row first; None if
-            nothing was.
-        ids: the device's ids of the trace's resources that are alive; they live until the device is closed.
-        failures: for each call that was recorded as failed, by its index, how it failed now; None if it didn't.
-        commands: how many were issued.
-        refusals: the calls that were refused when it was recorded.
+        image: the image that was presented last, (height, width, channels) of the format's dtype, top row first; None
+            if there was none.
+        ids: the device's ids of the resources that the trace leaves alive, by their ids in the trace. They live until
+            the device is closed.
+        failures: for each call that failed when it was recorded, by its index, how it failed now; None if it succeeded.
+        commands: number of commands that were executed.
+        refusals: the calls that were refused while the trace was recorded.
     """
 
     image: NDArray[np.generic] | None = None
@@ -61,12 +62,12 @@ class Replay:
 
 
 def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
-    """Issue a trace's commands on the device `on`.
+    """Execute the commands of a trace on the device `on`.
 
     Raises:
-        ValidationError: `trace-capability` if the device lacks what the trace needs, `trace-incomplete` for a
-            stream without its beginning, `pass-open` inside a render pass; nothing was issued then.
-        RhiError: what a command raised that didn't when it was recorded; a note says which.
+        ValidationError: `trace-capability` if the device lacks a capability that the trace needs, `trace-incomplete`
+            for a stream without its beginning, `pass-open` inside a render pass. No command was executed then.
+        RhiError: the error of a command that succeeded when it was recorded. A note names the command.
     """
     trace = as_trace(source)
     core = on._core
@@ -84,7 +85,7 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
 
 
 class _Player:
-    """One replay."""
+    """The state of one replay."""
 
     def __init__(self, stream: CommandStream, device: Device) -> None:
         self.stream = stream
@@ -100,7 +101,7 @@ class _Player:
         self.methods: list[Callable[..., Any]] = [getattr(self.core.backend, op.method) for op in Op]
 
     def play(self) -> None:
-        """Issue all commands."""
+        """Execute all commands."""
         core, ids, stream, methods = self.core, self.result.ids, self.stream, self.methods
         core.program = None
         self.set_states(self.before, default_values())
@@ -142,7 +143,7 @@ class _Player:
         self.result.commands = index
 
     def restore(self) -> None:
-        """Close what the trace left open, and put back the states that held before."""
+        """End passes and labels that the trace left open, and restore the device's states."""
         backend, context = self.core.backend, self.context
         self.core.program = None
         if self.conditional:
@@ -156,7 +157,7 @@ class _Player:
         self.set_states(tuple(context.states.values()), self.before)
 
     def set_states(self, held: Sequence[object], wanted: Sequence[object]) -> None:
-        """Change the states that differ; both in the order of `STATE_TYPES`."""
+        """Send the states that differ between two lists of values in the order of `STATE_TYPES`."""
         changes = [
             StateChange(state_type, new)
             for state_type, old, new in zip(STATE_TYPES, held, wanted, strict=True)
@@ -165,7 +166,7 @@ class _Player:
         if changes:
             self.core.backend.set_states(changes)
 
-    # -- commands that aren't issued as they are -----------------------------------------------------------
+    # -- commands that are changed before execution --------------------------------------------------------
 
     def create(self, op: Op, values: list[Any]) -> None:
         recorded, descriptor = values
@@ -180,7 +181,7 @@ class _Player:
         self.core.backend.destroy(self.result.ids.pop(values[0]))
 
     def follow(self, op: Op, values: list[Any]) -> None:
-        """Passes, states and labels."""
+        """Follow passes, states and labels."""
         self.methods[op](*(map_ids(value, self.result.ids.__getitem__) for value in values))
         self.context.follow(op, values)
 
@@ -214,7 +215,7 @@ class _Player:
         texture = self.result.ids[values[0]] if values[0] else 0
         self.core.backend.present(texture)
         self.presents_left -= bool(texture)
-        if texture and not self.presents_left:  # now, since later commands may draw to it
+        if texture and not self.presents_left:  # read it now, since later commands may draw to it
             descriptor = self.context.resources[values[0]]
             assert isinstance(descriptor, TextureDescriptor)
             if descriptor.samples == 1:
@@ -222,7 +223,7 @@ class _Player:
                 self.result.image = self.core.backend.read_texture(texture, 0, whole, False)[0]
 
     def fail_again(self, index: int, op: Op, values: list[Any]) -> None:
-        """Issue a call that failed. What holds open passes, states and labels together is left alone."""
+        """Execute a call that failed when it was recorded, unless it opens or ends a pass, a label or the like."""
         if op in _FOLLOWED or op in _PAIRED:
             return
         ids = self.result.ids
