@@ -35,7 +35,7 @@ MISTAKES = [
     (
         "lambert(normalize(v.color), self",
         "lambert(normalize(v.color.xy), self",
-        'to "__call__" of "Function"',
+        'to "__call__" of "ShadingFunction"',
     ),
     ("self.counts[old] = 3", "self.counts[old] = 3.5", "No overload variant"),
     ("position=(0, 1, 0), power=1,", "position=(0, 1), power=1,", 'Argument "position" to "Light"'),

@@ -48,6 +48,7 @@ def _vectors() -> Iterator[str]:
     yield f"__all__ = {sorted(vector_names)!r}\n"
     yield _FIXED
     yield from _uint()
+    yield from _swizzles()
     for (scalar, size), type in VECTORS.items():
         yield from _vector(str(type), scalar, size)
     for size in (2, 3, 4):
@@ -55,6 +56,10 @@ def _vectors() -> Iterator[str]:
 
 
 _FIXED: Final = """T = TypeVar("T")
+S = TypeVar("S")
+V2 = TypeVar("V2")
+V3 = TypeVar("V3")
+V4 = TypeVar("V4")
 
 CLASSES: dict[Any, Any]
 
@@ -113,9 +118,27 @@ def _uint() -> Iterator[str]:
     yield ""
 
 
+def _swizzles() -> Iterator[str]:
+    """Yield one generic base per vector size. Each adds the swizzles of its last component to those of the smaller.
+
+    The parameters are the types of a swizzle of 1, 2, 3 and 4 components. Swizzles are plain attributes: a type
+    checker lets all of them be assigned to, and the parser refuses assignments to repeated components.
+    """
+    for size in (2, 3, 4):
+        base = "Generic" if size == 2 else f"_Swizzles{size - 1}"
+        yield f"class _Swizzles{size}({base}[S, V2, V3, V4]):"
+        for axes in ("xyzw", "rgba"):
+            for count in (1, 2, 3, 4):
+                for letters in itertools.product(axes[:size], repeat=count):
+                    if size == 2 or axes[size - 1] in letters:
+                        yield f"    {''.join(letters)}: {'S' if count == 1 else f'V{count}'}"
+        yield ""
+
+
 def _vector(name: str, scalar: ScalarType, size: int) -> Iterator[str]:
     part, takes = scalar.name, _TAKES[scalar]
-    yield f"class {name}(Composite):"
+    results = ", ".join([part, *(str(VECTORS[scalar, count]) for count in (2, 3, 4))])
+    yield f"class {name}(Composite, _Swizzles{size}[{results}]):"
     yield "    shading_type: ClassVar[VectorType]"
     yield from _vector_constructors(scalar, size)
     exact = f"tuple[{', '.join([takes] * size)}]"
@@ -127,11 +150,6 @@ def _vector(name: str, scalar: ScalarType, size: int) -> Iterator[str]:
     yield f"    def __iter__(self) -> Iterator[{part}]: ..."
     if scalar is not BOOL:
         yield from _vector_operators(name, scalar, size)
-    for axes in ("xyzw", "rgba"):
-        for count in (1, 2, 3, 4):
-            result = part if count == 1 else str(VECTORS[scalar, count])
-            for letters in itertools.product(axes[:size], repeat=count):
-                yield f"    {''.join(letters)}: {result}"
     yield ""
 
 
