@@ -114,7 +114,11 @@ class _StageWriter:
 
     def _binding(self, declaration: Declaration) -> None:
         name = self.names.get(("binding", declaration.name), declaration.name)
-        slot = self.options.slots[declaration.name].slot if declaration.storage_class is not StorageClass.SHARED else 0
+        slot = (
+            self.options.slots[declaration.name].slot
+            if declaration.storage_class is not StorageClass.SHARED
+            else 0
+        )
         type = declaration.type
         match declaration.storage_class:
             case StorageClass.SHARED:

@@ -6,9 +6,12 @@ import enum
 from typing import Annotated, Any, TypeAlias, TypeVar, get_args, get_origin
 
 from rhi.contract.layout import BOOL, FLOAT, INT, ArrayType, HostType
+from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective"))
 
 T = TypeVar("T")
 

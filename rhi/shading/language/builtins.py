@@ -23,9 +23,11 @@ from rhi.contract.descriptors import Stage
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT
 from rhi.errors import refuse
 from rhi.shading.language import rules
-from rhi.shading.language.types import MATRICES, VECTORS, VOID, Type, converts
+from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS, VOID, Type, converts
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.add("Precision")
 
 
 class Precision(enum.Enum):
@@ -51,7 +53,7 @@ class Effect(enum.Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Error:
+class ErrorBound:
     """How far results may lie from the exact ones, in units as `rhi.accuracy.probes` counts them; by default not at
     all.
 
@@ -76,7 +78,7 @@ class Error:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class BuiltinParameter:
     """One parameter of an overload; `memory`: a place in storage or shared memory, changed in place."""
 
     type: Type
@@ -88,7 +90,7 @@ class Parameter:
 class Overload:
     """One signature with concrete types."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[BuiltinParameter, ...]
     result: Type
     glsl: str
 
@@ -107,7 +109,7 @@ class Builtin:
     numpy: str = ""
     fast: str = ""
     lanes: str = ""
-    error: Error = Error()
+    error: ErrorBound = ErrorBound()
     form: str = ""
     _chosen: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
 
@@ -180,7 +182,9 @@ def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> 
             if all(size in letter for letter in used):
                 sized: dict[str, Type] = {n: letter[size] for n, letter in _LETTERS.items() if size in letter}
                 scope = known | sized
-                concrete = tuple(Parameter(scope[type], name, memory) for name, type, memory in parameters)
+                concrete = tuple(
+                    BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters
+                )
                 yield Overload(concrete, scope[result], glsl)
 
 
@@ -194,16 +198,16 @@ _FRAGMENT: Final = frozenset({Stage.FRAGMENT})
 _COMPUTE: Final = frozenset({Stage.COMPUTE})
 _DRAW_PARAMETERS: Final = "GL_ARB_shader_draw_parameters"
 _F: Final = "F(F)"
-_ROUNDED: Final = Error(0.5, 0.5, 0.5, 0.5)
+_ROUNDED: Final = ErrorBound(0.5, 0.5, 0.5, 0.5)
 # Not nearly singular; of matrices of three.
 _REGULAR: Final = "abs(np.linalg.det(a.reshape(-1, 3, 3))) > 1e-3 * abs(a).max(axis=-1) ** 3"
-_NUMBERS: Final = Error(defined="(a == a) & (b == b)")
-_WHOLE: Final = Error(defined="(a == a).all(axis=-1)")
+_NUMBERS: Final = ErrorBound(defined="(a == a) & (b == b)")
+_WHOLE: Final = ErrorBound(defined="(a == a).all(axis=-1)")
 
 
-def _composed(units: float, most: float = 1e6, defined: str = "") -> Error:
+def _composed(units: float, most: float = 1e6, defined: str = "") -> ErrorBound:
     """Made from other built-ins in the same way everywhere."""
-    return Error(units, units, units, units, 0, ((-most, most),), True, defined)
+    return ErrorBound(units, units, units, units, 0, ((-most, most),), True, defined)
 
 
 _ATOMIC: Final = "int(int&,int);uint(uint&,uint)"
@@ -211,8 +215,16 @@ _WRITE: Final = Effect.WRITE
 
 _ROWS: Final = (
     # angles
-    _row("radians", _F, doc="degrees to radians", error=Error(1, 1, 1, 1), lanes="a * 0.017453292519943295"),
-    _row("degrees", _F, doc="radians to degrees", error=Error(1, 1, 1, 1), lanes="a * 57.29577951308232"),
+    _row(
+        "radians",
+        _F,
+        doc="degrees to radians",
+        error=ErrorBound(1, 1, 1, 1),
+        lanes="a * 0.017453292519943295",
+    ),
+    _row(
+        "degrees", _F, doc="radians to degrees", error=ErrorBound(1, 1, 1, 1), lanes="a * 57.29577951308232"
+    ),
     _row(
         "sin",
         _F,
@@ -220,7 +232,7 @@ _ROWS: Final = (
         opencl="rhi_sin({0})",
         numpy="np.sin({0})",
         fast="rhi_fast_sin({0})",
-        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+        error=ErrorBound(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
     ),
     _row(
         "cos",
@@ -229,7 +241,7 @@ _ROWS: Final = (
         opencl="rhi_cos({0})",
         numpy="np.cos({0})",
         fast="rhi_fast_cos({0})",
-        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+        error=ErrorBound(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
     ),
     _row(
         "tan",
@@ -237,7 +249,7 @@ _ROWS: Final = (
         doc="tangent",
         opencl="rhi_tan({0})",
         numpy="np.tan({0})",
-        error=Error(1000, 5, 5, 4, 1e-6, ((-1e3, 1e3),)),
+        error=ErrorBound(1000, 5, 5, 4, 1e-6, ((-1e3, 1e3),)),
     ),
     _row(
         "asin",
@@ -245,7 +257,7 @@ _ROWS: Final = (
         doc="arc sine, -π/2…π/2",
         opencl="asin({0})",
         numpy="np.arcsin({0})",
-        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+        error=ErrorBound(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
     ),
     _row(
         "acos",
@@ -253,7 +265,7 @@ _ROWS: Final = (
         doc="arc cosine, 0…π",
         opencl="acos({0})",
         numpy="np.arccos({0})",
-        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+        error=ErrorBound(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
     ),
     _row(
         "atan",
@@ -261,7 +273,7 @@ _ROWS: Final = (
         doc="arc tangent, -π/2…π/2",
         opencl="atan({0})",
         numpy="np.arctan({0})",
-        error=Error(400, 5, 5, 4),
+        error=ErrorBound(400, 5, 5, 4),
     ),
     _row(
         "atan2",
@@ -270,7 +282,7 @@ _ROWS: Final = (
         "angle of (y, x), -π…π; y first",
         opencl="atan2({0}, {1})",
         numpy="np.arctan2({0}, {1})",
-        error=Error(400, 6, 6, 4, 0, ((-1e6, 1e6),), defined="(a != 0) | (b != 0)"),
+        error=ErrorBound(400, 6, 6, 4, 0, ((-1e6, 1e6),), defined="(a != 0) | (b != 0)"),
     ),
     _row(
         "sinh",
@@ -278,7 +290,7 @@ _ROWS: Final = (
         doc="hyperbolic sine",
         opencl="sinh({0})",
         numpy="np.sinh({0})",
-        error=Error(100, 4, 4, 4, 2e-7, ((-88, 88),)),
+        error=ErrorBound(100, 4, 4, 4, 2e-7, ((-88, 88),)),
     ),
     _row(
         "cosh",
@@ -286,7 +298,7 @@ _ROWS: Final = (
         doc="hyperbolic cosine",
         opencl="cosh({0})",
         numpy="np.cosh({0})",
-        error=Error(100, 4, 4, 4, 0, ((-88, 88),)),
+        error=ErrorBound(100, 4, 4, 4, 0, ((-88, 88),)),
     ),
     _row(
         "tanh",
@@ -294,7 +306,7 @@ _ROWS: Final = (
         doc="hyperbolic tangent",
         opencl="tanh({0})",
         numpy="np.tanh({0})",
-        error=Error(100, 5, 5, 4, 2e-7),
+        error=ErrorBound(100, 5, 5, 4, 2e-7),
     ),
     _row(
         "asinh",
@@ -302,7 +314,7 @@ _ROWS: Final = (
         doc="inverse hyperbolic sine",
         opencl="asinh({0})",
         numpy="np.arcsinh({0})",
-        error=Error(4, 4, 4, 4, 5e-7),
+        error=ErrorBound(4, 4, 4, 4, 5e-7),
     ),
     _row(
         "acosh",
@@ -310,7 +322,7 @@ _ROWS: Final = (
         doc="inverse hyperbolic cosine",
         opencl="acosh({0})",
         numpy="np.arccosh({0})",
-        error=Error(4, 4, 4, 4, 5e-4, ((1, 1e6),), defined="a >= 1"),
+        error=ErrorBound(4, 4, 4, 4, 5e-4, ((1, 1e6),), defined="a >= 1"),
     ),
     _row(
         "atanh",
@@ -318,7 +330,7 @@ _ROWS: Final = (
         doc="inverse hyperbolic tangent",
         opencl="atanh({0})",
         numpy="np.arctanh({0})",
-        error=Error(4, 5, 5, 4, 5e-7, ((-1, 1),), defined="abs(a) < 1"),
+        error=ErrorBound(4, 5, 5, 4, 5e-7, ((-1, 1),), defined="abs(a) < 1"),
     ),
     # exponentials
     _row(
@@ -328,7 +340,9 @@ _ROWS: Final = (
         opencl="pow({0}, {1})",
         numpy="np.power({0}, {1})",
         fast="rhi_fast_pow({0}, {1})",
-        error=Error(128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"),
+        error=ErrorBound(
+            128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"
+        ),
     ),
     _row(
         "exp",
@@ -337,7 +351,7 @@ _ROWS: Final = (
         opencl="exp({0})",
         numpy="np.exp({0})",
         fast="rhi_fast_exp({0})",
-        error=Error(100, 3, 3, 4, 0, ((-87, 88),)),
+        error=ErrorBound(100, 3, 3, 4, 0, ((-87, 88),)),
     ),
     _row(
         "log",
@@ -346,7 +360,7 @@ _ROWS: Final = (
         opencl="log({0})",
         numpy="np.log({0})",
         fast="(rhi_fast_log2({0}) * 0.69314718f)",
-        error=Error(4, 3, 6, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
+        error=ErrorBound(4, 3, 6, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     _row(
         "exp2",
@@ -355,7 +369,7 @@ _ROWS: Final = (
         opencl="exp2({0})",
         numpy="np.exp2({0})",
         fast="rhi_fast_exp2({0})",
-        error=Error(4, 3, 4, 4, 0, ((-126, 127.5),)),
+        error=ErrorBound(4, 3, 4, 4, 0, ((-126, 127.5),)),
     ),
     _row(
         "log2",
@@ -364,7 +378,7 @@ _ROWS: Final = (
         opencl="log2({0})",
         numpy="np.log2({0})",
         fast="rhi_fast_log2({0})",
-        error=Error(4, 3, 5, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
+        error=ErrorBound(4, 3, 5, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     _row(
         "sqrt",
@@ -373,7 +387,7 @@ _ROWS: Final = (
         opencl="sqrt({0})",
         numpy="np.sqrt({0})",
         fast="native_sqrt({0})",
-        error=Error(0.5, 3, 3, 0.5, 0, ((0, 1e38),), defined="a >= 0"),
+        error=ErrorBound(0.5, 3, 3, 0.5, 0, ((0, 1e38),), defined="a >= 0"),
     ),
     _row(
         "inversesqrt",
@@ -382,7 +396,7 @@ _ROWS: Final = (
         opencl="(1.0f / sqrt({0}))",
         numpy="(F(1) / np.sqrt({0}))",
         fast="rhi_fast_inversesqrt({0})",
-        error=Error(1.5, 4, 2, 1.5, 0, ((2.0**-126, 1e38),), defined="a >= 0"),
+        error=ErrorBound(1.5, 4, 2, 1.5, 0, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     # common
     _row("abs", "I(I);F(F)", doc="absolute value", opencl="rhi_abs({0})", numpy="np.abs({0})"),
@@ -419,7 +433,7 @@ _ROWS: Final = (
         "clamp",
         "I(I,I,I);I(I,int,int);U(U,U,U);U(U,uint,uint);F(F,F,F);F(F,float,float)",
         doc="min(max(x, low), high)",
-        error=Error(defined="(b <= c) & (a == a)"),
+        error=ErrorBound(defined="(b <= c) & (a == a)"),
         lanes="min(max(a, b), c)",
     ),
     _row(
@@ -427,7 +441,7 @@ _ROWS: Final = (
         _F,
         "clamp({0}, 0.0, 1.0)",
         "clamp(x, 0, 1)",
-        error=Error(defined="a == a"),
+        error=ErrorBound(defined="a == a"),
         lanes="min(max(a, 0.0), 1.0)",
     ),
     _row(
@@ -456,7 +470,7 @@ _ROWS: Final = (
         doc="a b + c",
         opencl="fma({0}, {1}, {2})",
         numpy="R.fma({0}, {1}, {2}, F)",
-        error=Error(2, 0.5, 0.5, 0.5, of_arguments=True),
+        error=ErrorBound(2, 0.5, 0.5, 0.5, of_arguments=True),
     ),
     _row("isnan", "B(F)", doc="whether not a number", lanes="a != a"),
     _row("isinf", "B(F)", doc="whether infinite", lanes="abs(a) == inf"),
@@ -546,14 +560,14 @@ _ROWS: Final = (
         "I(I,int,int);U(U,int,int)",
         "bitfieldExtract",
         "bits from offset, count of them",
-        error=Error(defined="(b >= 0) & (c >= 0) & (b + c <= 32)"),
+        error=ErrorBound(defined="(b >= 0) & (c >= 0) & (b + c <= 32)"),
     ),
     _row(
         "bitfield_insert",
         "I(I,I,int,int);U(U,U,int,int)",
         "bitfieldInsert",
         "base with count bits at offset replaced",
-        error=Error(defined="(c >= 0) & (d >= 0) & (c + d <= 32)"),
+        error=ErrorBound(defined="(c >= 0) & (d >= 0) & (c + d <= 32)"),
     ),
     # packing
     _row(
@@ -711,11 +725,11 @@ _DIVISIBLE: Final = (
 )
 # x - y floor(x / y) has no digits left where the quotient has as many as a float.
 _NEAR: Final = "((abs(a) < abs(b) * 1e6) | ((a == np.floor(a)) & (b == np.floor(b))))"
-_EXACT: Final = Error()
-_SHIFT: Final = Error(defined="(b >= 0) & (b < 32)")
-OPERATORS: Final[dict[str, Error]] = {
+_EXACT: Final = ErrorBound()
+_SHIFT: Final = ErrorBound(defined="(b >= 0) & (b < 32)")
+OPERATORS: Final[dict[str, ErrorBound]] = {
     **dict.fromkeys(("+", "-", "*"), _ROUNDED),
-    "/": Error(2.5, 2.5, 2.5, 2.5, 0, ((-1e18, 1e18),)),
+    "/": ErrorBound(2.5, 2.5, 2.5, 2.5, 0, ((-1e18, 1e18),)),
     "//": _composed(0.5, 1e6, _DIVISIBLE),
     "%": _composed(2, 1e6, f"{_DIVISIBLE} & {_NEAR}"),
     "**": BUILTINS["pow"].error,

@@ -17,8 +17,11 @@ from typing import Any, Generic, ParamSpec, TypeVar, cast
 from rhi.errors import refuse
 from rhi.shading.language import rules
 from rhi.shading.language.source import locals_of, resolve_annotations
+from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("function", "native"))
 
 P = ParamSpec("P")
 R = TypeVar("R")

@@ -29,11 +29,13 @@ from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.source import locals_of, resolve_annotations, suggest_name
-from rhi.shading.language.textures import Image, ImageFormat, Texture, image
-from rhi.shading.language.types import ImageType, StorageType, Type
+from rhi.shading.language.textures import ImageFormat, SampledTexture, StorageImage, image
+from rhi.shading.language.types import LANGUAGE_NAMES, ImageType, StorageType, Type
 from rhi.shading.language.vectors import Array
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("Shader", "shared"))
 
 T = TypeVar("T")
 
@@ -156,9 +158,9 @@ def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> 
         if origin is Uniform:
             return Declaration(name, StorageClass.UNIFORM, value, host)
         return Declaration(name, StorageClass.STORAGE, StorageType(value, origin is StorageRW), host)
-    if isinstance(annotation, type) and issubclass(annotation, Texture):
+    if isinstance(annotation, type) and issubclass(annotation, SampledTexture):
         return Declaration(name, StorageClass.TEXTURE, annotation.shading_type)
-    if isinstance(annotation, type) and issubclass(annotation, Image):
+    if isinstance(annotation, type) and issubclass(annotation, StorageImage):
         if not isinstance(default, ImageFormat):
             tip = f"`{name}: {annotation.__name__} = image(Format.RGBA8)`"
             _refuse(cls, name, "an image without a format", tip)

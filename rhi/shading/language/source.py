@@ -14,7 +14,6 @@ import builtins
 import contextlib
 import difflib
 import linecache
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import FrameType, FunctionType
@@ -22,6 +21,7 @@ from typing import Any, Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.language import rules
+from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
 
@@ -179,7 +179,6 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
     """A tip for a name that is defined nowhere: to import it if it is one of the language's, or a did-you-mean."""
-    language: list[str] = sys.modules["rhi.shading"].__all__  # a package is imported before its modules are used
-    if name in language:
+    if name in LANGUAGE_NAMES:
         return f"import it: from rhi.shading import {name}"
-    return suggest(name, [*known, *language])
+    return suggest(name, [*known, *LANGUAGE_NAMES])

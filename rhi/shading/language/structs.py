@@ -41,10 +41,12 @@ from rhi.errors import RhiError, ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
 from rhi.shading.language.source import locals_of, suggest, suggest_name
-from rhi.shading.language.types import scalar_of
+from rhi.shading.language.types import LANGUAGE_NAMES, scalar_of
 from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.add("Struct")
 
 _TOO_LARGE: Final = 3.4028235677973366e38
 """From here on a number rounds to infinity in 32 bits."""
@@ -140,7 +142,9 @@ class Struct:
         missing = [name for name in names if name not in values and name not in cls._defaults]
         if missing:
             given = f"no {', '.join(missing)}"
-            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default")
+            refuse(
+                rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default"
+            )
         self._values = dict(cls._defaults)
         for name, value in values.items():
             setattr(self, name, value)

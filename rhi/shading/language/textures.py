@@ -13,8 +13,8 @@ from typing import Any, Final
 from rhi.contract.descriptors import Stage, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT, INT, UINT
-from rhi.shading.language.builtins import Builtin, Effect, Overload, Parameter, expand
-from rhi.shading.language.types import VECTORS, ImageType, TextureType, Type
+from rhi.shading.language.builtins import Builtin, BuiltinParameter, Effect, Overload, expand
+from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
 
 __rhi_internal__ = True
 
@@ -45,6 +45,7 @@ __all__ = [  # noqa: F822 (the texture and image classes are made below)
     "UintTextureCube",
     "image",
 ]
+LANGUAGE_NAMES.update(__all__)
 
 _D2, _ARRAY, _D3, _CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
 _NOT_3D: Final = frozenset({_D2, _ARRAY, _CUBE})
@@ -162,7 +163,9 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     for name, kinds, signatures, doc in rows:
         if type.kind in kinds:
             overloads = tuple(
-                Overload((Parameter(type, "self"), *overload.parameters), overload.result, overload.glsl)
+                Overload(
+                    (BuiltinParameter(type, "self"), *overload.parameters), overload.result, overload.glsl
+                )
                 for signature, glsl in signatures.items()
                 for overload in expand(signature, glsl.replace("REFERENCE", reference), names)
             )
@@ -176,13 +179,13 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     return methods
 
 
-class Texture:
+class SampledTexture:
     """Base of texture annotations; `shading_type` says which."""
 
     shading_type: TextureType
 
 
-class Image:
+class StorageImage:
     """Base of image annotations; the format comes with `image(Format…)`."""
 
     kind: TextureKind
@@ -211,14 +214,14 @@ for _kind, _shape in _SHAPES.items():
         _space: dict[str, Any] = {"__module__": __name__, "shading_type": TextureType(_kind, _scalar)}
         _space["__doc__"] = f"A {_shape} texture that is read as {_values}, through a sampler."
         _name = f"{_prefix}Texture{_shape}"
-        globals()[_name] = type(_name, (Texture,), _space)
+        globals()[_name] = type(_name, (SampledTexture,), _space)
         if _kind in _NOT_CUBE:
             _name = f"{_prefix}Image{_shape}"
             _space = {"__module__": __name__, "kind": _kind, "scalar": _scalar}
             _space["__doc__"] = f"One level of a {_shape} texture, loaded and stored as {_values}."
-            globals()[_name] = type(_name, (Image,), _space)
+            globals()[_name] = type(_name, (StorageImage,), _space)
     if _kind in _NOT_3D:
         _name = f"DepthTexture{_shape}"
         _space = {"__module__": __name__, "shading_type": TextureType(_kind, FLOAT, True)}
         _space["__doc__"] = f"A {_shape} depth texture that is compared with a reference when it is read."
-        globals()[_name] = type(_name, (Texture,), _space)
+        globals()[_name] = type(_name, (SampledTexture,), _space)

@@ -26,6 +26,9 @@ from rhi.contract.layout import (
 
 __rhi_internal__ = True
 
+LANGUAGE_NAMES: Final[set[str]] = set()
+"""The names that shaders import from `rhi.shading`. Each module that defines some adds them when it is imported."""
+
 VECTORS: Final = {
     (scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)
 }

@@ -16,7 +16,7 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
-from rhi.shading.language.types import MATRICES, VECTORS
+from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS
 
 __rhi_internal__ = True
 
@@ -41,6 +41,7 @@ __all__ = [  # noqa: F822 (the vector and matrix classes are made below)
     "vec3",
     "vec4",
 ]
+LANGUAGE_NAMES.update(__all__)
 
 T = TypeVar("T")
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, Error
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, ErrorBound
 
 __rhi_internal__ = True
 
@@ -31,7 +31,7 @@ _SECTIONS: Final = {
     "atomic_add": "Memory",
     "vertex_index": "What a stage is given",
 }
-_DEFAULT: Final = Error().domain
+_DEFAULT: Final = ErrorBound().domain
 
 
 def write_reference() -> str:
@@ -69,12 +69,12 @@ def _errors(row: Builtin) -> list[str]:
     return ["", "", "", ""] if without else _numbers(row.error)
 
 
-def _numbers(error: Error) -> list[str]:
+def _numbers(error: ErrorBound) -> list[str]:
     glsl = f"{error.glsl:g}" + (f", or {error.glsl_absolute:g} absolutely" if error.glsl_absolute else "")
     return [glsl, *(f"{units:g}" for units in (error.exact, error.fast, error.numpy))]
 
 
-def _domain(error: Error) -> str:
+def _domain(error: ErrorBound) -> str:
     if error.domain == _DEFAULT or not (error.glsl or error.exact):
         return ""
     ranges = ", ".join(f"{_number(low)}…{_number(high)}" for low, high in error.domain)

@@ -281,19 +281,21 @@ def _textures() -> Iterator[str]:
     yield f"from rhi.shading.language.vectors import {', '.join(vectors)}\n"
     yield f"__all__ = {sorted(textures.__all__)!r}\n"
     yield "def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]: ...\n"
-    yield "class Texture:\n    shading_type: TextureType\n"
-    yield "class Image:\n    kind: TextureKind\n    scalar: ScalarType\n"
+    yield "class SampledTexture:\n    shading_type: TextureType\n"
+    yield "class StorageImage:\n    kind: TextureKind\n    scalar: ScalarType\n"
     yield "class ImageFormat:\n    format: Format\n    def __init__(self, format: Format) -> None: ...\n"
     yield "def image(format: Format) -> Any: ...\n"
     for name in sorted(textures.__all__):
         cls = getattr(textures, name)
-        if isinstance(cls, type) and issubclass(cls, textures.Texture):
-            yield from _texture(name, "Texture", "TextureBinding", textures.methods_of(cls.shading_type))
+        if isinstance(cls, type) and issubclass(cls, textures.SampledTexture):
+            yield from _texture(
+                name, "SampledTexture", "TextureBinding", textures.methods_of(cls.shading_type)
+            )
         elif isinstance(cls, type):
-            yield from _texture(name, "Image", "ImageBinding", textures.methods_of(_image_type(cls)))
+            yield from _texture(name, "StorageImage", "ImageBinding", textures.methods_of(_image_type(cls)))
 
 
-def _image_type(cls: type[textures.Image]) -> ImageType:
+def _image_type(cls: type[textures.StorageImage]) -> ImageType:
     formats: dict[ScalarType, Format] = {FLOAT: Format.RGBA8, INT: Format.R32I, UINT: Format.R32UI}
     kind: TextureKind = cls.kind
     return ImageType(kind, formats[cls.scalar])
