@@ -1,4 +1,4 @@
-"""The built-in functions as names to import; `functions.pyi` beside this file has their types."""
+"""The built-in functions as importable names. Their types are in the stub beside this file, `functions.pyi`."""
 
 from __future__ import annotations
 
