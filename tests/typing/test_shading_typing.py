@@ -1,4 +1,4 @@
-"""mypy --strict on shaders: what is right passes, each mistake is refused where it is made."""
+"""mypy --strict on shaders: correct code passes, and each mistake is reported on its line."""
 
 import re
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The table of built-ins: a new row is all that a new built-in takes; `uniform` says what the compiler can't see."""
+"""The table of built-ins: a new built-in needs only a new row. `uniform` declares what the compiler can't infer."""
 
 import numpy as np
 import pytest
@@ -64,7 +64,7 @@ def test_every_row_says_what_it_is_in_lane_code():
 
 
 class OfTiles(Shader):
-    """16 invocations in a row have the same tile, which the compiler can't know."""
+    """16 consecutive invocations are in the same tile, which the compiler can't infer."""
 
     work_group = (32,)
     tiles: Storage[int]
