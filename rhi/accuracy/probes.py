@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import rhi.shading
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType, MatrixType, ScalarType, VectorType
 from rhi.shading.evaluation.compute import evaluate
-from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, Error, Precision
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, ErrorBound, Precision
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.types import MATRICES, VECTORS
 
@@ -28,7 +28,7 @@ __rhi_internal__ = True
 
 Array = NDArray[Any]
 Way = Literal["glsl", "exact", "fast", "numpy"]
-"""How results came about: the names of the bounds in `Error`."""
+"""How results came about: the names of the bounds in `ErrorBound`."""
 
 WORK_GROUP: Final = 64
 PASSES: Final = 32
@@ -92,7 +92,7 @@ class Probe:
     expression: str
     parameters: tuple[HostType, ...]
     result: HostType
-    error: Error
+    error: ErrorBound
 
     def __str__(self) -> str:
         return f"{self.name}({', '.join(map(str, self.parameters))})"

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from rhi.contract.formats import Format
 from rhi.shading import HostTexture, Precision, Shader, Storage, StorageRW, Texture2D, global_id, vec4
-from rhi.shading.language.builtins import Error
+from rhi.shading.language.builtins import ErrorBound
 
 __rhi_internal__ = True
 
@@ -91,7 +91,7 @@ class SampleProbe:
     """Trilinear samples of a texture of this format; `error` in units as `count_units` counts them."""
 
     format: Format
-    error: Error
+    error: ErrorBound
 
     name = "sample_lod"
 
@@ -130,7 +130,7 @@ class SampleProbe:
         return worst / UNIT
 
 
-_WHOLE: Final = Error(glsl=32, exact=32, fast=32, numpy=32)  # of which the coordinates' own rounding is most
+_WHOLE: Final = ErrorBound(glsl=32, exact=32, fast=32, numpy=32)  # of which the coordinates' own rounding is most
 _SRGB_CURVE: Final = 11_000  # within 1.3e-3, a third of a stored step
 
 SAMPLE_PROBES: Final = (

@@ -1,9 +1,9 @@
-"""The shading language: shaders written once, in annotated Python.
+"""The shading language: shaders written once, in annotated Python, for every backend.
 
-A shader is a class (`Shader`): its fields are its bindings, its methods its stages; structs are classes
-(`Struct`); helpers are methods or `@function`s. They are ordinary Python to editors and type checkers, and are
-parsed, not run: `compile_shader` makes a typed tree (`rhi.shading.ir.tree`) and from it a program's descriptor.
-See docs/shading.md.
+A shader is a class derived from `Shader`. Its fields are its bindings and its methods are its stages. Structs are
+classes derived from `Struct`, helpers are methods or `@function`s. To editors and type checkers all of this is ordinary
+Python. It is parsed and never run: `compile_shader` builds a typed tree (`rhi.shading.ir.tree`) and from it the
+descriptor of a program. See docs/shading.md.
 """
 
 from typing import TYPE_CHECKING, Any
@@ -38,7 +38,7 @@ __rhi_internal__ = True
 
 
 def __getattr__(name: str) -> Any:
-    if name in ("evaluate", "run_compute"):  # few programs need it, and it takes as long to import as all the rest
+    if name in ("evaluate", "run_compute"):  # few programs need these, and they take as long to import as all the rest
         from rhi.shading.evaluation import compute
 
         return getattr(compute, name)

@@ -1,4 +1,4 @@
-"""What type checkers must accept: a shader, its structs, and bindings handed to a typed draw call."""
+"""Code that type checkers must accept: a shader, its structs, and a typed draw call with its bindings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""mypy --strict on shaders: what is right passes, each mistake is refused where it is made."""
+"""mypy --strict on shaders: correct code passes, and each mistake is reported on its line."""
 
 import re
 from pathlib import Path
@@ -35,7 +35,7 @@ MISTAKES = [
     (
         "lambert(normalize(v.color), self",
         "lambert(normalize(v.color.xy), self",
-        'to "__call__" of "Function"',
+        'to "__call__" of "ShadingFunction"',
     ),
     ("self.counts[old] = 3", "self.counts[old] = 3.5", "No overload variant"),
     ("position=(0, 1, 0), power=1,", "position=(0, 1), power=1,", 'Argument "position" to "Light"'),

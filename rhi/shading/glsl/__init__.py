@@ -1,1 +1,1 @@
-"""From the typed tree to GLSL."""
+"""GLSL from the typed tree."""

@@ -1,4 +1,4 @@
-"""Names for GLSL: unique, legal, and the Python ones wherever that is possible."""
+"""Identifiers in GLSL: unique, legal, and equal to the Python names wherever possible."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ RESERVED: Final = frozenset(
 
 
 def legal(name: str) -> str:
-    """The name itself if GLSL allows it, else one like it."""
+    """Return the name itself if GLSL allows it, else a similar legal one."""
     plain = name.encode("ascii", "backslashreplace").decode().replace("\\", "x").strip("_") or "name"
     while "__" in plain:
         plain = plain.replace("__", "_")
@@ -66,7 +66,7 @@ def legal(name: str) -> str:
 
 
 class Names:
-    """Unique names by key; a child scope sees those of its parent as taken."""
+    """The names of a scope, unique and stored by key. A child scope avoids the names of its parent."""
 
     __slots__ = ("_by_key", "_parent", "_taken")
 
@@ -76,7 +76,7 @@ class Names:
         self._parent = parent
 
     def get(self, key: Hashable, wanted: str) -> str:
-        """The name of `key`; `wanted`, made legal and unique, when it has none yet."""
+        """Return the name of `key`. If it has none yet, derive one from `wanted`, made legal and unique."""
         known = self.find(key)
         if known is None:
             base = legal(wanted)
@@ -89,7 +89,7 @@ class Names:
         return known
 
     def find(self, key: Hashable) -> str | None:
-        """The name of `key`, or None."""
+        """Return the name of `key`, or None."""
         known = self._by_key.get(key)
         return known if known is not None or self._parent is None else self._parent.find(key)
 

@@ -1,4 +1,4 @@
-"""A whole stage as GLSL: declarations of what it uses, its functions, and `main`."""
+"""A complete stage in GLSL: the declarations that it needs, its functions, and `main`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class StageOptions:
-    """What belongs to a shader and not to one of its stages' trees."""
+    """The properties of a shader that a stage's tree does not hold."""
 
     name: str
     interface: Interface
@@ -33,7 +33,7 @@ class StageOptions:
 
 
 def write_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
-    """The stage's complete GLSL 4.30 source."""
+    """Return the stage's complete GLSL 4.30 source."""
     return _StageWriter(stage, options).write()
 
 
@@ -43,14 +43,14 @@ class _StageWriter:
         self.options = options
         self.names = Names()
         for declaration in stage.bindings:
-            # Bindings come first: native code uses them by their Python names.
+            # Bindings are named first, because native code uses their Python names.
             self.names.get(("binding", declaration.name), declaration.name)
         self.writer = Writer(self.names)
         self.lines = Lines()
 
     def write(self) -> StageText:
         stage, writer, add = self.stage, self.writer, self.lines.add
-        # Names of the file level come before those inside functions, which must not hide them.
+        # File-level names are assigned before those inside functions, which must not hide them.
         for struct in stage.structs:
             writer.type(struct)
         for constant in stage.constants:
@@ -82,8 +82,8 @@ class _StageWriter:
     # -- declarations
 
     def _extensions(self) -> list[str]:
-        """Write `#extension` lines; give the other lines of native declarations."""
-        found = dict.fromkeys(
+        """Write the `#extension` lines, and return the other lines of native declarations."""
+        extensions = dict.fromkeys(
             f"#extension {row.extension} : require"
             for row in sorted(self.stage.builtins, key=lambda row: row.name)
             if row.extension
@@ -93,10 +93,10 @@ class _StageWriter:
             native = function.native.get("glsl")
             for line in native.declarations.splitlines() if native is not None else ():
                 if line.lstrip().startswith("#extension"):
-                    found[line.strip()] = None
+                    extensions[line.strip()] = None
                 else:
                     rest.append(line)
-        for line in found:
+        for line in extensions:
             self.lines.add(line)
         return rest
 
@@ -114,7 +114,11 @@ class _StageWriter:
 
     def _binding(self, declaration: Declaration) -> None:
         name = self.names.get(("binding", declaration.name), declaration.name)
-        slot = self.options.slots[declaration.name].slot if declaration.storage_class is not StorageClass.SHARED else 0
+        slot = (
+            self.options.slots[declaration.name].slot
+            if declaration.storage_class is not StorageClass.SHARED
+            else 0
+        )
         type = declaration.type
         match declaration.storage_class:
             case StorageClass.SHARED:
@@ -126,7 +130,7 @@ class _StageWriter:
             case StorageClass.STORAGE:
                 assert isinstance(type, StorageType)
                 block = self.names.get(("block", name), f"{name}_block")
-                # Other invocations' writes are only seen through `coherent` memory.
+                # Writes of other invocations are only visible through `coherent` memory.
                 barriers = any(row.effect is Effect.BARRIER for row in self.stage.builtins)
                 access = ("coherent " if barriers else "") if type.writable else "readonly "
                 header = f"layout(std430, row_major, binding = {slot}) {access}buffer {block}"
@@ -158,31 +162,31 @@ class _StageWriter:
     # -- inputs, outputs, main
 
     def _inputs(self) -> dict[str, str]:
-        """Declare the stage's inputs; their GLSL names by field."""
+        """Declare the stage's inputs. Return their GLSL names by field."""
         names: dict[str, str] = {}
         if self.stage.stage is Stage.VERTEX:
             for attribute in self.options.interface.attributes:
                 name = names[attribute.name] = self.names.get(("in", attribute.name), f"in_{attribute.name}")
                 self.lines.add(f"layout(location = {attribute.location}) in {attribute.type} {name};")
         elif self.stage.stage is Stage.FRAGMENT:
-            wanted = {
+            used = {
                 field.name
                 for parameter in self.stage.entry.parameters
                 if isinstance(parameter.type, StructType)
                 for field in parameter.type.fields
             }
             for varying in self.options.interface.varyings:
-                if varying.name in wanted:
+                if varying.name in used:
                     name = names[varying.name] = self.names.get(("in", varying.name), f"v_{varying.name}")
                     self._varying(varying, "in", name)
         return names
 
     def _outputs(self) -> dict[str, str]:
-        """Declare the stage's outputs; their GLSL names by field."""
+        """Declare the stage's outputs. Return their GLSL names by field."""
         names: dict[str, str] = {}
         interface = self.options.interface
         if self.stage.stage is Stage.VERTEX:
-            # The same position in two programs is the same depth: what a depth pre-pass relies on.
+            # The same position code in two programs must give the same depth: a depth pre-pass relies on it.
             self.lines.add("invariant gl_Position;")
             for varying in interface.varyings:
                 name = names[varying.name] = self.names.get(("out", varying.name), f"v_{varying.name}")
@@ -217,21 +221,21 @@ class _StageWriter:
             field = (
                 (lambda name: f".{self.writer.field(name)}")
                 if isinstance(entry.result, StructType)
-                else _nothing
+                else _no_field
             )
             if self.stage.stage is Stage.VERTEX:
                 self.lines.add(f"gl_Position = {result}{field(interface.position)};")
             elif interface.depth:
                 self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
-            for name, text in outputs.items():
-                self.lines.add(f"{text} = {result}{field(name)};")
+            for name, output in outputs.items():
+                self.lines.add(f"{output} = {result}{field(name)};")
 
 
-def _nothing(name: str) -> str:
+def _no_field(name: str) -> str:
     return ""
 
 
 def image_format(type: ImageType) -> str:
-    """GLSL's name of an image's texel format."""
+    """Return GLSL's name of an image's texel format."""
     name = type.format.name.lower()
     return name.replace("_snorm", "") + ("_snorm" if type.format.kind is ChannelKind.SNORM else "")

@@ -1,9 +1,9 @@
-"""The typed tree as GLSL 4.30: types, expressions, statements, functions.
+"""GLSL 4.30 from the typed tree: types, expressions, statements, functions.
 
-- The text keeps the shader's names and structure, so that a driver's messages can be read; each line remembers
-  the Python line it came from.
-- Where Python and GLSL differ Python wins: `//` and `%` floor (by helper functions, or by shift and mask for
-  powers of two), bounds of loops are evaluated once, matrices are indexed by row.
+- The text keeps the shader's names and structure, so that messages of the driver are readable. Each line records the
+  Python line that it comes from.
+- Where Python and GLSL differ, Python's meaning wins: `//` and `%` round down (with helper functions, or with shift
+  and mask for powers of two), bounds of loops are evaluated once, matrices are indexed by row.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ __rhi_internal__ = True
 _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
 _LONGEST_LIST: Final = 32
-"""Arrays of zeros up to this length are written as a list, longer ones as a loop."""
+"""Arrays of zeros up to this length are initialised with a list, longer ones in a loop."""
 
 
 class Writer:
-    """Writes functions of one stage. Helper functions that they need collect in `helpers`."""
+    """Writer of the functions of one stage. The helper functions that they need are collected in `helpers`."""
 
     def __init__(self, names: Names) -> None:
         self.globals = names
@@ -53,7 +53,7 @@ class Writer:
     # -- types
 
     def type(self, type: Type) -> str:
-        """A type's name."""
+        """Return a type's GLSL name."""
         match type:
             case VoidType():
                 return "void"
@@ -73,11 +73,11 @@ class Writer:
         return str(type)
 
     def field(self, name: str) -> str:
-        """A struct field's name: a namespace of its own, so only legality matters."""
+        """Return a struct field's name. Each struct is its own namespace, so the name only needs to be legal."""
         return legal(name)
 
     def zero(self, type: HostType) -> str:
-        """A value of zeros."""
+        """Return a value of this type whose components are all zero."""
         match type:
             case ScalarType():
                 return {"bool": "false", "int": "0", "uint": "0u", "float": "0.0"}[type.name]
@@ -91,7 +91,7 @@ class Writer:
     # -- expressions
 
     def expression(self, node: Expression) -> str:
-        """An expression as text that needs no parentheses around it."""
+        """Return an expression as text that needs no parentheses around it."""
         match node:
             case tree.Read(local=local):
                 return self.names.get(local, local.name)
@@ -104,7 +104,7 @@ class Writer:
             case tree.Member(base=base, name=name):
                 return f"{self.expression(base)}.{self.field(name)}"
             case tree.Swizzle(base=base, components=components):
-                return f"{self.expression(base)}.{''.join('xyzw'[place] for place in components)}"
+                return f"{self.expression(base)}.{''.join('xyzw'[index] for index in components)}"
             case tree.Index():
                 return self.index(node)
             case tree.Length(base=base):
@@ -136,7 +136,7 @@ class Writer:
         raise TypeError(f"no GLSL for {node}")
 
     def constant(self, node: tree.Constant) -> str:
-        """A scalar literal."""
+        """Return a scalar literal."""
         value = node.value
         if node.type is BOOL:
             return "true" if value else "false"
@@ -155,7 +155,7 @@ class Writer:
         return text if math.copysign(1.0, number) > 0 else f"({text})"
 
     def index(self, node: tree.Index) -> str:
-        """An element; matrices are columns in GLSL and rows in Python."""
+        """Return an indexed element. GLSL indexes a matrix by column, Python by row."""
         base, index = node.base, self.expression(node.index)
         if isinstance(base, tree.Index) and isinstance(base.base.type, MatrixType):
             return f"{self.expression(base.base)}[{index}][{self.expression(base.index)}]"
@@ -166,18 +166,18 @@ class Writer:
         return f"{self.expression(base)}[{index}]"
 
     def construct(self, node: tree.Construct) -> str:
-        """A constructor; a matrix's rows are transposed into columns."""
+        """Return a constructor. A matrix is built from columns in GLSL, so the rows given are transposed."""
         type, parts = node.type, node.parts
         if isinstance(type, MatrixType) and len(parts) > 1:
             return f"transpose({self.columns(node)})"
         return f"{self.type(type)}({', '.join(map(self.expression, parts))})"
 
     def columns(self, node: tree.Construct) -> str:
-        """A matrix constructor's parts taken as columns: the transpose of what the node means."""
+        """Return a matrix constructor with the parts as columns: the transpose of the node's value."""
         return f"{self.type(node.type)}({', '.join(map(self.expression, node.parts))})"
 
     def binary(self, node: tree.Binary) -> str:
-        """An operator, or the helper function that has Python's meaning."""
+        """Return an operator, or a call of the helper function that has Python's meaning."""
         op = node.operator
         if op is Operator.POWER:
             return self.power(node)
@@ -194,7 +194,7 @@ class Writer:
         return f"({left} {sign} {right})"
 
     def floored(self, node: tree.Binary, left: str, right: str) -> str:
-        """`//` and `%`, rounding towards minus infinity."""
+        """Return `//` or `%`, rounded towards minus infinity."""
         divide = node.operator is Operator.FLOOR_DIVIDE
         scalar = scalar_of(node.type)
         if scalar is FLOAT:
@@ -203,14 +203,14 @@ class Writer:
             return f"({left} {'/' if divide else '%'} {right})"
         divisor = node.right
         if isinstance(divisor, tree.Constant) and divisor.value > 0 and int(divisor.value).bit_count() == 1:
-            # Shifts of negative ints are arithmetic, masks of two's complement are floored remainders.
+            # A shift of a negative int is arithmetic, and a mask of two's complement is the floored remainder.
             shift = int(divisor.value).bit_length() - 1
             return f"({left} >> {shift})" if divide else f"({left} & {int(divisor.value) - 1})"
         left, right = self.widened(node, node.left, left), self.widened(node, node.right, right)
         return f"{self.integer_helper(node, divide)}({left}, {right})"
 
     def widened(self, node: tree.Binary, operand: Expression, text: str) -> str:
-        """A scalar operand as a vector of the result's size."""
+        """Return an operand, a scalar one converted to a vector of the result's size."""
         return text if operand.type == node.type else f"{node.type}({text})"
 
     def integer_helper(self, node: tree.Binary, divide: bool) -> str:
@@ -218,7 +218,7 @@ class Writer:
         type = self.type(node.type)
         zero = self.zero(node.type)  # type: ignore[arg-type]
         if isinstance(node.type, ScalarType):
-            # Whichever way `/` rounds for negative operands, r has |r| < |b| and a sign that says what to do.
+            # However `/` rounds negative operands, |r| < |b| holds, and r's sign tells whether to correct the result.
             wrong = "r != 0 && (r < 0) != (b < 0)"
             result = f"{wrong} ? q - 1 : q" if divide else f"{wrong} ? r + b : r"
         else:
@@ -231,13 +231,13 @@ class Writer:
         return name
 
     def float_modulo(self, node: tree.Binary, left: str, right: str) -> str:
-        """GLSL's mod is x - y floor(x / y), which has the sign of y as in Python."""
+        """Return `%` of floats. GLSL's mod is x - y floor(x / y), which has the sign of y as in Python."""
         if isinstance(node.left.type, ScalarType) and isinstance(node.type, VectorType):
             left = f"{node.type}({left})"
         return f"mod({left}, {right})"
 
     def power(self, node: tree.Binary) -> str:
-        """`**`: a constant whole exponent multiplies, others use pow."""
+        """Return `**`: multiplications for a constant integer exponent, else pow."""
         exponent = node.right
         base = self.expression(node.left)
         if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
@@ -256,16 +256,16 @@ class Writer:
     # -- statements
 
     def line(self, text: str, place: SourceSpan) -> None:
-        """A line of the current function."""
+        """Add a line to the current function."""
         self.lines.add(text, self.file, place.line)
 
     def block(self, block: tree.Block) -> None:
-        """The statements of a block."""
+        """Write the statements of a block."""
         for statement in block:
             self.statement(statement)
 
     def statement(self, node: tree.Statement) -> None:
-        """One statement, on one or more lines."""
+        """Write one statement, on one or more lines."""
         place = node.place
         match node:
             case tree.Declare(local=local, value=value):
@@ -273,7 +273,7 @@ class Writer:
             case tree.Assign(target=target, value=value):
                 text = self.expression(value)
                 if tree.has_effect(value) and tree.has_effect(target):
-                    # Python evaluates the value first; GLSL promises no order.
+                    # Python evaluates the value first; GLSL guarantees no order.
                     name = self.names.get((node, "value"), "value")
                     self.line(f"{self.type(value.type)} {name} = {text};", place)
                     text = name
@@ -297,7 +297,7 @@ class Writer:
                 self.line(f"return {self.expression(value)};" if value is not None else "return;", place)
 
     def declare(self, local: tree.Local, value: Expression | None, place: SourceSpan) -> None:
-        """A local's declaration."""
+        """Write the declaration of a local variable."""
         name, type = self.names.get(local, local.name), self.type(local.type)
         if (
             isinstance(value, tree.Zeros)
@@ -315,7 +315,7 @@ class Writer:
             self.line(f"{type} {name} = {self.expression(value)};", place)
 
     def condition(self, node: tree.If, before: str) -> None:
-        """`if`, `else if`, `else`."""
+        """Write `if`, `else if` and `else`."""
         line, otherwise = node.place.line, node.otherwise
         nested = otherwise[0] if len(otherwise) == 1 and isinstance(otherwise[0], tree.If) else None
         header = f"{before}if ({self.expression(node.condition)})"
@@ -331,7 +331,7 @@ class Writer:
                     self.block(otherwise)
 
     def loop(self, node: tree.For) -> None:
-        """`for`; bounds that might change are evaluated before it."""
+        """Write a `for` loop. Bounds that might change are evaluated before it."""
         start, step = node.start, node.step
         start_text = self.once(node, start, "start") if tree.has_effect(start) else self.expression(start)
         stop = self.once(node, node.stop, "stop")
@@ -348,7 +348,7 @@ class Writer:
             self.block(node.body)
 
     def once(self, node: tree.For, value: Expression, what: str) -> str:
-        """A bound's value, kept in a variable unless nothing can change it."""
+        """Return a bound's value, stored in a variable before the loop unless nothing can change it."""
         fixed = isinstance(value, tree.Constant) or (
             isinstance(value, tree.Read) and value.local.writes == (0 if value.local.is_parameter else 1)
         )
@@ -362,7 +362,7 @@ class Writer:
     # -- functions
 
     def function(self, node: tree.Function) -> None:
-        """A function's definition."""
+        """Write a function's definition."""
         self.file = node.file
         self.names = Names(self.globals)
         parameters = ", ".join(
@@ -390,7 +390,7 @@ class Writer:
 
 
 def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:
-    """What makes two constant arrays the same: name, type and values."""
+    """Return a key that is equal for constant arrays of the same name, type and values."""
     values = tuple(
         part.value
         if isinstance(part, tree.Constant)

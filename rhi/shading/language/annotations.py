@@ -1,4 +1,4 @@
-"""What an annotation means: a value type with a role, or a binding's type."""
+"""Annotations of values: the value type that an annotation denotes, and the role that it gives a struct's field."""
 
 from __future__ import annotations
 
@@ -6,15 +6,18 @@ import enum
 from typing import Annotated, Any, TypeAlias, TypeVar, get_args, get_origin
 
 from rhi.contract.layout import BOOL, FLOAT, INT, ArrayType, HostType
+from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective"))
 
 T = TypeVar("T")
 
 
 class Role(enum.Enum):
-    """What a struct's field is for, besides holding a value."""
+    """The special treatment of a struct's field as a varying or a fragment output."""
 
     FLAT = "flat"
     NO_PERSPECTIVE = "noperspective"
@@ -24,29 +27,29 @@ class Role(enum.Enum):
 
 
 Flat = Annotated[T, Role.FLAT]
-"""A varying that isn't interpolated: the value of the first vertex. Integers always are flat."""
+"""A varying that isn't interpolated: fragments get the first vertex's value. Integers are always flat."""
 
 NoPerspective = Annotated[T, Role.NO_PERSPECTIVE]
-"""A varying interpolated in the image, not in the world."""
+"""A varying interpolated linearly in screen space, without perspective correction."""
 
 FragmentDepth: TypeAlias = Annotated[float, Role.FRAGMENT_DEPTH]
-"""A fragment output that replaces the depth."""
+"""A fragment output that replaces the interpolated depth."""
 
 _SCALARS: dict[Any, HostType] = {float: FLOAT, int: INT, bool: BOOL}
 
 
 def role_of(annotation: Any) -> Role | None:
-    """The role that `Annotated` carries, or None."""
+    """Return the role that an `Annotated` annotation carries, or None."""
     if get_origin(annotation) is Annotated:
         return next((part for part in get_args(annotation)[1:] if isinstance(part, Role)), None)
     return None
 
 
 def value_type_of(annotation: Any) -> HostType:
-    """The value type of `float`, `int`, `uint`, `bool`, a vector or matrix class, or a `Struct` class.
+    """Return the value type for `float`, `int`, `uint`, `bool`, a vector or matrix class, or a `Struct` class.
 
     Raises:
-        TypeError: it is none of these.
+        TypeError: the annotation is none of these.
     """
     found = value_type(annotation)
     if found is None:
@@ -55,7 +58,7 @@ def value_type_of(annotation: Any) -> HostType:
 
 
 def value_type(annotation: Any, default: object = None) -> HostType | None:
-    """The value type that an annotation names, or None; `default` gives an array its length."""
+    """Return the value type that an annotation denotes, or None. An array takes its length from `default`."""
     if get_origin(annotation) is Annotated:
         annotation = get_args(annotation)[0]
     if get_origin(annotation) in (Array, ReadOnlyArray):

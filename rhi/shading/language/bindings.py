@@ -1,28 +1,34 @@
-"""What a shader's fields may be, and what may be bound to them.
+"""Annotations for a shader's buffer bindings, and the handles that draws and dispatches bind to a shader's fields.
 
-- A field's annotation is a descriptor for type checkers: reading it (inside a stage) gives the shader's
-  view, `Uniform[T]` a `T`; setting it (in the constructor that `dataclass_transform` makes up, and so in
-  `device.draw`) wants a handle, `UniformRange[T]`. At run time they are only annotations.
-- Handles are slim: what a draw needs, in slots. Resources create or subclass them.
+- For type checkers an annotation is a descriptor. Reading the field inside a stage gives the shader's view of it:
+  `Uniform[T]` reads as a `T`. Assigning to it takes a handle, here a `UniformRange[T]`; the constructor that
+  `dataclass_transform` synthesises assigns, and `device.draw` has that constructor's parameters. At run time these
+  classes are only annotations.
+- A handle has slots for what a draw needs and nothing else. Resources create handles or derive from them.
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from rhi.shading.language.types import LANGUAGE_NAMES
 from rhi.shading.language.vectors import Array, ReadOnlyArray
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("Storage", "StorageRW", "Uniform"))
 
 T = TypeVar("T")
 
 
 class UniformRange(Generic[T]):
-    """A part of a buffer that holds one `T` in std140.
+    """A range of a buffer that holds one `T` in std140 layout.
 
     Attributes:
-        buffer: the buffer's id. offset, size: in bytes. type: the `Struct` class or value type.
-        owner: what keeps the buffer alive.
+        buffer: the buffer's id.
+        offset, size: the range, in bytes.
+        type: the `Struct` class or value type.
+        owner: an object that keeps the buffer alive.
     """
 
     __slots__ = ("buffer", "offset", "owner", "size", "type")
@@ -36,7 +42,7 @@ class UniformRange(Generic[T]):
 
 
 class StorageRange(Generic[T]):
-    """A part of a buffer that holds `count` elements of `T` in std430; else as `UniformRange`."""
+    """A range of a buffer that holds `count` elements of type `T` in std430 layout; otherwise like `UniformRange`."""
 
     __slots__ = ("buffer", "count", "offset", "owner", "size", "type")
 
@@ -52,7 +58,7 @@ class StorageRange(Generic[T]):
 
 
 class TextureBinding:
-    """A texture with the sampler that reads it, both by id."""
+    """The ids of a texture and of the sampler that reads it."""
 
     __slots__ = ("owner", "sampler", "texture")
 
@@ -63,7 +69,7 @@ class TextureBinding:
 
 
 class ImageBinding:
-    """A level of a texture; `layer` None means all layers."""
+    """A mip level of a texture, bound as an image: one layer of it, or all layers if `layer` is None."""
 
     __slots__ = ("layer", "level", "owner", "texture")
 
@@ -75,7 +81,7 @@ class ImageBinding:
 
 
 class Uniform(Generic[T]):
-    """A value that is the same for the whole draw or dispatch; read as a `T`."""
+    """Annotation of a value in a uniform buffer, the same for the whole draw or dispatch; shaders read it as a `T`."""
 
     if TYPE_CHECKING:
 
@@ -84,7 +90,7 @@ class Uniform(Generic[T]):
 
 
 class Storage(Generic[T]):
-    """A buffer of elements that shaders read: `len(self.lights)`, `self.lights[i]`."""
+    """Annotation of a storage buffer that shaders read: `len(self.lights)`, `self.lights[i]`."""
 
     if TYPE_CHECKING:
 
@@ -93,7 +99,7 @@ class Storage(Generic[T]):
 
 
 class StorageRW(Generic[T]):
-    """A buffer of elements that shaders read and write, atomically too."""
+    """Annotation of a storage buffer that shaders read and write, also with atomics."""
 
     if TYPE_CHECKING:
 

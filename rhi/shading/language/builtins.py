@@ -1,15 +1,16 @@
-"""The built-in functions: one table, one row each.
+"""The built-in functions: one table with one row per function.
 
-- A row gives a name, its signatures and its spelling in GLSL; typing, the stubs, the emitters and the
-  documentation all read this table. Another language is another spelling in the row.
-- In a signature, letters stand for types of one common size: F float or vec, V vec, I and U int and uint or
-  their vectors, B bool or bvec, M mat, IV/UV/BV vectors only. `F(F,F,float)` is four overloads. `int&` is a
-  place in memory that the function changes.
-- A GLSL spelling is a function's name, or a template with `{0}` for the first argument; OpenCL's and NumPy's are
-  templates for one component. `fast` is OpenCL's spelling with Precision.FAST.
-- Instead of OpenCL's and NumPy's, `lanes` makes a built-in from others: an expression of the arguments a, b, c and d
-  (`rhi.shading.lowering.expansions`). What can't be said so is a function of that module, by its name there.
-- `error` is what `python -m rhi shading accuracy` measures and tests hold.
+- A row holds a name, its signatures, and its spelling in each language. The type checks of the parser, the stubs, the
+  code writers and the documentation all read this table. To support another language, add a spelling to the rows.
+- In a signature, letters stand for types of one common size: F is float or vec, I, U and B are int, uint and bool or
+  their vectors, V, IV, UV and BV are vectors only, M is mat. `F(F,F,float)` is four overloads. `int&` is a memory
+  location that the function modifies.
+- A GLSL spelling is a function's name, or a template with `{0}` for the first argument. OpenCL's and NumPy's are
+  templates for one component. `fast` is OpenCL's spelling with `Precision.FAST`.
+- Instead of spellings for OpenCL and NumPy, `lanes` composes a built-in from others: an expression in the arguments
+  a, b, c and d (`rhi.shading.lowering.expansions`). A built-in that no expression describes is a function of that
+  module, with the built-in's name.
+- `error` bounds the error of the results. `python -m rhi shading accuracy` measures it, and tests check the bounds.
 """
 
 from __future__ import annotations
@@ -23,16 +24,17 @@ from rhi.contract.descriptors import Stage
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT
 from rhi.errors import refuse
 from rhi.shading.language import rules
-from rhi.shading.language.types import MATRICES, VECTORS, VOID, Type, converts
+from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS, VOID, Type, converts
 
 __rhi_internal__ = True
 
+LANGUAGE_NAMES.add("Precision")
+
 
 class Precision(enum.Enum):
-    """What a shader asks of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT within a few ulp, or FAST.
+    """Accuracy of pow, exp, log, sin, cos, roots and divisions on OpenCL: EXACT is within a few ulp, FAST less exact.
 
-    With FAST, numbers below 2^-126 may count as 0 on OpenCL.
-    The errors of both are measured by `python -m rhi shading accuracy`.
+    With FAST, OpenCL may flush numbers below 2^-126 to 0. `python -m rhi shading accuracy` measures the errors of both.
     """
 
     EXACT = "exact"
@@ -42,7 +44,7 @@ class Precision(enum.Enum):
 
 
 class Effect(enum.Enum):
-    """What a built-in does besides giving a value."""
+    """The side effect of a built-in."""
 
     NONE = "none"
     WRITE = "write"
@@ -51,18 +53,20 @@ class Effect(enum.Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Error:
-    """How far results may lie from the exact ones, in units as `rhi.accuracy.probes` counts them; by default not at
-    all.
+class ErrorBound:
+    """The largest error of a result, in the units that `rhi.accuracy.probes` counts. By default results are exact.
 
     Attributes:
-        glsl, exact, fast, numpy: most units on OpenGL (of Mesa's llvmpipe; OpenGL itself promises less), on OpenCL with
-            either precision (EXACT's are OpenCL's own promise, FAST's are measured), and on NumPy in float32.
-        glsl_absolute: an error that is allowed on OpenGL whatever the units.
-        domain: the range of each float argument, the last one standing for those after it, in which OpenGL and FAST
-            keep that; for EXACT and NumPy it is every number, unless the units are `of_arguments`.
-        of_arguments: the built-in is made from others, and what a unit of an argument makes of the result is a unit.
-        defined: where there is a result at all, in NumPy's terms of the arguments a, b, c and d; everywhere if empty.
+        glsl, exact, fast, numpy: bounds in units: on OpenGL (with Mesa's llvmpipe; OpenGL itself guarantees less), on
+            OpenCL with either precision (EXACT's bound is OpenCL's own guarantee, FAST's is measured), and on NumPy in
+            float32.
+        glsl_absolute: an absolute error that is allowed on OpenGL whatever the units.
+        domain: the range of each float argument in which the bounds of OpenGL and FAST hold; the last range also
+            holds for the arguments after it. The bounds of EXACT and NumPy hold for every number, unless the units
+            are `of_arguments`.
+        of_arguments: the built-in is composed of others, and one unit is the change of the result when an argument
+            changes by one unit.
+        defined: where the result is defined, as a NumPy expression in the arguments a, b, c and d; everywhere if empty.
     """
 
     glsl: float = 0
@@ -76,8 +80,8 @@ class Error:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
-    """One parameter of an overload; `memory`: a place in storage or shared memory, changed in place."""
+class BuiltinParameter:
+    """One parameter of an overload. `memory`: a location in storage or shared memory, modified in place."""
 
     type: Type
     name: str = ""
@@ -86,16 +90,16 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class Overload:
-    """One signature with concrete types."""
+    """One signature with concrete types, and its GLSL spelling."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[BuiltinParameter, ...]
     result: Type
     glsl: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Builtin:
-    """A row of the table; see above."""
+    """A row of the table: a built-in function, or a method of a texture. The module's head describes the columns."""
 
     name: str
     overloads: tuple[Overload, ...]
@@ -107,12 +111,12 @@ class Builtin:
     numpy: str = ""
     fast: str = ""
     lanes: str = ""
-    error: Error = Error()
+    error: ErrorBound = ErrorBound()
     form: str = ""
     _chosen: dict[tuple[Any, ...], Overload | None] = field(default_factory=dict, repr=False)
 
     def choose(self, types: Sequence[Type], literals: Sequence[bool]) -> Overload | None:
-        """The overload for arguments of these types: an exact one, else the first that they convert to."""
+        """Return the overload for arguments of these types: an exact match, else the first that they convert to."""
         key = (*types, *literals)
         if key not in self._chosen:
             self._chosen[key] = self._choose(types, literals)
@@ -132,7 +136,7 @@ class Builtin:
         return None
 
     def signatures(self) -> str:
-        """All overloads as text, a line each."""
+        """Return all overloads as text, one per line."""
         return "\n".join(
             f"{self.name}({', '.join(str(p.type) for p in o.parameters)}) -> {o.result}"
             for o in self.overloads
@@ -167,7 +171,7 @@ _NAMED: Final[dict[str, Type]] = {
 
 
 def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> Iterator[Overload]:
-    """The overloads of `signatures`, separated by semicolons; `names` adds type names of its own."""
+    """Yield the overloads of signatures that are separated by semicolons. `names` adds type names to the known ones."""
     known = _NAMED | (names or {})
     for signature in signatures.split(";"):
         result, _, rest = signature.strip().partition("(")
@@ -180,7 +184,9 @@ def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> 
             if all(size in letter for letter in used):
                 sized: dict[str, Type] = {n: letter[size] for n, letter in _LETTERS.items() if size in letter}
                 scope = known | sized
-                concrete = tuple(Parameter(scope[type], name, memory) for name, type, memory in parameters)
+                concrete = tuple(
+                    BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters
+                )
                 yield Overload(concrete, scope[result], glsl)
 
 
@@ -194,16 +200,16 @@ _FRAGMENT: Final = frozenset({Stage.FRAGMENT})
 _COMPUTE: Final = frozenset({Stage.COMPUTE})
 _DRAW_PARAMETERS: Final = "GL_ARB_shader_draw_parameters"
 _F: Final = "F(F)"
-_ROUNDED: Final = Error(0.5, 0.5, 0.5, 0.5)
-# Not nearly singular; of matrices of three.
+_ROUNDED: Final = ErrorBound(0.5, 0.5, 0.5, 0.5)
+# A 3x3 matrix that is not nearly singular.
 _REGULAR: Final = "abs(np.linalg.det(a.reshape(-1, 3, 3))) > 1e-3 * abs(a).max(axis=-1) ** 3"
-_NUMBERS: Final = Error(defined="(a == a) & (b == b)")
-_WHOLE: Final = Error(defined="(a == a).all(axis=-1)")
+_NUMBERS: Final = ErrorBound(defined="(a == a) & (b == b)")
+_WHOLE: Final = ErrorBound(defined="(a == a).all(axis=-1)")
 
 
-def _composed(units: float, most: float = 1e6, defined: str = "") -> Error:
-    """Made from other built-ins in the same way everywhere."""
-    return Error(units, units, units, units, 0, ((-most, most),), True, defined)
+def _composed(units: float, limit: float = 1e6, defined: str = "") -> ErrorBound:
+    """Return the bound of a built-in that is composed of others in the same way in every language."""
+    return ErrorBound(units, units, units, units, 0, ((-limit, limit),), True, defined)
 
 
 _ATOMIC: Final = "int(int&,int);uint(uint&,uint)"
@@ -211,8 +217,16 @@ _WRITE: Final = Effect.WRITE
 
 _ROWS: Final = (
     # angles
-    _row("radians", _F, doc="degrees to radians", error=Error(1, 1, 1, 1), lanes="a * 0.017453292519943295"),
-    _row("degrees", _F, doc="radians to degrees", error=Error(1, 1, 1, 1), lanes="a * 57.29577951308232"),
+    _row(
+        "radians",
+        _F,
+        doc="degrees to radians",
+        error=ErrorBound(1, 1, 1, 1),
+        lanes="a * 0.017453292519943295",
+    ),
+    _row(
+        "degrees", _F, doc="radians to degrees", error=ErrorBound(1, 1, 1, 1), lanes="a * 57.29577951308232"
+    ),
     _row(
         "sin",
         _F,
@@ -220,7 +234,7 @@ _ROWS: Final = (
         opencl="rhi_sin({0})",
         numpy="np.sin({0})",
         fast="rhi_fast_sin({0})",
-        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+        error=ErrorBound(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
     ),
     _row(
         "cos",
@@ -229,7 +243,7 @@ _ROWS: Final = (
         opencl="rhi_cos({0})",
         numpy="np.cos({0})",
         fast="rhi_fast_cos({0})",
-        error=Error(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
+        error=ErrorBound(2, 4, 2, 4, 1e-6, ((-1e3, 1e3),)),
     ),
     _row(
         "tan",
@@ -237,7 +251,7 @@ _ROWS: Final = (
         doc="tangent",
         opencl="rhi_tan({0})",
         numpy="np.tan({0})",
-        error=Error(1000, 5, 5, 4, 1e-6, ((-1e3, 1e3),)),
+        error=ErrorBound(1000, 5, 5, 4, 1e-6, ((-1e3, 1e3),)),
     ),
     _row(
         "asin",
@@ -245,7 +259,7 @@ _ROWS: Final = (
         doc="arc sine, -π/2…π/2",
         opencl="asin({0})",
         numpy="np.arcsin({0})",
-        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+        error=ErrorBound(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
     ),
     _row(
         "acos",
@@ -253,7 +267,7 @@ _ROWS: Final = (
         doc="arc cosine, 0…π",
         opencl="acos({0})",
         numpy="np.arccos({0})",
-        error=Error(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
+        error=ErrorBound(4, 4, 4, 4, 5e-4, ((-1, 1),), defined="abs(a) <= 1"),
     ),
     _row(
         "atan",
@@ -261,7 +275,7 @@ _ROWS: Final = (
         doc="arc tangent, -π/2…π/2",
         opencl="atan({0})",
         numpy="np.arctan({0})",
-        error=Error(400, 5, 5, 4),
+        error=ErrorBound(400, 5, 5, 4),
     ),
     _row(
         "atan2",
@@ -270,7 +284,7 @@ _ROWS: Final = (
         "angle of (y, x), -π…π; y first",
         opencl="atan2({0}, {1})",
         numpy="np.arctan2({0}, {1})",
-        error=Error(400, 6, 6, 4, 0, ((-1e6, 1e6),), defined="(a != 0) | (b != 0)"),
+        error=ErrorBound(400, 6, 6, 4, 0, ((-1e6, 1e6),), defined="(a != 0) | (b != 0)"),
     ),
     _row(
         "sinh",
@@ -278,7 +292,7 @@ _ROWS: Final = (
         doc="hyperbolic sine",
         opencl="sinh({0})",
         numpy="np.sinh({0})",
-        error=Error(100, 4, 4, 4, 2e-7, ((-88, 88),)),
+        error=ErrorBound(100, 4, 4, 4, 2e-7, ((-88, 88),)),
     ),
     _row(
         "cosh",
@@ -286,7 +300,7 @@ _ROWS: Final = (
         doc="hyperbolic cosine",
         opencl="cosh({0})",
         numpy="np.cosh({0})",
-        error=Error(100, 4, 4, 4, 0, ((-88, 88),)),
+        error=ErrorBound(100, 4, 4, 4, 0, ((-88, 88),)),
     ),
     _row(
         "tanh",
@@ -294,7 +308,7 @@ _ROWS: Final = (
         doc="hyperbolic tangent",
         opencl="tanh({0})",
         numpy="np.tanh({0})",
-        error=Error(100, 5, 5, 4, 2e-7),
+        error=ErrorBound(100, 5, 5, 4, 2e-7),
     ),
     _row(
         "asinh",
@@ -302,7 +316,7 @@ _ROWS: Final = (
         doc="inverse hyperbolic sine",
         opencl="asinh({0})",
         numpy="np.arcsinh({0})",
-        error=Error(4, 4, 4, 4, 5e-7),
+        error=ErrorBound(4, 4, 4, 4, 5e-7),
     ),
     _row(
         "acosh",
@@ -310,7 +324,7 @@ _ROWS: Final = (
         doc="inverse hyperbolic cosine",
         opencl="acosh({0})",
         numpy="np.arccosh({0})",
-        error=Error(4, 4, 4, 4, 5e-4, ((1, 1e6),), defined="a >= 1"),
+        error=ErrorBound(4, 4, 4, 4, 5e-4, ((1, 1e6),), defined="a >= 1"),
     ),
     _row(
         "atanh",
@@ -318,7 +332,7 @@ _ROWS: Final = (
         doc="inverse hyperbolic tangent",
         opencl="atanh({0})",
         numpy="np.arctanh({0})",
-        error=Error(4, 5, 5, 4, 5e-7, ((-1, 1),), defined="abs(a) < 1"),
+        error=ErrorBound(4, 5, 5, 4, 5e-7, ((-1, 1),), defined="abs(a) < 1"),
     ),
     # exponentials
     _row(
@@ -328,7 +342,9 @@ _ROWS: Final = (
         opencl="pow({0}, {1})",
         numpy="np.power({0}, {1})",
         fast="rhi_fast_pow({0}, {1})",
-        error=Error(128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"),
+        error=ErrorBound(
+            128, 16, 128, 4, 0, ((1e-3, 1e3), (-10, 10)), defined="(a > 0) | (a == 0) & (b > 0)"
+        ),
     ),
     _row(
         "exp",
@@ -337,7 +353,7 @@ _ROWS: Final = (
         opencl="exp({0})",
         numpy="np.exp({0})",
         fast="rhi_fast_exp({0})",
-        error=Error(100, 3, 3, 4, 0, ((-87, 88),)),
+        error=ErrorBound(100, 3, 3, 4, 0, ((-87, 88),)),
     ),
     _row(
         "log",
@@ -346,7 +362,7 @@ _ROWS: Final = (
         opencl="log({0})",
         numpy="np.log({0})",
         fast="(rhi_fast_log2({0}) * 0.69314718f)",
-        error=Error(4, 3, 6, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
+        error=ErrorBound(4, 3, 6, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     _row(
         "exp2",
@@ -355,7 +371,7 @@ _ROWS: Final = (
         opencl="exp2({0})",
         numpy="np.exp2({0})",
         fast="rhi_fast_exp2({0})",
-        error=Error(4, 3, 4, 4, 0, ((-126, 127.5),)),
+        error=ErrorBound(4, 3, 4, 4, 0, ((-126, 127.5),)),
     ),
     _row(
         "log2",
@@ -364,7 +380,7 @@ _ROWS: Final = (
         opencl="log2({0})",
         numpy="np.log2({0})",
         fast="rhi_fast_log2({0})",
-        error=Error(4, 3, 5, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
+        error=ErrorBound(4, 3, 5, 4, 2e-7, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     _row(
         "sqrt",
@@ -373,7 +389,7 @@ _ROWS: Final = (
         opencl="sqrt({0})",
         numpy="np.sqrt({0})",
         fast="native_sqrt({0})",
-        error=Error(0.5, 3, 3, 0.5, 0, ((0, 1e38),), defined="a >= 0"),
+        error=ErrorBound(0.5, 3, 3, 0.5, 0, ((0, 1e38),), defined="a >= 0"),
     ),
     _row(
         "inversesqrt",
@@ -382,19 +398,19 @@ _ROWS: Final = (
         opencl="(1.0f / sqrt({0}))",
         numpy="(F(1) / np.sqrt({0}))",
         fast="rhi_fast_inversesqrt({0})",
-        error=Error(1.5, 4, 2, 1.5, 0, ((2.0**-126, 1e38),), defined="a >= 0"),
+        error=ErrorBound(1.5, 4, 2, 1.5, 0, ((2.0**-126, 1e38),), defined="a >= 0"),
     ),
     # common
     _row("abs", "I(I);F(F)", doc="absolute value", opencl="rhi_abs({0})", numpy="np.abs({0})"),
     _row("sign", "I(I);F(F)", doc="-1, 0 or 1", lanes="-1 if a < 0 else 1 if a > 0 else 0"),
-    _row("floor", _F, doc="largest whole number not above x", opencl="floor({0})", numpy="np.floor({0})"),
-    _row("ceil", _F, doc="smallest whole number not below x", opencl="ceil({0})", numpy="np.ceil({0})"),
-    _row("trunc", _F, doc="whole number towards zero", opencl="trunc({0})", numpy="np.trunc({0})"),
+    _row("floor", _F, doc="largest whole number <= x", opencl="floor({0})", numpy="np.floor({0})"),
+    _row("ceil", _F, doc="smallest whole number >= x", opencl="ceil({0})", numpy="np.ceil({0})"),
+    _row("trunc", _F, doc="x rounded towards zero", opencl="trunc({0})", numpy="np.trunc({0})"),
     _row(
         "round",
         _F,
         "roundEven",
-        "nearest whole number, halves to even, as in Python",
+        "nearest whole number, halves rounded to even as in Python",
         opencl="rint({0})",
         numpy="np.rint({0})",
     ),
@@ -402,7 +418,7 @@ _ROWS: Final = (
     _row(
         "min",
         "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
-        doc="the smaller, by component",
+        doc="minimum, component-wise",
         opencl="rhi_min({0}, {1})",
         numpy="np.minimum({0}, {1})",
         error=_NUMBERS,
@@ -410,7 +426,7 @@ _ROWS: Final = (
     _row(
         "max",
         "I(I,I);I(I,int);U(U,U);U(U,uint);F(F,F);F(F,float)",
-        doc="the larger, by component",
+        doc="maximum, component-wise",
         opencl="rhi_max({0}, {1})",
         numpy="np.maximum({0}, {1})",
         error=_NUMBERS,
@@ -419,7 +435,7 @@ _ROWS: Final = (
         "clamp",
         "I(I,I,I);I(I,int,int);U(U,U,U);U(U,uint,uint);F(F,F,F);F(F,float,float)",
         doc="min(max(x, low), high)",
-        error=Error(defined="(b <= c) & (a == a)"),
+        error=ErrorBound(defined="(b <= c) & (a == a)"),
         lanes="min(max(a, b), c)",
     ),
     _row(
@@ -427,26 +443,26 @@ _ROWS: Final = (
         _F,
         "clamp({0}, 0.0, 1.0)",
         "clamp(x, 0, 1)",
-        error=Error(defined="a == a"),
+        error=ErrorBound(defined="a == a"),
         lanes="min(max(a, 0.0), 1.0)",
     ),
     _row(
         "mix",
         "F(F,F,F);V(V,V,float);V(V,V,BV)",
-        doc="x (1 - a) + y a; with a bvec, y where it is true",
+        doc="x (1 - a) + y a for (x, y, a); with a bvec, y where a is true, else x",
         error=_composed(4),
     ),
     _row(
         "step",
         "F(F,F);V(float,V)",
-        doc="0 where x < edge (the first argument), else 1",
+        doc="0 where x < edge, else 1, for (edge, x)",
         error=_NUMBERS,
         lanes="0.0 if b < a else 1.0",
     ),
     _row(
         "smoothstep",
         "F(F,F,F);V(float,float,V)",
-        doc="Hermite step from edge0 to edge1, x last",
+        doc="smooth Hermite step from 0 to 1 for (edge0, edge1, x)",
         error=_composed(8, 1e6, "a < b"),
         lanes="(t := saturate((c - a) / (b - a))) * t * (3.0 - 2.0 * t)",
     ),
@@ -456,18 +472,18 @@ _ROWS: Final = (
         doc="a b + c",
         opencl="fma({0}, {1}, {2})",
         numpy="R.fma({0}, {1}, {2}, F)",
-        error=Error(2, 0.5, 0.5, 0.5, of_arguments=True),
+        error=ErrorBound(2, 0.5, 0.5, 0.5, of_arguments=True),
     ),
-    _row("isnan", "B(F)", doc="whether not a number", lanes="a != a"),
-    _row("isinf", "B(F)", doc="whether infinite", lanes="abs(a) == inf"),
+    _row("isnan", "B(F)", doc="whether x is not a number", lanes="a != a"),
+    _row("isinf", "B(F)", doc="whether x is infinite", lanes="abs(a) == inf"),
     # geometry
     _row("length", "float(F)", doc="Euclidean length", error=_composed(2)),
     _row("distance", "float(F,F)", doc="length(a - b)", error=_composed(2), lanes="length(a - b)"),
-    _row("dot", "float(V,V)", doc="scalar product", error=_composed(2)),
+    _row("dot", "float(V,V)", doc="dot product", error=_composed(2)),
     _row(
         "cross",
         "vec3(vec3,vec3)",
-        doc="vector product",
+        doc="cross product",
         error=_composed(2),
         lanes="a.yzx * b.zxy - a.zxy * b.yzx",
     ),
@@ -481,86 +497,94 @@ _ROWS: Final = (
     _row(
         "faceforward",
         "V(V,V,V)",
-        doc="n where dot(reference, incident) < 0, else -n: (n, incident, reference)",
+        doc="n if dot(reference, incident) < 0, else -n, for (n, incident, reference)",
         error=_composed(0),
         lanes="a if dot(c, b) < 0.0 else -a",
     ),
     _row(
         "reflect",
         "V(V,V)",
-        doc="incident reflected at a plane with unit normal n",
+        doc="incident vector reflected at a plane with unit normal n, for (incident, n)",
         error=_composed(4),
         lanes="a - (2.0 * dot(b, a)) * b",
     ),
     _row(
         "refract",
         "V(V,V,float)",
-        doc="incident refracted at a plane; eta is the ratio of indices",
+        doc="incident vector refracted at a plane with unit normal n, for (incident, n, eta);"
+        " eta is the ratio of refractive indices",
         error=_composed(4, 1),
     ),
     # matrices
-    _row("transpose", "M(M)", doc="rows become columns"),
+    _row("transpose", "M(M)", doc="rows and columns exchanged"),
     _row("determinant", "float(M)", doc="determinant", error=_composed(4, 1e3)),
     _row(
         "inverse", "M(M)", doc="inverse; undefined for a singular matrix", error=_composed(100, 1e3, _REGULAR)
     ),
-    # comparisons by component
-    _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b by component", lanes="a < b"),
+    # component-wise comparisons
+    _row("less_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "lessThan", "a < b, component-wise", lanes="a < b"),
     _row(
         "less_than_equal",
         "BV(V,V);BV(IV,IV);BV(UV,UV)",
         "lessThanEqual",
-        "a <= b by component",
+        "a <= b, component-wise",
         lanes="a <= b",
     ),
-    _row("greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b by component", lanes="a > b"),
+    _row(
+        "greater_than", "BV(V,V);BV(IV,IV);BV(UV,UV)", "greaterThan", "a > b, component-wise", lanes="a > b"
+    ),
     _row(
         "greater_than_equal",
         "BV(V,V);BV(IV,IV);BV(UV,UV)",
         "greaterThanEqual",
-        "a >= b by component",
+        "a >= b, component-wise",
         lanes="a >= b",
     ),
-    _row("equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "equal", "a == b by component", lanes="a == b"),
+    _row("equal", "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)", "equal", "a == b, component-wise", lanes="a == b"),
     _row(
         "not_equal",
         "BV(V,V);BV(IV,IV);BV(UV,UV);BV(BV,BV)",
         "notEqual",
-        "a != b by component",
+        "a != b, component-wise",
         lanes="a != b",
     ),
-    _row("any", "bool(BV)", doc="whether one component is true"),
+    _row("any", "bool(BV)", doc="whether any component is true"),
     _row("all", "bool(BV)", doc="whether all components are true"),
-    _row("invert", "BV(BV)", "not", "not, by component", lanes="not a"),
+    _row("invert", "BV(BV)", "not", "not, component-wise", lanes="not a"),
     # bits
     _row("float_bits_to_int", "I(F)", "floatBitsToInt", "the same 32 bits as an int", lanes="as_int(a)"),
     _row("float_bits_to_uint", "U(F)", "floatBitsToUint", "the same 32 bits as a uint", lanes="as_uint(a)"),
     _row("int_bits_to_float", "F(I)", "intBitsToFloat", "the same 32 bits as a float", lanes="as_float(a)"),
     _row("uint_bits_to_float", "F(U)", "uintBitsToFloat", "the same 32 bits as a float", lanes="as_float(a)"),
-    _row("bit_count", "I(I);I(U)", "bitCount", "number of bits that are 1", lanes="as_int(bits_set(a))"),
-    _row("find_lsb", "I(I);I(U)", "findLSB", "place of the lowest 1, -1 if none"),
-    _row("find_msb", "I(I);I(U)", "findMSB", "place of the highest significant bit, -1 if none"),
+    _row("bit_count", "I(I);I(U)", "bitCount", "number of set bits", lanes="as_int(bits_set(a))"),
+    _row("find_lsb", "I(I);I(U)", "findLSB", "index of the lowest set bit, -1 if none"),
+    _row(
+        "find_msb",
+        "I(I);I(U)",
+        "findMSB",
+        "index of the highest set bit, of a negative int that of its highest 0; -1 if none",
+    ),
     _row("bitfield_reverse", "I(I);U(U)", "bitfieldReverse", "bits in reverse order"),
     _row(
         "bitfield_extract",
         "I(I,int,int);U(U,int,int)",
         "bitfieldExtract",
-        "bits from offset, count of them",
-        error=Error(defined="(b >= 0) & (c >= 0) & (b + c <= 32)"),
+        "the `count` bits that start at bit `offset`, for (x, offset, count)",
+        error=ErrorBound(defined="(b >= 0) & (c >= 0) & (b + c <= 32)"),
     ),
     _row(
         "bitfield_insert",
         "I(I,I,int,int);U(U,U,int,int)",
         "bitfieldInsert",
-        "base with count bits at offset replaced",
-        error=Error(defined="(c >= 0) & (d >= 0) & (c + d <= 32)"),
+        "base with `count` bits at bit `offset` replaced by the low bits of x, for (base, x, offset, count)",
+        error=ErrorBound(defined="(c >= 0) & (d >= 0) & (c + d <= 32)"),
     ),
     # packing
     _row(
         "pack_half_2x16",
         "uint(vec2)",
         "packHalf2x16",
-        "two half floats in a uint, x in the low bits",
+        "two half-precision floats in a uint, x in the low bits",
         error=_WHOLE,
     ),
     _row("unpack_half_2x16", "vec2(uint)", "unpackHalf2x16", "inverse of pack_half_2x16"),
@@ -601,14 +625,14 @@ _ROWS: Final = (
         "uniform",
         "B(B);I(I);U(U);F(F)",
         "({0})",
-        "x, known to be the same for all invocations that take part, so that what it leads to is computed once for all",
+        "x, declared to be the same in all active invocations; what depends only on it is computed once for all",
     ),
     # fragments
     _row(
         "ddx",
         _F,
         "dFdx",
-        "change to the next pixel to the right",
+        "derivative in x: the change to the next pixel on the right",
         stages=_FRAGMENT,
         opencl="rhi_ddx({0})",
         numpy="R.ddx({0})",
@@ -617,7 +641,7 @@ _ROWS: Final = (
         "ddy",
         _F,
         "dFdy",
-        "change to the next pixel below",
+        "derivative in y: the change to the next pixel below",
         stages=_FRAGMENT,
         opencl="rhi_ddy({0})",
         numpy="R.ddy({0})",
@@ -627,30 +651,30 @@ _ROWS: Final = (
         "discard",
         "None()",
         "discard",
-        "ends the fragment: no output",
+        "ends the fragment without output",
         stages=_FRAGMENT,
         effect=Effect.DISCARD,
     ),
     # memory
-    _row("atomic_add", _ATOMIC, "atomicAdd", "adds, gives the old value", effect=_WRITE),
-    _row("atomic_min", _ATOMIC, "atomicMin", "keeps the smaller, gives the old value", effect=_WRITE),
-    _row("atomic_max", _ATOMIC, "atomicMax", "keeps the larger, gives the old value", effect=_WRITE),
-    _row("atomic_and", _ATOMIC, "atomicAnd", "bitwise and, gives the old value", effect=_WRITE),
-    _row("atomic_or", _ATOMIC, "atomicOr", "bitwise or, gives the old value", effect=_WRITE),
-    _row("atomic_xor", _ATOMIC, "atomicXor", "bitwise exclusive or, gives the old value", effect=_WRITE),
-    _row("atomic_exchange", _ATOMIC, "atomicExchange", "stores, gives the old value", effect=_WRITE),
+    _row("atomic_add", _ATOMIC, "atomicAdd", "adds; returns the old value", effect=_WRITE),
+    _row("atomic_min", _ATOMIC, "atomicMin", "stores the smaller value; returns the old one", effect=_WRITE),
+    _row("atomic_max", _ATOMIC, "atomicMax", "stores the larger value; returns the old one", effect=_WRITE),
+    _row("atomic_and", _ATOMIC, "atomicAnd", "bitwise and; returns the old value", effect=_WRITE),
+    _row("atomic_or", _ATOMIC, "atomicOr", "bitwise or; returns the old value", effect=_WRITE),
+    _row("atomic_xor", _ATOMIC, "atomicXor", "bitwise exclusive or; returns the old value", effect=_WRITE),
+    _row("atomic_exchange", _ATOMIC, "atomicExchange", "stores; returns the old value", effect=_WRITE),
     _row(
         "atomic_compare_exchange",
         "int(int&,int,int);uint(uint&,uint,uint)",
         "atomicCompSwap",
-        "(place, expected, value): stores where the old value is the expected one; gives the old value",
+        "stores if the old value is the expected one, for (location, expected, value); returns the old value",
         effect=_WRITE,
     ),
     _row(
         "barrier",
         "None()",
         "groupMemoryBarrier(); barrier()",
-        "waits for the whole work-group, which then sees all that it wrote",
+        "waits for all invocations of the work-group; each then sees what the others have written",
         stages=_COMPUTE,
         effect=Effect.BARRIER,
     ),
@@ -658,16 +682,22 @@ _ROWS: Final = (
         "memory_barrier",
         "None()",
         "memoryBarrier()",
-        "orders this invocation's writes before what it does next, for all to see",
+        "makes this invocation's writes visible to the others before its next memory accesses",
         effect=Effect.BARRIER,
     ),
     # stage inputs
-    _row("vertex_index", "int()", "gl_VertexID", "index of the vertex, base vertex included", stages=_VERTEX),
+    _row(
+        "vertex_index",
+        "int()",
+        "gl_VertexID",
+        "index of the vertex, including the base vertex",
+        stages=_VERTEX,
+    ),
     _row(
         "instance_index",
         "int()",
         "(gl_BaseInstanceARB + gl_InstanceID)",
-        "index of the instance, base instance included",
+        "index of the instance, including the base instance",
         stages=_VERTEX,
         extension=_DRAW_PARAMETERS,
     ),
@@ -683,7 +713,7 @@ _ROWS: Final = (
         "fragment_coordinate",
         "vec4()",
         "gl_FragCoord",
-        "x, y in pixels (row 0 on top, centres at .5), depth, 1 / clip w",
+        "(x, y in pixels, depth, 1 / clip w); row 0 is at the top, pixel centres at .5",
         stages=_FRAGMENT,
     ),
     _row(
@@ -693,29 +723,45 @@ _ROWS: Final = (
         "primitive_index", "int()", "gl_PrimitiveID", "index of the primitive in the draw", stages=_FRAGMENT
     ),
     _row(
-        "global_id", "ivec3()", "ivec3(gl_GlobalInvocationID)", "place in the whole dispatch", stages=_COMPUTE
+        "global_id",
+        "ivec3()",
+        "ivec3(gl_GlobalInvocationID)",
+        "index of the invocation in the dispatch",
+        stages=_COMPUTE,
     ),
-    _row("local_id", "ivec3()", "ivec3(gl_LocalInvocationID)", "place in the work-group", stages=_COMPUTE),
-    _row("local_index", "int()", "int(gl_LocalInvocationIndex)", "local_id as one number", stages=_COMPUTE),
-    _row("group_id", "ivec3()", "ivec3(gl_WorkGroupID)", "place of the work-group", stages=_COMPUTE),
+    _row(
+        "local_id",
+        "ivec3()",
+        "ivec3(gl_LocalInvocationID)",
+        "index of the invocation in its work-group",
+        stages=_COMPUTE,
+    ),
+    _row(
+        "local_index",
+        "int()",
+        "int(gl_LocalInvocationIndex)",
+        "local_id as one number, x fastest",
+        stages=_COMPUTE,
+    ),
+    _row("group_id", "ivec3()", "ivec3(gl_WorkGroupID)", "index of the work-group", stages=_COMPUTE),
     _row("group_count", "ivec3()", "ivec3(gl_NumWorkGroups)", "number of work-groups", stages=_COMPUTE),
 )
 
 BUILTINS: Final[dict[str, Builtin]] = {row.name: row for row in _ROWS}
-"""Every built-in function by name."""
+"""All built-in functions by name."""
 
-# Of ints, not by 0 and not the smallest by -1; of floats, not where the quotient underflows or overflows.
+# Ints: no division by 0, and none of the smallest int by -1. Floats: the quotient must not underflow or overflow.
 _DIVISIBLE: Final = (
     "(b != 0) & ((a != -2147483648) | (b != -1))"
     " & ((a == 0) | ((abs(a) > abs(b) * 1e-30) & (abs(a) < abs(b) * 1e30)))"
 )
-# x - y floor(x / y) has no digits left where the quotient has as many as a float.
+# x - y floor(x / y) has no correct digits left when the quotient has as many digits as a float.
 _NEAR: Final = "((abs(a) < abs(b) * 1e6) | ((a == np.floor(a)) & (b == np.floor(b))))"
-_EXACT: Final = Error()
-_SHIFT: Final = Error(defined="(b >= 0) & (b < 32)")
-OPERATORS: Final[dict[str, Error]] = {
+_EXACT: Final = ErrorBound()
+_SHIFT: Final = ErrorBound(defined="(b >= 0) & (b < 32)")
+OPERATORS: Final[dict[str, ErrorBound]] = {
     **dict.fromkeys(("+", "-", "*"), _ROUNDED),
-    "/": Error(2.5, 2.5, 2.5, 2.5, 0, ((-1e18, 1e18),)),
+    "/": ErrorBound(2.5, 2.5, 2.5, 2.5, 0, ((-1e18, 1e18),)),
     "//": _composed(0.5, 1e6, _DIVISIBLE),
     "%": _composed(2, 1e6, f"{_DIVISIBLE} & {_NEAR}"),
     "**": BUILTINS["pow"].error,
@@ -725,4 +771,4 @@ OPERATORS: Final[dict[str, Error]] = {
         ("&", "|", "^", "~", "neg", "==", "!=", "<", "<=", ">", ">=", "and", "or", "not"), _EXACT
     ),
 }
-"""The errors of the operators, by their signs; `neg` is the minus before a number."""
+"""The error bounds of the operators by sign. `neg` is unary minus."""

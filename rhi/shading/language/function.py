@@ -1,9 +1,9 @@
-"""Functions outside shader classes, and functions whose body is native code.
+"""Decorators of functions: `@function` outside shader classes, `@native` for bodies in a device language.
 
 - `@function` marks a module-level function as part of the shading language: shaders may call it.
-- `@native("glsl", body)` gives a stage, helper or function a body in one device language, OpenCL C for stages
-  only. Its signature stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared
-  as ever; the Python body, if there is one, serves the other languages.
+- `@native("glsl", body)` gives a stage, helper or function a body in one device language (OpenCL C for stages only).
+  Its signature stays Python, so bindings, structs, vertex inputs and varyings stay typed and are declared as for other
+  functions. The Python body, if there is one, is used for the other languages.
 """
 
 from __future__ import annotations
@@ -17,8 +17,11 @@ from typing import Any, Generic, ParamSpec, TypeVar, cast
 from rhi.errors import refuse
 from rhi.shading.language import rules
 from rhi.shading.language.source import locals_of, resolve_annotations
+from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("function", "native"))
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -29,9 +32,9 @@ NATIVE = "_rhi_native"
 
 @dataclass(frozen=True, slots=True)
 class Native:
-    """A function's body in a device language, and what must stand at file level before it.
+    """A function's body in a device language, and the declarations at file level that it needs.
 
-    `line` is that of the text's first line in the Python file, 0 where it isn't written there as it is.
+    `line` is the Python line on which the body's text starts, or 0 if the text isn't a literal in the Python file.
     """
 
     body: str
@@ -40,7 +43,7 @@ class Native:
 
 
 class ShadingFunction(Generic[P, R]):
-    """A module-level function of the shading language; shaders call it, `rhi.shading.evaluate` runs it on the CPU."""
+    """A module-level function of the shading language. Shaders call it; `rhi.shading.evaluate` runs it on the CPU."""
 
     def __init__(self, function: FunctionType) -> None:
         self.python = function
@@ -64,12 +67,12 @@ def function(python: Callable[P, R]) -> ShadingFunction[P, R]:
 
 
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:
-    """Give a function its body in `language`: "glsl"; of a stage also "opencl" and a number of lanes ("opencl16").
+    """Give a function a body in `language`: "glsl", or for a stage "opencl" with its number of lanes ("opencl16").
 
-    `body` is the text between the braces and may use the parameters, bindings and struct types by their
-    Python names; `declarations` is put at file level before it (`#extension` lines go to the top). In OpenCL C,
-    bindings and parameters are those of the function that `rhi.shading.opencl.stages` describes, or of the kernel
-    (`rhi.shading.opencl.writer`).
+    `body` is the text between the braces. It may use the parameters, bindings and struct types by their Python names.
+    `declarations` is inserted at file level before the function; its `#extension` lines go to the top of the file.
+    In OpenCL C, bindings and parameters are those of the stage function that `rhi.shading.opencl.stages` describes,
+    or of the kernel (`rhi.shading.opencl.writer`).
     """
 
     def attach(python: F) -> F:

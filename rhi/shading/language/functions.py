@@ -1,11 +1,13 @@
-"""The built-in functions as names to import; `functions.pyi` beside this file has their types."""
+"""The built-in functions as importable names. Their types are in the stub beside this file, `functions.pyi`."""
 
 from __future__ import annotations
 
 from rhi.shading.language.builtins import BUILTINS
+from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
 
 __all__ = list(BUILTINS)
+LANGUAGE_NAMES.update(__all__)
 
 globals().update(BUILTINS)

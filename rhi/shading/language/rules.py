@@ -1,4 +1,4 @@
-"""The shading language's rules: one table, in the order in which a shader meets them."""
+"""The rules of the shading language: one table, in the order in which the compiler checks them."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ SYNTAX: Final = Rule("shading-unsupported", "this form of Python is not part of 
 UNKNOWN_NAME: Final = Rule("shading-unknown-name", "a name is not defined")
 UNKNOWN_MEMBER: Final = Rule("shading-unknown-member", "a value has no such field, component or method")
 NOT_SHADING: Final = Rule(
-    "shading-not-shading", "a Python object that the shading language doesn't know is used in a shader"
+    "shading-not-shading", "a shader uses a Python object that the shading language doesn't support"
 )
 ANNOTATION: Final = Rule("shading-annotation", "an annotation is missing or names no shading type")
 WRONG_TYPE: Final = Rule("shading-type", "an expression has the wrong type")
-WRONG_ARGUMENTS: Final = Rule("shading-arguments", "a call's arguments don't fit")
+WRONG_ARGUMENTS: Final = Rule("shading-arguments", "a call's arguments don't match the function's signature")
 TYPE_CHANGED: Final = Rule(
     "shading-type-changed",
     "a variable keeps the type of its first value",
@@ -43,16 +43,16 @@ MISSING_RETURN: Final = Rule(
     "a function may end without returning a value",
     "return a value on every path",
 )
-OUT_OF_RANGE: Final = Rule("shading-out-of-range", "a constant lies outside what is allowed")
+OUT_OF_RANGE: Final = Rule("shading-out-of-range", "a constant is outside the allowed range")
 EVALUATED_TWICE: Final = Rule(
     "shading-evaluated-twice",
     "an operand with a side effect would be evaluated twice",
-    "give it a name on a line of its own first",
+    "assign it to a variable on a line of its own first",
 )
 STAGE: Final = Rule("shading-stage", "this is not available in this stage")
 STAGES: Final = Rule("shading-stages", "a shader's stages don't fit together")
-INTERFACE: Final = Rule("shading-interface", "a stage's inputs or outputs can't have this form")
-BINDING: Final = Rule("shading-binding", "a binding can't have this form")
+INTERFACE: Final = Rule("shading-interface", "a stage's inputs or outputs are not valid")
+BINDING: Final = Rule("shading-binding", "a binding is not valid")
 UNUSED_BINDING: Final = Rule(
     "shading-unused-binding",
     "a shader declares a binding that none of its methods uses",
@@ -65,27 +65,27 @@ SHADOWED_BINDING: Final = Rule(
 )
 BARRIER: Final = Rule(
     "shading-barrier",
-    "a work-group must reach a barrier as a whole",
+    "all invocations of a work-group must reach a barrier together",
     "move the barrier out of conditions, loops and early returns that differ within the work-group",
 )
 INDEX: Final = Rule(
     "shading-index",
-    "an index lies outside what it indexes (found on the device)",
-    "without `checked` this reads or writes other memory",
+    "an index is out of bounds (found on the device)",
+    "without `checked` this would read or write other memory",
 )
 DIFFERENT: Final = Rule(
     "shading-different",
-    "uniform(x) got values that differ among lanes (found on the device)",
-    "say uniform only of what all invocations that take part have in common",
+    "uniform(x) was given values that differ between invocations (found on the device)",
+    "use uniform only for values that are the same in all active invocations",
 )
 RACE: Final = Rule(
     "shading-race",
-    "invocations store different values to one place",
-    "use an atomic, or let one invocation store",
+    "invocations store different values to the same place",
+    "use an atomic, or let a single invocation store",
 )
 NATIVE: Final = Rule("shading-native", "a native function can't be used here")
-STRUCT: Final = Rule("shading-struct", "a struct can't have this form")
-STRUCT_VALUE: Final = Rule("shading-struct-value", "a struct's field got a value that doesn't fit")
+STRUCT: Final = Rule("shading-struct", "a struct is not valid here")
+STRUCT_VALUE: Final = Rule("shading-struct-value", "a value doesn't match the field of a struct")
 DEVICE_ONLY: Final = Rule(
     "shading-device-only",
     "shading functions run on the device, inside shaders",

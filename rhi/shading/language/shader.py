@@ -1,11 +1,11 @@
 """Shaders as classes: fields are bindings, methods are stages and helpers.
 
-- The class is never instantiated. Its constructor exists for type checkers only: `dataclass_transform`
-  makes it take one handle for each binding, and `Device.draw` borrows that signature.
-- Bindings are collected when the class is made, bases first, so that a shader that inherits keeps the slots
-  of its base.
-- Un-annotated numbers on the class are constants that shaders read as `self.name`, and that a subclass may
-  override: a variant of a shader is a subclass.
+- The class is never instantiated. Its constructor exists for type checkers only: `dataclass_transform` gives it one
+  parameter for each binding's handle, and `Device.draw` takes over that signature.
+- Bindings are collected when the class is created, those of its bases first, so that a derived shader keeps the
+  slots of its base.
+- Numbers on the class without annotation are constants. Shaders read them as `self.name`, and a subclass may
+  override them: a variant of a shader is a subclass.
 """
 
 from __future__ import annotations
@@ -29,17 +29,19 @@ from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.source import locals_of, resolve_annotations, suggest_name
-from rhi.shading.language.textures import Image, ImageFormat, Texture, image
-from rhi.shading.language.types import ImageType, StorageType, Type
+from rhi.shading.language.textures import ImageFormat, SampledTexture, StorageImage, image
+from rhi.shading.language.types import LANGUAGE_NAMES, ImageType, StorageType, Type
 from rhi.shading.language.vectors import Array
 
 __rhi_internal__ = True
+
+LANGUAGE_NAMES.update(("Shader", "shared"))
 
 T = TypeVar("T")
 
 
 class StorageClass(enum.Enum):
-    """Where what a shader's field names lives."""
+    """The kind of resource or memory that a shader's field stands for."""
 
     UNIFORM = "uniform"
     STORAGE = "storage"
@@ -52,7 +54,7 @@ class StorageClass(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Declaration:
-    """A field of a shader. `host` is what the CPU knows the type as: a `Struct` class, `float`, `vec3`…"""
+    """A binding or shared variable of a shader. `host` is its type on the CPU: a `Struct` class, `float`, `vec3`…"""
 
     name: str
     storage_class: StorageClass
@@ -61,7 +63,7 @@ class Declaration:
 
 
 class SharedMemory:
-    """What `shared(…)` leaves on a shader."""
+    """Marker that `shared(…)` returns: the element type and length of a shared variable."""
 
     __slots__ = ("element", "length")
 
@@ -75,24 +77,25 @@ def shared(element: type[T]) -> T: ...
 @overload
 def shared(element: type[T], length: int) -> Array[T]: ...
 def shared(element: Any, length: int | None = None) -> Any:
-    """StorageClass that a work-group shares: `partial = shared(float, 256)`, or one value without a length.
+    """Declare memory that a work-group shares: `partial = shared(float, 256)`; without a length, a single value.
 
-    A field of a shader with a `compute` stage. Its contents start undefined.
+    The result is assigned to a field of a shader with a `compute` stage. The memory's initial contents are undefined.
     """
     return SharedMemory(element, length)
 
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(image,))
 class Shader:
-    """Base of shaders.
+    """Base class of shaders.
 
     Attributes:
         work_group: size of a work-group in 1 to 3 dimensions, for a `compute` stage.
-        precision: how exact some functions are on OpenCL; other backends have one way of computing them.
-        checked: every index and every `uniform(x)` is tested on the device where it is used, and a fault is an error
-            with its line: on OpenCL after a dispatch or a batch of draws, which then wait, and on NumPy. Free when off.
-            `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders that don't say.
-        early_depth: depth and stencil are tested before the fragment stage, which then can't change them.
+        precision: accuracy of some functions on OpenCL. Other backends have one way of computing them.
+        checked: test every index and every `uniform(x)` on the device where it is used, and raise an error with the
+            Python line for a fault. Works on NumPy and on OpenCL, where it waits for each dispatch and each batch of
+            draws. Costs nothing when off. `RHI_SHADING_CHECKED=1` in the environment turns it on for all shaders
+            that don't set it.
+        early_depth: test depth and stencil before the fragment stage, which then can't change them.
     """
 
     work_group: ClassVar[tuple[int, ...]] = (1,)
@@ -120,7 +123,7 @@ class Shader:
             if origin is ClassVar:
                 continue
             if hasattr(Shader, name):
-                _refuse(cls, name, "a name that Shader needs itself", "choose another name")
+                _refuse(cls, name, "a name that Shader itself uses", "choose another name")
             declared[name] = _declare(cls, name, annotation, cls.__dict__.get(name))
         for name, value in cls.__dict__.items():
             if isinstance(value, FunctionType):
@@ -135,13 +138,13 @@ class Shader:
                 _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
         cls._declared = declared
 
-    if not TYPE_CHECKING:  # who see the constructor that dataclass_transform makes up
+    if not TYPE_CHECKING:  # type checkers see the constructor that dataclass_transform synthesises
 
         def __new__(cls, *arguments: Any, **bindings: Any) -> Any:
             refuse(
                 rules.DEVICE_ONLY,
                 f"{cls.__name__}(…)",
-                tip="a shader stays a class: device.program(TheShader)",
+                tip="pass the class itself: device.program(TheShader)",
             )
 
 
@@ -156,9 +159,9 @@ def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> 
         if origin is Uniform:
             return Declaration(name, StorageClass.UNIFORM, value, host)
         return Declaration(name, StorageClass.STORAGE, StorageType(value, origin is StorageRW), host)
-    if isinstance(annotation, type) and issubclass(annotation, Texture):
+    if isinstance(annotation, type) and issubclass(annotation, SampledTexture):
         return Declaration(name, StorageClass.TEXTURE, annotation.shading_type)
-    if isinstance(annotation, type) and issubclass(annotation, Image):
+    if isinstance(annotation, type) and issubclass(annotation, StorageImage):
         if not isinstance(default, ImageFormat):
             tip = f"`{name}: {annotation.__name__} = image(Format.RGBA8)`"
             _refuse(cls, name, "an image without a format", tip)
@@ -168,8 +171,8 @@ def _declare(cls: type[Shader], name: str, annotation: Any, default: object) -> 
             _refuse(cls, name, f"{annotation.__name__} of {default.format}", "")
         return Declaration(name, StorageClass.IMAGE, image_type)
     if value_type(annotation) is not None:
-        made = annotation.__name__
-        _refuse(cls, name, made, f"`{name}: Uniform[{made}]`, or a constant: `{name} = …`")
+        type_name = annotation.__name__
+        _refuse(cls, name, type_name, f"`{name}: Uniform[{type_name}]`, or a constant: `{name} = …`")
     _refuse(cls, name, repr(annotation), "")
 
 
@@ -185,7 +188,7 @@ def _shared_type(cls: type[Shader], name: str, value: SharedMemory) -> HostType:
 
 
 def _refuse_shadow(cls: type, before: Declaration, given: str) -> NoReturn:
-    call, allowed = f"class {cls.__name__}: {before.name}", f"{before.type}, as in the base"
+    call, allowed = f"class {cls.__name__}: {before.name}", f"{before.type}, as in the base class"
     raise ShaderError(rules.SHADOWED_BINDING, call, given, allowed, site=find_call_site())
 
 

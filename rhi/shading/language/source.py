@@ -1,10 +1,10 @@
-"""Where shaders come from: the syntax tree of a function, the names it sees, and errors that point at it.
+"""The Python source of shaders: a function's syntax tree, the names it can see, and errors that point into it.
 
-- A file is read and parsed once; a function is found in it by its first line. Notebook cells and
-  interpreters work wherever `linecache` knows their lines.
-- `NameScope` resolves a name as the function itself would: enclosing functions' variables, globals, builtins.
-- Annotations may be strings whose names closures don't keep: `resolve_annotations` evaluates those when the
-  class or function is defined, where the names still exist.
+- A file is read and parsed once, and functions are found in it by their first line. Notebook cells and interpreters
+  work wherever `linecache` knows their lines.
+- `NameScope` resolves a name as the function itself would: variables of enclosing functions, globals, builtins.
+- Annotations may be strings, and closures don't keep the names that only they use. `resolve_annotations` evaluates
+  them when the class or function is defined, while those names still exist.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import builtins
 import contextlib
 import difflib
 import linecache
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import FrameType, FunctionType
@@ -22,6 +21,7 @@ from typing import Any, Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.language import rules
+from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
 
@@ -33,7 +33,7 @@ _files: dict[str, tuple[list[str], dict[int, ast.FunctionDef]]] = {}
 
 @dataclass(frozen=True, slots=True)
 class SourceSpan:
-    """A span of a source line; lines count from 1, columns from 0."""
+    """A span of a source line. Lines count from 1, columns from 0 in UTF-8 bytes; `end_column` 0 is the line's end."""
 
     line: int
     column: int = 0
@@ -41,19 +41,19 @@ class SourceSpan:
 
 
 def span_of(node: ast.AST) -> SourceSpan:
-    """Where a node is; of one on several lines, its first line."""
+    """Return the source span of a node; for a node of several lines, the part on its first line."""
     line, column = getattr(node, "lineno", 1), getattr(node, "col_offset", 0)
     end = getattr(node, "end_col_offset", 0) if getattr(node, "end_lineno", line) == line else 0
     return SourceSpan(line, column, end)
 
 
 class Source:
-    """A Python function's syntax tree, file and scope."""
+    """The syntax tree, file and name scope of a Python function."""
 
     __slots__ = ("file", "function", "name", "node", "scope", "signature")
 
     def __init__(self, function: FunctionType) -> None:
-        self.signature: Any = None  # kept here by rhi.shading.parser.signatures
+        self.signature: Any = None  # cached here by rhi.shading.parser.signatures
         self.function = function
         self.file = function.__code__.co_filename
         self.name = function.__qualname__.replace("<locals>.", "")
@@ -66,28 +66,28 @@ class Source:
     def refuse(
         self, rule: Rule, at: ast.AST | SourceSpan, given: str = "", allowed: str = "", tip: str = ""
     ) -> NoReturn:
-        """Raise a `ShaderError` that shows the line of `at` with a caret below it."""
-        place = at if isinstance(at, SourceSpan) else span_of(at)
+        """Raise a `ShaderError` that shows the source line of `at` with carets below it."""
+        span = at if isinstance(at, SourceSpan) else span_of(at)
         raise ShaderError(
             rule,
-            f"{self.name}\n{show(self.file, place)}",
+            f"{self.name}\n{show(self.file, span)}",
             given,
             allowed,
             tip,
-            CallSite(self.file, place.line, self.name),
+            CallSite(self.file, span.line, self.name),
         )
 
 
-def show(file: str, place: SourceSpan) -> str:
-    """File, line and column, the line, and carets below what is meant."""
-    text = linecache.getline(file, place.line).rstrip("\n")
+def show(file: str, span: SourceSpan) -> str:
+    """Return file, line and column of a span, then its source line, then carets below the span."""
+    text = linecache.getline(file, span.line).rstrip("\n")
     # Columns of syntax trees count UTF-8 bytes.
     encoded = text.encode()
-    start = len(encoded[: place.column].decode(errors="ignore"))
-    end = len(encoded[: place.end_column].decode(errors="ignore")) if place.end_column else len(text)
-    cut = len(text) - len(text.lstrip())
-    carets = " " * max(0, start - cut) + "^" * max(1, end - start)
-    return f"{file}:{place.line}:{start + 1}\n    {text.strip()}\n    {carets}"
+    start = len(encoded[: span.column].decode(errors="ignore"))
+    end = len(encoded[: span.end_column].decode(errors="ignore")) if span.end_column else len(text)
+    indent = len(text) - len(text.lstrip())
+    carets = " " * max(0, start - indent) + "^" * max(1, end - start)
+    return f"{file}:{span.line}:{start + 1}\n    {text.strip()}\n    {carets}"
 
 
 def _functions_of(file: str) -> dict[int, ast.FunctionDef]:
@@ -113,7 +113,7 @@ def _functions_of(file: str) -> dict[int, ast.FunctionDef]:
 
 
 class NameScope:
-    """The names that a function sees outside itself."""
+    """The names that a function can use from outside its own body."""
 
     __slots__ = ("closure", "globals")
 
@@ -122,7 +122,7 @@ class NameScope:
         self.globals = function.__globals__
 
     def find(self, name: str) -> Any:
-        """The object of that name, or `MISSING`."""
+        """Return the object with this name, or `MISSING`."""
         cell = self.closure.get(name)
         if cell is not None:
             try:
@@ -135,27 +135,27 @@ class NameScope:
         return MISSING
 
     def names(self) -> list[str]:
-        """All names that `find` knows, builtins aside."""
+        """Return all names that `find` resolves, except builtins."""
         return [*self.closure, *self.globals]
 
     def evaluate(self, annotation: str) -> Any:
-        """The object that an annotation's text means.
+        """Return the object that an annotation's text denotes.
 
         Raises:
-            NameError and whatever else the text raises.
+            NameError: a name in it is not defined. Evaluating the text may raise other errors too.
         """
         return eval(annotation, self.globals, {name: self.find(name) for name in self.closure})
 
 
 def locals_of(frame: FrameType | None) -> Mapping[str, Any]:
-    """The local variables of a frame that defines a class or function; {} for a module's."""
+    """Return the local variables of a frame that defines a class or function, or {} for a module's frame."""
     if frame is None or frame.f_locals is frame.f_globals:
         return {}
     return dict(frame.f_locals)
 
 
 def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> None:
-    """Evaluate a function's annotations that are text, with the names around it; what fails stays text."""
+    """Evaluate a function's string annotations with the names around it. Annotations that fail stay strings."""
     for name, annotation in function.__annotations__.items():
         if isinstance(annotation, str):
             with contextlib.suppress(Exception):
@@ -163,7 +163,7 @@ def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> Non
 
 
 def source_of(function: FunctionType) -> Source:
-    """A function's source, read once; it lives as long as the function."""
+    """Return a function's source. It is read once and kept on the function, so it lives as long."""
     source: Source | None = getattr(function, _SOURCE, None)
     if source is None:
         source = Source(function)
@@ -172,14 +172,13 @@ def source_of(function: FunctionType) -> Source:
 
 
 def suggest(name: str, known: Iterable[str]) -> str:
-    """A did-you-mean for a name that isn't known, or ""."""
+    """Return a did-you-mean tip for an unknown name, or "" if no known name is close."""
     close = difflib.get_close_matches(name, list(known), 1, 0.6)
     return f"did you mean {close[0]!r}?" if close else ""
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """A tip for a name that is defined nowhere: to import it if it is one of the language's, or a did-you-mean."""
-    language: list[str] = sys.modules["rhi.shading"].__all__  # a package is imported before its modules are used
-    if name in language:
+    """Return a tip for an undefined name: to import it if it belongs to the language, else a did-you-mean."""
+    if name in LANGUAGE_NAMES:
         return f"import it: from rhi.shading import {name}"
-    return suggest(name, [*known, *language])
+    return suggest(name, [*known, *LANGUAGE_NAMES])

@@ -1,10 +1,10 @@
-"""Structs: one class gives a shader its type, memory its layout, and the CPU its values.
+"""Structs: one class is a type in shaders, a layout in memory and a value on the CPU.
 
-- `class Light(Struct)` with annotated fields; `Light.dtype` is its NumPy dtype in storage and vertex buffers
-  (std430), `Light.uniform_dtype` that in uniform blocks (std140), padding included.
-- `Light(position=(0, 1, 0), …)` is a value on the CPU: fields are checked and converted when they are set,
-  `to_bytes` lays them out. Many values are better held as an array of `Light.dtype`.
-- A struct may inherit from another; the base's fields come first.
+- `class Light(Struct)` declares annotated fields. `Light.dtype` is its NumPy dtype in storage and vertex buffers
+  (std430), `Light.uniform_dtype` the one in uniform blocks (std140); both include the padding.
+- `Light(position=(0, 1, 0), …)` is a value on the CPU. Its fields are checked and converted when they are set, and
+  `to_bytes` lays them out in memory. For many values, prefer an array of `Light.dtype`.
+- A struct may inherit from another; the fields of the base come first.
 """
 
 from __future__ import annotations
@@ -41,17 +41,19 @@ from rhi.errors import RhiError, ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
 from rhi.shading.language.source import locals_of, suggest, suggest_name
-from rhi.shading.language.types import scalar_of
+from rhi.shading.language.types import LANGUAGE_NAMES, scalar_of
 from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
 __rhi_internal__ = True
 
+LANGUAGE_NAMES.add("Struct")
+
 _TOO_LARGE: Final = 3.4028235677973366e38
-"""From here on a number rounds to infinity in 32 bits."""
+"""Smallest magnitude that rounds to infinity in a 32-bit float."""
 
 
 class LayoutDtype:
-    """A struct's dtype in one layout, as an attribute of the class."""
+    """Class attribute that returns the struct's dtype in one memory layout."""
 
     __slots__ = ("layout",)
 
@@ -64,7 +66,7 @@ class LayoutDtype:
 
 
 class FieldAccess:
-    """Reads and writes one field of a struct's value."""
+    """Descriptor that reads one field of a struct's value, and checks and converts what is assigned to it."""
 
     __slots__ = ("field",)
 
@@ -75,15 +77,15 @@ class FieldAccess:
         return self if instance is None else instance._values[self.field.name]
 
     def __set__(self, instance: Struct, value: object) -> None:
-        instance._values[self.field.name] = _convert(type(instance).__name__, self.field, value)
+        instance._values[self.field.name] = _convert_field(type(instance).__name__, self.field, value)
 
 
 @dataclass_transform(kw_only_default=True, field_specifiers=(array,))
 class Struct:
-    """Base of structs. Fields are annotated; all are given by name.
+    """Base class of structs. Fields are annotated; the constructor takes them by name.
 
     Raises (constructor):
-        ValidationError `shading-struct-value`: a field is missing, unknown or doesn't fit.
+        ValidationError `shading-struct-value`: a field is missing or unknown, or a value doesn't match its type.
     """
 
     shading_type: ClassVar[StructType] = StructType("Struct", ())
@@ -108,7 +110,7 @@ class Struct:
                 except NameError as error:
                     _refuse_field(cls, name, annotation, suggest_name(error.name or "", [*names, *module]))
             if hasattr(Struct, name) or name.startswith("_"):
-                _refuse_field(cls, name, "a name that Struct needs itself", "choose another name")
+                _refuse_field(cls, name, "a name that Struct itself uses", "choose another name")
             default = cls.__dict__.get(name)
             type = value_type(annotation, default)
             if type is None:
@@ -119,7 +121,7 @@ class Struct:
             if role is not None:
                 roles[name] = role
             if default is not None and not isinstance(default, ArrayLength):
-                defaults[name] = _convert(cls.__name__, fields[name], default)
+                defaults[name] = _convert_field(cls.__name__, fields[name], default)
         cls.shading_type = StructType(cls.__name__, tuple(fields.values()))
         cls._roles, cls._defaults = roles, defaults
         for name in own:
@@ -140,13 +142,15 @@ class Struct:
         missing = [name for name in names if name not in values and name not in cls._defaults]
         if missing:
             given = f"no {', '.join(missing)}"
-            refuse(rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default")
+            refuse(
+                rules.STRUCT_VALUE, f"{cls.__name__}(…)", given, "a value for each field without a default"
+            )
         self._values = dict(cls._defaults)
         for name, value in values.items():
             setattr(self, name, value)
 
     def to_bytes(self, layout: Layout = Layout.STD140) -> bytes:
-        """The value as it lies in memory; std140 is what uniform blocks want."""
+        """Return the value's bytes in a memory layout. Uniform blocks need the default, std140."""
         numbers: list[Any] = []
         _flatten(self.shading_type, self, numbers)
         return _packer(self.shading_type, layout).pack(*numbers)
@@ -174,10 +178,10 @@ def _refuse_field(cls: type, name: str, given: str, tip: str) -> NoReturn:
     raise ShaderError(rules.STRUCT, f"class {cls.__name__}: {name}", given, allowed, tip, find_call_site())
 
 
-def _convert(owner: str, field: Field, value: Any) -> Any:
-    """A field's value in its natural form, or a refusal."""
+def _convert_field(owner: str, field: Field, value: Any) -> Any:
+    """Return a value in the form in which a struct keeps this field; refuse one that doesn't match the field's type."""
     try:
-        return _natural(field.type, value)
+        return _converted(field.type, value)
     except (TypeError, ValueError, OverflowError) as error:
         if isinstance(error, RhiError):
             raise
@@ -189,40 +193,40 @@ def _convert(owner: str, field: Field, value: Any) -> Any:
         )
 
 
-def _natural(type: HostType, value: Any) -> Any:
+def _converted(type: HostType, value: Any) -> Any:
     match type:
         case ScalarType(name=name):
             if not isinstance(value, int | float) and np.ndim(value):
-                raise ValueError("a scalar is wanted")
+                raise ValueError("expected a scalar")
             if name in ("int", "uint"):
                 number = int(value)
                 if number != value:
-                    raise ValueError("a whole number is wanted")
-                np.dtype(type.code).type(number)  # raises when it is out of range
+                    raise ValueError("expected a whole number")
+                np.dtype(type.code).type(number)  # raises OverflowError if it is out of range
                 return uint(number) if name == "uint" else number
             if type is BOOL:
                 return bool(value)
             real = float(value)
             if math.isfinite(real) and abs(real) >= _TOO_LARGE:
-                raise OverflowError("more than a float of 32 bits holds")
+                raise OverflowError("out of range for a 32-bit float")
             return real
         case VectorType(scalar=scalar, size=size):
             if len(value) != size:
                 raise ValueError("wrong shape")
-            return CLASSES[scalar, size](*[_natural(scalar, component) for component in value])
+            return CLASSES[scalar, size](*[_converted(scalar, component) for component in value])
         case MatrixType(size=size):
             if np.shape(value) != (size, size):
                 raise ValueError("wrong shape")
             return CLASSES[size](np.asarray(value, "f4"))
         case StructType():
             if not isinstance(value, Struct) or value.shading_type != type:
-                raise TypeError(f"a {type.name} is wanted")
+                raise TypeError(f"expected a {type.name}")
             return value
         case ArrayType(element=element, length=length):
             if isinstance(_innermost(type), StructType):
                 if len(value) != length:
                     raise ValueError("wrong length")
-                return tuple(_natural(element, part) for part in value)
+                return tuple(_converted(element, part) for part in value)
             given = np.asarray(value)
             if given.shape != shape_of(type):
                 raise ValueError("wrong shape")
@@ -238,7 +242,7 @@ def _innermost(type: HostType) -> HostType:
 
 
 def _flatten(type: HostType, value: Any, numbers: list[Any]) -> None:
-    """Append a natural value's scalars in order."""
+    """Append the scalars of a converted value to `numbers`, in order."""
     match type:
         case StructType(fields=fields):
             for field in fields:
@@ -256,7 +260,7 @@ def _flatten(type: HostType, value: Any, numbers: list[Any]) -> None:
 
 @lru_cache(maxsize=1024)
 def _packer(type: StructType, layout: Layout) -> struct.Struct:
-    """What packs a struct's scalars, given in order, into its bytes."""
+    """Return a packer that turns a struct's scalars, given in order, into its bytes."""
     _check_shareable(type, f"{type}.to_bytes(…)")
     text, end = "<", 0
     for offset, code in scalar_places(type, layout):

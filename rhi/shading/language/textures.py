@@ -1,8 +1,8 @@
-"""Texture and image types as Python sees them, and their methods: one table, as for built-ins.
+"""Texture and image types in Python, and the table of their methods, built like the table of built-ins.
 
-- In a method's signature COORD, TEXEL, GRAD, SIZE and VALUE stand for the types that go with the texture's
-  shape and scalar; `{0}` in a spelling is the texture itself.
-- The stub beside this file (`textures.pyi`) is written by `rhi.shading.tools.stubs` from the same table.
+- In a method's signature COORD, TEXEL, GRAD, SIZE and VALUE stand for the types that belong to the texture's
+  dimension and scalar type. In a GLSL spelling `{0}` is the texture itself.
+- `rhi.shading.tools.stubs` writes the stub beside this file (`textures.pyi`) from the same table.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any, Final
 from rhi.contract.descriptors import Stage, TextureKind
 from rhi.contract.formats import Format
 from rhi.contract.layout import FLOAT, INT, UINT
-from rhi.shading.language.builtins import Builtin, Effect, Overload, Parameter, expand
-from rhi.shading.language.types import VECTORS, ImageType, TextureType, Type
+from rhi.shading.language.builtins import Builtin, BuiltinParameter, Effect, Overload, expand
+from rhi.shading.language.types import LANGUAGE_NAMES, VECTORS, ImageType, TextureType, Type
 
 __rhi_internal__ = True
 
-__all__ = [  # noqa: F822 (the texture and image classes are made below)
+__all__ = [  # noqa: F822 (the texture and image classes are created below)
     "DepthTexture2D",
     "DepthTexture2DArray",
     "DepthTextureCube",
@@ -45,6 +45,7 @@ __all__ = [  # noqa: F822 (the texture and image classes are made below)
     "UintTextureCube",
     "image",
 ]
+LANGUAGE_NAMES.update(__all__)
 
 _D2, _ARRAY, _D3, _CUBE = TextureKind.D2, TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE
 _NOT_3D: Final = frozenset({_D2, _ARRAY, _CUBE})
@@ -59,25 +60,25 @@ _SAMPLED: Final = (
         "sample",
         _ALL,
         {"VALUE(at: COORD)": "texture({0}, {1})"},
-        "filtered, level from the derivatives of `at`",
+        "filtered sample; mip level from the derivatives of `at`",
     ),
     (
         "sample_bias",
         _ALL,
         {"VALUE(at: COORD, bias: float)": "texture({0}, {1}, {2})"},
-        "as `sample`, `bias` added to the level",
+        "like `sample`, with `bias` added to the mip level",
     ),
     (
         "sample_lod",
         _ALL,
         {"VALUE(at: COORD, lod: float)": "textureLod({0}, {1}, {2})"},
-        "filtered, at level `lod`",
+        "filtered sample at mip level `lod`",
     ),
     (
         "sample_grad",
         _ALL,
         {"VALUE(at: COORD, dx: GRAD, dy: GRAD)": "textureGrad({0}, {1}, {2}, {3})"},
-        "filtered, level from the derivatives given",
+        "filtered sample; mip level from the given derivatives",
     ),
     (
         "gather",
@@ -110,19 +111,19 @@ _COMPARED: Final = (
         "sample_compare",
         _NOT_3D,
         {"float(at: COORD, reference: float)": "texture({0}, REFERENCE)"},
-        "how much of the filtered texels passes `reference compare texel`, 0…1",
+        "filtered result of `reference compare texel`: the passing share of the texels, 0…1",
     ),
     (
         "sample_compare_lod",
         _FLAT,
         {"float(at: COORD, reference: float, lod: float)": "textureLod({0}, REFERENCE, {3})"},
-        "as `sample_compare`, at level `lod`",
+        "like `sample_compare`, at mip level `lod`",
     ),
     (
         "gather_compare",
         _NOT_3D,
         {"vec4(at: COORD, reference: float)": "textureGather({0}, {1}, {2})"},
-        "the four comparisons before filtering",
+        "the four comparison results, before filtering",
     ),
     (
         "size",
@@ -147,7 +148,7 @@ _FRAGMENT_ONLY: Final = frozenset({"sample_bias"})
 
 @cache
 def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
-    """The methods of a texture or image type by name; their first parameter is the texture."""
+    """Return the methods of a texture or image type by name. Their first parameter is the texture."""
     rows = _STORED if isinstance(type, ImageType) else _COMPARED if type.compare else _SAMPLED
     plane = type.kind is _D2
     names: dict[str, Type] = {
@@ -162,7 +163,9 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     for name, kinds, signatures, doc in rows:
         if type.kind in kinds:
             overloads = tuple(
-                Overload((Parameter(type, "self"), *overload.parameters), overload.result, overload.glsl)
+                Overload(
+                    (BuiltinParameter(type, "self"), *overload.parameters), overload.result, overload.glsl
+                )
                 for signature, glsl in signatures.items()
                 for overload in expand(signature, glsl.replace("REFERENCE", reference), names)
             )
@@ -176,21 +179,21 @@ def methods_of(type: TextureType | ImageType) -> dict[str, Builtin]:
     return methods
 
 
-class Texture:
-    """Base of texture annotations; `shading_type` says which."""
+class SampledTexture:
+    """Base class of the annotations for sampled textures. `shading_type` is the texture's type."""
 
     shading_type: TextureType
 
 
-class Image:
-    """Base of image annotations; the format comes with `image(Format…)`."""
+class StorageImage:
+    """Base class of the annotations for images. The texel format comes from `image(Format…)`."""
 
     kind: TextureKind
     scalar: Any
 
 
 class ImageFormat:
-    """What `image(format)` leaves on a shader."""
+    """Marker that `image(format)` returns: the texel format of an image binding."""
 
     __slots__ = ("format",)
 
@@ -199,7 +202,7 @@ class ImageFormat:
 
 
 def image(format: Format) -> Any:
-    """An image binding's texel format: `target: Image2D = image(Format.RGBA8)`."""
+    """Give an image binding its texel format: `target: Image2D = image(Format.RGBA8)`."""
     return ImageFormat(format)
 
 
@@ -209,16 +212,16 @@ for _kind, _shape in _SHAPES.items():
     for _scalar, _prefix in ((FLOAT, ""), (INT, "Int"), (UINT, "Uint")):
         _values = {"": "floats", "Int": "ints", "Uint": "uints"}[_prefix]
         _space: dict[str, Any] = {"__module__": __name__, "shading_type": TextureType(_kind, _scalar)}
-        _space["__doc__"] = f"A {_shape} texture that is read as {_values}, through a sampler."
+        _space["__doc__"] = f"A {_shape} texture, read as {_values} through a sampler."
         _name = f"{_prefix}Texture{_shape}"
-        globals()[_name] = type(_name, (Texture,), _space)
+        globals()[_name] = type(_name, (SampledTexture,), _space)
         if _kind in _NOT_CUBE:
             _name = f"{_prefix}Image{_shape}"
             _space = {"__module__": __name__, "kind": _kind, "scalar": _scalar}
-            _space["__doc__"] = f"One level of a {_shape} texture, loaded and stored as {_values}."
-            globals()[_name] = type(_name, (Image,), _space)
+            _space["__doc__"] = f"One mip level of a {_shape} texture, loaded and stored as {_values}."
+            globals()[_name] = type(_name, (StorageImage,), _space)
     if _kind in _NOT_3D:
         _name = f"DepthTexture{_shape}"
         _space = {"__module__": __name__, "shading_type": TextureType(_kind, FLOAT, True)}
-        _space["__doc__"] = f"A {_shape} depth texture that is compared with a reference when it is read."
-        globals()[_name] = type(_name, (Texture,), _space)
+        _space["__doc__"] = f"A {_shape} depth texture; reading it compares its texels with a reference."
+        globals()[_name] = type(_name, (SampledTexture,), _space)

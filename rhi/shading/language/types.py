@@ -1,7 +1,6 @@
-"""The types of the language: those of `rhi.contract.layout`, which are values, and those of bindings, which aren't.
+"""The types of the shading language: the value types of `rhi.contract.layout`, and the types of bindings.
 
-- `promote` and `converts` hold the only conversions that happen by themselves: int to float, as in Python,
-  and an int literal to uint.
+- `converts` knows the only implicit conversions: int to float, as in Python, and a non-negative int literal to uint.
 """
 
 from __future__ import annotations
@@ -26,6 +25,9 @@ from rhi.contract.layout import (
 
 __rhi_internal__ = True
 
+LANGUAGE_NAMES: Final[set[str]] = set()
+"""The names that shaders import from `rhi.shading`. Each module that defines some adds them when it is imported."""
+
 VECTORS: Final = {
     (scalar, size): VectorType(scalar, size) for scalar in (FLOAT, INT, UINT, BOOL) for size in (2, 3, 4)
 }
@@ -35,7 +37,7 @@ VEC4: Final = VECTORS[FLOAT, 4]
 
 @dataclass(frozen=True, slots=True)
 class VoidType:
-    """What a function without a value returns."""
+    """The result type of a function that returns no value."""
 
     def __str__(self) -> str:
         return "None"
@@ -46,7 +48,7 @@ VOID: Final = VoidType()
 
 @dataclass(frozen=True, slots=True)
 class TextureType:
-    """A sampled texture; `compare` makes it a depth texture whose samples are comparisons."""
+    """A sampled texture. With `compare`, a depth texture whose samples are results of a depth comparison."""
 
     kind: TextureKind
     scalar: ScalarType = FLOAT
@@ -60,14 +62,14 @@ class TextureType:
 
 @dataclass(frozen=True, slots=True)
 class ImageType:
-    """A texture level that is loaded from and stored to by texel."""
+    """A mip level of a texture that shaders load from and store to, texel by texel."""
 
     kind: TextureKind
     format: Format
 
     @property
     def scalar(self) -> ScalarType:
-        """The type of a component in the shader."""
+        """Scalar type of a texel's components in the shader."""
         return {ChannelKind.INT: INT, ChannelKind.UINT: UINT}.get(self.format.kind, FLOAT)
 
     def __str__(self) -> str:
@@ -77,7 +79,7 @@ class ImageType:
 
 @dataclass(frozen=True, slots=True)
 class StorageType:
-    """A storage buffer: as many elements as are bound."""
+    """An array in a storage buffer, as long as the bound range."""
 
     element: HostType
     writable: bool
@@ -91,24 +93,27 @@ Type: TypeAlias = HostType | VoidType | TextureType | ImageType | StorageType
 
 
 def is_value(type: Type) -> bool:
-    """Whether values of this type can be stored in variables."""
+    """Return whether variables can hold values of this type."""
     return isinstance(type, ScalarType | VectorType | MatrixType | ArrayType | StructType)
 
 
 def scalar_of(type: Type) -> ScalarType | None:
-    """The scalar type of a scalar's or vector's components; None for others."""
+    """Return the scalar type of a scalar's or vector's components, or None for other types."""
     if isinstance(type, ScalarType):
         return type
     return type.scalar if isinstance(type, VectorType) else None
 
 
 def with_scalar(type: ScalarType | VectorType, scalar: ScalarType) -> ScalarType | VectorType:
-    """The scalar or vector type of the same size with other components."""
+    """Return the scalar or vector type of the same size with components of type `scalar`."""
     return scalar if isinstance(type, ScalarType) else VECTORS[scalar, type.size]
 
 
 def converts(source: Type, target: Type, literal: bool = False) -> bool:
-    """Whether a value of `source` is taken where `target` is wanted; `literal`: a non-negative int literal."""
+    """Return whether a value of type `source` is accepted where `target` is expected.
+
+    `literal`: the value is a non-negative int literal.
+    """
     return (
         source == target
         or (source is INT and target is FLOAT)

@@ -1,10 +1,10 @@
-"""Vectors, matrices and `uint` as Python sees them: types in annotations, constructors in shaders, constants.
+"""Vectors, matrices, arrays and `uint` in Python: annotations and constructors in shaders, constants on the CPU.
 
-- The stub beside this file (`vectors.pyi`, written by `rhi.shading.tools.stubs`) says what they can do in a
-  shader: operators, swizzles, conversions. At run time on the CPU they only hold components, so that
-  `SKY = vec3(0.2, 0.4, 0.9)` at module level is a constant that shaders can use; arithmetic on the CPU is
-  NumPy's business (`numpy.asarray(SKY)`).
-- `Array` is the type of arrays; `array` makes one in a shader and gives a struct's field its length.
+- The stub beside this file (`vectors.pyi`, written by `rhi.shading.tools.stubs`) declares what they can do in a
+  shader: operators, swizzles, conversions. On the CPU they only hold components, so that
+  `SKY = vec3(0.2, 0.4, 0.9)` at module level is a constant that shaders can use. For arithmetic on the CPU, convert
+  to NumPy: `numpy.asarray(SKY)`.
+- `Array` is the type of arrays. `array` creates one in a shader, and gives an array field of a struct its length.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from typing import Any, ClassVar, Generic, TypeVar
 import numpy as np
 
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, HostType
-from rhi.shading.language.types import MATRICES, VECTORS
+from rhi.shading.language.types import LANGUAGE_NAMES, MATRICES, VECTORS
 
 __rhi_internal__ = True
 
-__all__ = [  # noqa: F822 (the vector and matrix classes are made below)
+__all__ = [  # noqa: F822 (the vector and matrix classes are created below)
     "Array",
     "ReadOnlyArray",
     "array",
@@ -41,18 +41,19 @@ __all__ = [  # noqa: F822 (the vector and matrix classes are made below)
     "vec3",
     "vec4",
 ]
+LANGUAGE_NAMES.update(__all__)
 
 T = TypeVar("T")
 
 
 class uint(int):  # noqa: N801 (named like int)
-    """An unsigned 32-bit integer; wraps around in shaders."""
+    """An unsigned 32-bit integer. Its arithmetic wraps around in shaders."""
 
     shading_type: ClassVar[HostType] = UINT
 
 
 class Composite:
-    """Base of vectors and matrices: a tuple of numbers with a type."""
+    """Base class of vectors and matrices: a tuple of components with a type and a shape."""
 
     __slots__ = ("components",)
     shading_type: ClassVar[Any]
@@ -68,7 +69,7 @@ class Composite:
                 flat.extend(np.ravel(np.asarray(part)).tolist())
         size, count = self.shape[0], math.prod(self.shape)
         if len(flat) == 1:
-            # One number stands for all components, or for a matrix's diagonal.
+            # A single number is copied to all components, or to a matrix's diagonal.
             one = flat[0]
             flat = [one] * size if count == size else [one * (i % (size + 1) == 0) for i in range(count)]
         if len(flat) != count:
@@ -90,10 +91,10 @@ class Composite:
 
     def __getattr__(self, name: str) -> Any:
         axes = "xyzw" if name and name[0] in "xyzw" else "rgba"
-        places = [axes.find(letter) for letter in name]
-        if len(self.shape) == 2 or len(name) > 4 or min(places) < 0 or max(places) >= len(self.components):
+        indices = [axes.find(letter) for letter in name]
+        if len(self.shape) == 2 or len(name) > 4 or min(indices) < 0 or max(indices) >= len(self.components):
             raise AttributeError(f"{type(self).__name__} has no component {name!r}")
-        parts = tuple(self.components[place] for place in places)
+        parts = tuple(self.components[index] for index in indices)
         return parts[0] if len(parts) == 1 else CLASSES[self.shading_type.scalar, len(parts)](*parts)
 
     def __eq__(self, other: object) -> bool:
@@ -107,6 +108,7 @@ class Composite:
 
 
 CLASSES: dict[Any, Any] = {}
+"""The vector classes by scalar type and size, the matrix classes by size."""
 
 for _key, _type in [*VECTORS.items(), *MATRICES.items()]:
     _shape = (_key[1],) if isinstance(_key, tuple) else (_key, _key)
@@ -125,15 +127,15 @@ for _key, _type in [*VECTORS.items(), *MATRICES.items()]:
 
 
 class ReadOnlyArray(Generic[T]):
-    """Elements of one type that a shader can read: `len(a)`, `a[i]`."""
+    """An array that a shader can read: `len(a)`, `a[i]`."""
 
 
 class Array(ReadOnlyArray[T]):
-    """Elements of one type: `len(a)`, `a[i]`, `a[i] = value`."""
+    """An array that a shader can read and write: `len(a)`, `a[i]`, `a[i] = value`."""
 
 
 class ArrayLength:
-    """What `array(element, length)` leaves on a struct: the length of a field."""
+    """Marker that `array(element, length)` returns: the length of an array field of a struct."""
 
     __slots__ = ("element", "length")
 
@@ -143,9 +145,9 @@ class ArrayLength:
 
 
 def array(element: type[T], length: int) -> Any:
-    """An array of `length` elements.
+    """Declare an array of `length` elements.
 
-    In a struct it gives a field its length: `weights: Array[float] = array(float, 4)`. In a shader it makes
-    a local array of zeros: `stack = array(int, 32)`.
+    In a struct it gives a field its length: `weights: Array[float] = array(float, 4)`. In a shader it creates a local
+    array of zeros: `stack = array(int, 32)`.
     """
     return ArrayLength(element, length)

@@ -14,7 +14,7 @@ from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.source import Source, source_of, suggest_name
 from rhi.shading.language.structs import Struct
-from rhi.shading.language.textures import Texture
+from rhi.shading.language.textures import SampledTexture
 from rhi.shading.language.types import VOID, Type
 from rhi.shading.language.vectors import Array, ReadOnlyArray
 
@@ -107,7 +107,7 @@ def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -
 
 
 def _parameter_type(host: Any) -> Type | AnyLength | None:
-    if isinstance(host, type) and issubclass(host, Texture):
+    if isinstance(host, type) and issubclass(host, SampledTexture):
         return host.shading_type
     if get_origin(host) in (Array, ReadOnlyArray):
         element = value_type(get_args(host)[0])

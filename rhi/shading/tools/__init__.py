@@ -1,1 +1,1 @@
-"""Writers of the language's type stubs and of its reference page."""
+"""Generators of the language's type stubs and of its reference page."""

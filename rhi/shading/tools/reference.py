@@ -1,6 +1,6 @@
-"""Writes the reference of built-ins into a page: `python -m rhi.shading.tools.reference docs/shading.md`.
+"""Writer of the reference of built-ins in a page: `python -m rhi.shading.tools.reference docs/shading.md`.
 
-What stands between the two marks comes from the table; a test keeps the page current.
+The text between the two markers is generated from the table of built-ins. A test checks that the page is current.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
-from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, Error
+from rhi.shading.language.builtins import BUILTINS, OPERATORS, Builtin, Effect, ErrorBound
 
 __rhi_internal__ = True
 
@@ -23,19 +23,19 @@ _SECTIONS: Final = {
     "abs": "Common",
     "length": "Geometry",
     "transpose": "Matrices",
-    "less_than": "Comparisons by component",
+    "less_than": "Component-wise comparisons",
     "float_bits_to_int": "Bits",
     "pack_half_2x16": "Packing",
     "uniform": "Lanes",
     "ddx": "Fragments",
     "atomic_add": "Memory",
-    "vertex_index": "What a stage is given",
+    "vertex_index": "Stage inputs",
 }
-_DEFAULT: Final = Error().domain
+_DEFAULT: Final = ErrorBound().domain
 
 
 def write_reference() -> str:
-    """The sections of the built-ins, and the errors of the operators."""
+    """Return the reference: a table per section of built-ins, and one of the operators' errors."""
     return "\n".join(_lines()).strip()
 
 
@@ -55,26 +55,26 @@ def _lines() -> Iterator[str]:
 
 
 def _form(row: Builtin) -> str:
-    """`name(F,F) -> F` for each signature of the row."""
+    """Return the row's signatures in the form `name(F, F) -> F`, separated by line breaks."""
     forms = []
     for signature in row.form.split(";"):
         result, _, rest = signature.strip().partition("(")
-        given = ", ".join(part.strip().rstrip("&") for part in rest.rstrip(")").split(","))
-        forms.append(f"{row.name}({given})" + (f" -> {result}" if result != "None" else ""))
+        parameters = ", ".join(part.strip().rstrip("&") for part in rest.rstrip(")").split(","))
+        forms.append(f"{row.name}({parameters})" + (f" -> {result}" if result != "None" else ""))
     return "`<br>`".join(forms)
 
 
 def _errors(row: Builtin) -> list[str]:
-    without = not row.overloads[0].parameters or row.effect is not Effect.NONE or len(row.stages) == 1
-    return ["", "", "", ""] if without else _numbers(row.error)
+    no_error = not row.overloads[0].parameters or row.effect is not Effect.NONE or len(row.stages) == 1
+    return ["", "", "", ""] if no_error else _numbers(row.error)
 
 
-def _numbers(error: Error) -> list[str]:
-    glsl = f"{error.glsl:g}" + (f", or {error.glsl_absolute:g} absolutely" if error.glsl_absolute else "")
+def _numbers(error: ErrorBound) -> list[str]:
+    glsl = f"{error.glsl:g}" + (f", or {error.glsl_absolute:g} absolute" if error.glsl_absolute else "")
     return [glsl, *(f"{units:g}" for units in (error.exact, error.fast, error.numpy))]
 
 
-def _domain(error: Error) -> str:
+def _domain(error: ErrorBound) -> str:
     if error.domain == _DEFAULT or not (error.glsl or error.exact):
         return ""
     ranges = ", ".join(f"{_number(low)}…{_number(high)}" for low, high in error.domain)
@@ -86,7 +86,7 @@ def _number(number: float) -> str:
 
 
 def update(page: str) -> str:
-    """A page with the reference as the table has it now."""
+    """Return the page with its reference regenerated from the table."""
     text = f"{BEGIN}\n\n{write_reference()}\n\n{END}"
     return re.sub(f"{re.escape(BEGIN)}.*{re.escape(END)}", lambda _: text, page, flags=re.DOTALL)
 

@@ -9,7 +9,7 @@ import pytest
 from rhi.accuracy import report as accuracy
 from rhi.accuracy.sample_probes import SAMPLE_PROBES
 from rhi.contract.formats import Format
-from rhi.shading.language.builtins import BUILTINS, Error
+from rhi.shading.language.builtins import BUILTINS, ErrorBound
 
 
 def test_a_row_has_the_error_the_bound_and_the_time_of_a_builtin_on_a_backend():
@@ -59,7 +59,7 @@ def test_a_sample_is_judged_by_float64_in_units_of_float32_s_step_at_1():
 def test_a_sample_that_is_off_by_more_than_is_stated_is_marked(monkeypatch, capsys):
     (probe,) = (probe for probe in SAMPLE_PROBES if probe.format is Format.R32F)
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sample_lod"]) == 0
-    monkeypatch.setattr(accuracy, "SAMPLE_PROBES", (replace(probe, error=Error(numpy=1)),))
+    monkeypatch.setattr(accuracy, "SAMPLE_PROBES", (replace(probe, error=ErrorBound(numpy=1)),))
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sample_lod"]) == 1
     assert "**broken**" in capsys.readouterr().out
 
@@ -80,10 +80,10 @@ def test_the_command_prints_json_and_draws(tmp_path, capsys):
 
 
 def test_a_bound_that_is_broken_is_marked_and_fails_the_command(monkeypatch, capsys):
-    monkeypatch.setattr(accuracy, "all_probes", lambda: [probe_with(Error(numpy=0.25))])
+    monkeypatch.setattr(accuracy, "all_probes", lambda: [probe_with(ErrorBound(numpy=0.25))])
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sqrt"]) == 1
     assert "**broken**" in capsys.readouterr().out
-    monkeypatch.setattr(accuracy, "all_probes", lambda: [probe_with(Error(numpy=0.5, domain=((0, 1e6),)))])
+    monkeypatch.setattr(accuracy, "all_probes", lambda: [probe_with(ErrorBound(numpy=0.5, domain=((0, 1e6),)))])
     assert accuracy.main(["accuracy", "--backend", "numpy", "--builtin", "sqrt"]) == 0
 
 

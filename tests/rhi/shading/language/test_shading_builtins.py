@@ -1,4 +1,4 @@
-"""Every row of the table of built-ins: each overload compiles on the driver, each function has a value."""
+"""Every row of the table of built-ins: each overload compiles on the driver, each function returns the right value."""
 
 import importlib.util
 import math
@@ -22,7 +22,7 @@ HEADER = "from rhi import Format\nfrom rhi.shading import *\n"
 
 @pytest.fixture
 def load(tmp_path):
-    """`load(source)` gives the class `Test` of a module with that source."""
+    """Return `load(source)`, which runs the source as a module and returns its class `Test`."""
 
     def load(source):
         path = tmp_path / "generated.py"

@@ -1,4 +1,4 @@
-"""docs/shading.md says what is true: its code runs and compiles, and it names every built-in."""
+"""docs/shading.md is correct: its code runs, its shaders compile on the driver, and it names every built-in."""
 
 import importlib.util
 import re

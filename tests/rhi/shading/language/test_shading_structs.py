@@ -116,7 +116,7 @@ class Reader(Shader):
 
 
 def whole_of(start):
-    """A Whole whose scalars count up from `start`, in order of its fields; and the next number."""
+    """Return a Whole whose scalars count up from `start` in the order of its fields, and the next number."""
     numbers = iter(range(start, start + 1000))
 
     def take(*shape):

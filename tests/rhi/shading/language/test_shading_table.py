@@ -1,12 +1,14 @@
-"""The table of built-ins: a new row is all that a new built-in takes; `uniform` says what the compiler can't see."""
+"""The table of built-ins: a new built-in needs only a new row. `uniform` declares what the compiler can't infer."""
 
 import numpy as np
 import pytest
 from opencl_runner import run_opencl
 
+import rhi.shading
 from rhi.errors import ShaderError
 from rhi.shading import Shader, Storage, StorageRW, global_id, opencl_kernel, uniform, vec3
-from rhi.shading.language.builtins import BUILTINS, Error, _row
+from rhi.shading.language.builtins import BUILTINS, ErrorBound, _row
+from rhi.shading.language.types import LANGUAGE_NAMES
 
 hermite = _row("hermite", "F(F)", "({0} * {0} * (3.0 - 2.0 * {0}))", lanes="(t := a * a) * (3.0 - 2.0 * a)")
 hypotenuse = _row(
@@ -58,11 +60,11 @@ def test_every_row_says_what_it_is_in_lane_code():
         assert sum(ways) <= 1, row.name
         assert bool(row.opencl) == bool(row.numpy), row.name
         assert not row.fast or row.opencl, row.name
-        assert isinstance(row.error, Error)
+        assert isinstance(row.error, ErrorBound)
 
 
 class OfTiles(Shader):
-    """16 invocations in a row have the same tile, which the compiler can't know."""
+    """16 consecutive invocations are in the same tile, which the compiler can't infer."""
 
     work_group = (32,)
     tiles: Storage[int]
@@ -108,3 +110,10 @@ def test_only_lanes_that_take_part_need_to_agree():
     for width in (1, 4, 16):
         out = run_opencl(OfSomeLanes, width, given=given, out=16)["out"]
         np.testing.assert_array_equal(out, np.where(given > 0, 40, 0))
+
+
+def test_every_name_that_shaders_import_can_be_suggested():
+    for_the_host = {"HostTexture", "ImageBinding", "NumpyKernel", "StorageRange", "TextureBinding", "UniformRange"}
+    for_the_host |= {"compile_shader", "evaluate", "opencl_kernel", "run_compute", "run_fragment", "run_vertex"}
+    for_the_host |= {"stage_trees", "value_type_of"}
+    assert set(rhi.shading.__all__) - for_the_host == LANGUAGE_NAMES
