@@ -26,16 +26,19 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.gl import enums
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.capabilities import query_capabilities
-from rhi.backends.gl.draws import MODES, Calls, Draws
+from rhi.backends.gl.draws import MODES, DrawCalls, Draws
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.fence import Fence
 from rhi.backends.gl.framebuffers import Framebuffers
 from rhi.backends.gl.heap import keep_freed_memory
-from rhi.backends.gl.programs import Pipeline, Programs, VertexArrays
-from rhi.backends.gl.queries import Fence, Queries
-from rhi.backends.gl.query_sets import QuerySet
-from rhi.backends.gl.resources import Buffers, Samplers, Textures
-from rhi.backends.gl.states import States
+from rhi.backends.gl.programs import LinkedProgram, Programs, VertexArrays
+from rhi.backends.gl.queries import Queries
+from rhi.backends.gl.query_sets import GlQuerySet
+from rhi.backends.gl.samplers import Samplers
+from rhi.backends.gl.states import RenderStates
+from rhi.backends.gl.textures import Textures
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     Attachment,
@@ -104,12 +107,12 @@ class GlBackend:
 
         self._interrupted: Callable[[], None] = lambda: None
         self._program: Id = 0
-        self._pipeline: Pipeline = None  # type: ignore[assignment]  # nothing draws before bind_program
+        self._bound_program: LinkedProgram = None  # type: ignore[assignment]  # nothing draws before bind_program
         self._tests_alpha = False
         self._pass = PassDescriptor((0, 0))
         self._condition: tuple[Id, bool] | None = None
         self._labels = 0
-        self._states = States(gl, self._capabilities.depth_bias_clamp, self._change_alpha_test)
+        self._states = RenderStates(gl, self._capabilities.depth_bias_clamp, self._change_alpha_test)
         self._bind_uniform = self._buffers.bind_uniform
         self._bind_storage = self._buffers.bind_storage
         self._bind_texture, self._texture_names = gl.BindTextureUnit, self._textures.names
@@ -324,7 +327,7 @@ class GlBackend:
         if self._tests_alpha:
             self._change_alpha_test()
         else:
-            self._pipeline = self._programs[program]
+            self._bound_program = self._programs[program]
 
     def _change_alpha_test(self) -> None:
         values = self._states.values
@@ -333,9 +336,9 @@ class GlBackend:
             return
         if self._tests_alpha:
             function, reference = values[AlphaFunction], values[AlphaReference].value
-            self._pipeline = self._programs.find_alpha_tested(self._program, function, reference)
+            self._bound_program = self._programs.find_alpha_tested(self._program, function, reference)
         else:
-            self._pipeline = self._programs[self._program]
+            self._bound_program = self._programs[self._program]
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
         if _current is not self:
@@ -371,10 +374,17 @@ class GlBackend:
             self._activate()
         if base_vertex or base_instance or primitive is _QUADS:
             self._draws.draw(
-                self._pipeline, vertex_array, primitive, first, count, instances, base_vertex, base_instance
+                self._bound_program,
+                vertex_array,
+                primitive,
+                first,
+                count,
+                instances,
+                base_vertex,
+                base_instance,
             )
         else:
-            self._pipeline[vertex_array](MODES[primitive], count, first, instances)
+            self._bound_program[vertex_array](MODES[primitive], count, first, instances)
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         return self._bind_uniform[buffer]
@@ -393,13 +403,13 @@ class GlBackend:
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """See `rhi.contract.backend.PreparesQueries`."""
-        return QuerySet(self, self.gl, self._queries, queries)
+        return GlQuerySet(self, self.gl, self._queries, queries)
 
-    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> Calls:
+    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> DrawCalls:
         """As `Draws.prepare_calls`, of the bound program."""
         if _current is not self:
             self._activate()
-        return self._draws.prepare_calls(self._pipeline, vertex_array, primitive, draws)
+        return self._draws.prepare_calls(self._bound_program, vertex_array, primitive, draws)
 
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
@@ -408,26 +418,34 @@ class GlBackend:
         if _current is not self:
             self._activate()
         self._draws.draw_indirect(
-            self._pipeline, vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
+            self._bound_program,
+            vertex_array,
+            primitive,
+            buffer,
+            offset,
+            draws,
+            stride,
+            count_buffer,
+            count_offset,
         )
 
     def dispatch(self, x: int, y: int, z: int) -> None:
         if _current is not self:
             self._activate()
         if self._condition is None:
-            self._pipeline.dispatch(x, y, z)
+            self._bound_program.dispatch(x, y, z)
         else:  # a condition is for draws; OpenGL would drop this, too
             with self._unmasked(False, False, False):
-                self._pipeline.dispatch(x, y, z)
+                self._bound_program.dispatch(x, y, z)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         if _current is not self:
             self._activate()
         if self._condition is None:
-            self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
+            self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
         else:
             with self._unmasked(False, False, False):
-                self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
+                self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
 
     # -- time --------------------------------------------------------------------------------------------
 

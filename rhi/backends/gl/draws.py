@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.gl import enums
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import INDEX_TYPES
-from rhi.backends.gl.programs import Pipeline, VertexArrays
+from rhi.backends.gl.programs import LinkedProgram, VertexArrays
 from rhi.backends.gl.quads import QuadIndices, expand_indices
-from rhi.backends.gl.resources import Buffers
 from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 
@@ -32,7 +32,7 @@ MODES: Final = {
 }
 _COMMAND_BYTES: Final = 20
 
-Calls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
+DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
 """A function, and its arguments for each draw."""
 
 
@@ -49,12 +49,12 @@ class Draws:
         self._quads = QuadIndices(context)
 
     def draw(
-        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         """Quads, or with bases."""
         gl, array = self._gl, self._arrays.descriptors[vertex_array]
-        name = pipeline.use(vertex_array)
+        name = linked.use(vertex_array)
         if primitive is Primitive.QUADS:
             self._draw_quads(name, array, first, count, instances, base_vertex, base_instance)
         elif array.index_buffer:
@@ -65,8 +65,8 @@ class Draws:
             )
         else:
             gl.DrawArraysInstancedBaseInstance(MODES[primitive], first, count, instances, base_instance)
-        if pipeline.writes_memory:
-            pipeline.memory_barrier()
+        if linked.writes_memory:
+            linked.memory_barrier()
 
     def _draw_quads(
         self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
@@ -96,13 +96,13 @@ class Draws:
         expanded.release()
 
     def draw_indirect(
-        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int,
+        self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int,
         stride: int, count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         gl, mode = self._gl, MODES[primitive]
         array = self._arrays.descriptors[vertex_array]
         stride = stride or _COMMAND_BYTES
-        pipeline.use(vertex_array)
+        linked.use(vertex_array)
         gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, self._buffers.objects[buffer].glo)
         if count_buffer:
             gl.BindBuffer(enums.PARAMETER_BUFFER, self._buffers.objects[count_buffer].glo)
@@ -117,12 +117,12 @@ class Draws:
             gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
         else:
             gl.MultiDrawArraysIndirect(mode, offset, draws, stride)
-        if pipeline.writes_memory:
-            pipeline.memory_barrier()
+        if linked.writes_memory:
+            linked.memory_barrier()
 
     def prepare_calls(
-        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
-    ) -> Calls:
+        self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
+    ) -> DrawCalls:
         """What draws an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`: a function, and its arguments for each draw.
         Not for QUADS. It holds until something else is bound or drawn."""
         array, mode = self._arrays.descriptors[vertex_array], repeat(MODES[primitive])
@@ -131,8 +131,8 @@ class Draws:
             draws[name].tolist() for name in ("count", "first", "instances", "base_instance")
         )
         if not draws["base_instance"].any() and not (indexed and draws["base_vertex"].any()):
-            return pipeline[vertex_array], zip(mode, count, first, instances, strict=False)
-        pipeline.use(vertex_array)
+            return linked[vertex_array], zip(mode, count, first, instances, strict=False)
+        linked.use(vertex_array)
         call: Callable[..., object]
         if indexed:
             call, form = self._gl.DrawElementsInstancedBaseVertexBaseInstance, array.index_format
@@ -145,4 +145,4 @@ class Draws:
         else:
             call = self._gl.DrawArraysInstancedBaseInstance
             arguments = zip(mode, first, count, instances, base_instance, strict=False)
-        return pipeline.then_memory_barrier(call) if pipeline.writes_memory else call, arguments
+        return linked.then_memory_barrier(call) if linked.writes_memory else call, arguments

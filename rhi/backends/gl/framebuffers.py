@@ -7,7 +7,7 @@ from typing import Final, TypeAlias
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.resources import Textures
+from rhi.backends.gl.textures import Textures
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
 from rhi.contract.formats import ChannelKind
 from rhi.errors import DeviceError
@@ -15,7 +15,7 @@ from rhi.errors.rules import DEVICE_DRIVER
 
 __rhi_internal__ = True
 
-Key: TypeAlias = tuple[object, ...]
+_AttachmentKey: TypeAlias = tuple[object, ...]
 
 _LAYERED: Final = (TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE)
 
@@ -26,13 +26,13 @@ class Framebuffers:
     def __init__(self, gl: EntryPoints, textures: Textures) -> None:
         self._gl = gl
         self._textures = textures
-        self._names: dict[Key, int] = {}
-        self._keys: dict[Id, set[Key]] = {}  # by texture
+        self._names: dict[_AttachmentKey, int] = {}
+        self._keys: dict[Id, set[_AttachmentKey]] = {}  # by texture
 
     def find(self, descriptor: PassDescriptor) -> int:
         """GL's name of the framebuffer with a pass's attachments."""
         colors, depth = descriptor.colors, descriptor.depth
-        key: Key = tuple((color.texture, color.level, color.layer) for color in colors)
+        key: _AttachmentKey = tuple((color.texture, color.level, color.layer) for color in colors)
         if depth is not None:
             key = (*key, "depth", depth.texture, depth.level, depth.layer)
         elif not colors:
@@ -52,7 +52,7 @@ class Framebuffers:
             if name is not None:
                 self._gl.delete(self._gl.DeleteFramebuffers, name)
 
-    def _create(self, key: Key, descriptor: PassDescriptor) -> int:
+    def _create(self, key: _AttachmentKey, descriptor: PassDescriptor) -> int:
         gl = self._gl
         name = gl.create(gl.CreateFramebuffers)
         for index, color in enumerate(descriptor.colors):

@@ -1,7 +1,7 @@
 """Programs and vertex arrays: what a draw runs and what it reads.
 
-- A `Pipeline` is one linked program with a table from vertex array to the C function that draws it. The
-  backend keeps the bound pipeline's table, so a draw is one look-up and one call; what is special about a
+- A `LinkedProgram` is one linked program with a table from vertex array to the C function that draws it. The
+  backend keeps the bound linked's table, so a draw is one look-up and one call; what is special about a
   program (it writes memory, it does the alpha test) is in the functions of its table, and a program that
   isn't special pays nothing.
 - moderngl ties a vertex array to one program, so a table makes its entries when they are first asked for.
@@ -21,10 +21,10 @@ from typing import Final, TypeAlias
 import moderngl
 
 from rhi.backends.gl import enums
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import VERTEX_TYPES
-from rhi.backends.gl.resources import Buffers
 from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, VertexArrayDescriptor
 from rhi.contract.states import AlphaFunction
 
@@ -53,7 +53,7 @@ _TITLES: Final = {
 
 
 class VertexArrays:
-    """All vertex arrays of one context; GL's objects are made per pipeline."""
+    """All vertex arrays of one context; GL's objects are made per linked."""
 
     def __init__(self, context: moderngl.Context, gl: EntryPoints, buffers: Buffers) -> None:
         self._context = context
@@ -86,7 +86,7 @@ class VertexArrays:
         return made
 
 
-class Pipeline(dict[Id, Render]):
+class LinkedProgram(dict[Id, Render]):
     """A linked program, as the table of what draws each vertex array with it.
 
     Attributes:
@@ -155,17 +155,19 @@ class Pipeline(dict[Id, Render]):
         return draw_and_barrier
 
 
-class _Program:
-    """A program's descriptor, its pipeline and the variants of that for the alpha test."""
+class _ProgramVariants:
+    """A program's descriptor, its linked and the variants of that for the alpha test."""
 
-    def __init__(self, descriptor: ProgramDescriptor, pipeline: Pipeline) -> None:
+    def __init__(self, descriptor: ProgramDescriptor, linked: LinkedProgram) -> None:
         self.descriptor = descriptor
-        self.pipeline = pipeline
-        self.variants: dict[AlphaFunction, tuple[Pipeline, int]] = {}  # and the location of the reference
+        self.linked = linked
+        self.variants: dict[
+            AlphaFunction, tuple[LinkedProgram, int]
+        ] = {}  # and the location of the reference
 
     @property
-    def pipelines(self) -> list[Pipeline]:
-        return [self.pipeline, *(pipeline for pipeline, _ in self.variants.values())]
+    def all_linked(self) -> list[LinkedProgram]:
+        return [self.linked, *(linked for linked, _ in self.variants.values())]
 
 
 class Programs:
@@ -175,41 +177,41 @@ class Programs:
         self._context = context
         self._gl = gl
         self._arrays = arrays
-        self._programs: dict[Id, _Program] = {}
+        self._programs: dict[Id, _ProgramVariants] = {}
 
-    def __getitem__(self, program: Id) -> Pipeline:
-        return self._programs[program].pipeline
+    def __getitem__(self, program: Id) -> LinkedProgram:
+        return self._programs[program].linked
 
     def create(self, program: Id, descriptor: ProgramDescriptor) -> None:
         sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
-        self._programs[program] = _Program(descriptor, self._link(descriptor, sources))
+        self._programs[program] = _ProgramVariants(descriptor, self._link(descriptor, sources))
 
     def destroy(self, program: Id) -> None:
-        for pipeline in self._programs.pop(program).pipelines:
-            pipeline.release()
+        for linked in self._programs.pop(program).all_linked:
+            linked.release()
 
     def forget_vertex_array(self, vertex_array: Id) -> None:
         for program in self._programs.values():
-            for pipeline in program.pipelines:
-                pipeline.forget(vertex_array)
+            for linked in program.all_linked:
+                linked.forget(vertex_array)
 
-    def find_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> Pipeline:
-        """The pipeline that drops fragments unless `alpha function reference`."""
+    def find_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> LinkedProgram:
+        """The linked that drops fragments unless `alpha function reference`."""
         made = self._programs[program]
         if function not in made.variants:
             source = add_alpha_test(made.descriptor, function)
             if source is None:
-                return made.pipeline
+                return made.linked
             sources = {stage: made.descriptor.emit("glsl", stage) for stage in made.descriptor.stages}
-            pipeline = self._link(made.descriptor, sources | {Stage.FRAGMENT: source})
-            location = self._gl.GetUniformLocation(pipeline.program.glo, b"rhi_alpha_reference")
-            made.variants[function] = pipeline, location
-        pipeline, location = made.variants[function]
+            linked = self._link(made.descriptor, sources | {Stage.FRAGMENT: source})
+            location = self._gl.GetUniformLocation(linked.program.glo, b"rhi_alpha_reference")
+            made.variants[function] = linked, location
+        linked, location = made.variants[function]
         if location >= 0:
-            self._gl.ProgramUniform1f(pipeline.program.glo, location, reference)
-        return pipeline
+            self._gl.ProgramUniform1f(linked.program.glo, location, reference)
+        return linked
 
-    def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> Pipeline:
+    def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> LinkedProgram:
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
         # Bytes, because moderngl strips and preprocesses text, which would move its lines.
@@ -229,7 +231,7 @@ class Programs:
             raise make_shader_error(descriptor, log, stage, source) from None
         if descriptor.name:
             self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
-        return Pipeline(self._gl, self._arrays, program, descriptor.writes_memory)
+        return LinkedProgram(self._gl, self._arrays, program, descriptor.writes_memory)
 
 
 def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> str | None:

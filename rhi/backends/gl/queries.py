@@ -1,4 +1,4 @@
-"""Queries and fences, none of which makes the CPU wait unless asked.
+"""Queries, none of which makes the CPU wait unless asked.
 
 - Occlusion queries are GL's own, until the first COUNTER query exists. GL has no running samples-passed
   counter, and allows one active samples-passed query at a time. So from then on a chain of such queries runs
@@ -6,7 +6,6 @@
   difference of two counts, which is the thesis's emulation (4.4.2).
 - llvmpipe adds what a query still counts to what it is begun with anew, so a query that is begun before its last
   answer was there gets another name.
-- Fences are sync objects in a queue; only the oldest ones are looked at.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import ctypes
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
@@ -23,47 +21,9 @@ from rhi.contract.descriptors import Id, QueryKind
 
 __rhi_internal__ = True
 
-_NANOSECONDS: Final = 1_000_000_000
-_SIGNALED: Final = (enums.ALREADY_SIGNALED, enums.CONDITION_SATISFIED)
-
-
-class Fence:
-    """The device's fence: a value that rises as the GPU gets done."""
-
-    def __init__(self, gl: EntryPoints) -> None:
-        self._gl = gl
-        self._pending: deque[tuple[int, int | None]] = deque()
-        self._value = 0
-
-    def signal(self, value: int) -> None:
-        self._pending.append((value, self._gl.FenceSync(enums.SYNC_GPU_COMMANDS_COMPLETE, 0)))
-        self._gl.Flush()
-
-    def poll(self) -> int:
-        """The value reached; doesn't wait."""
-        pending = self._pending
-        while pending and self._is_signaled(pending[0][1], 0):
-            self._value, sync = pending.popleft()
-            self._gl.DeleteSync(sync)
-        return self._value
-
-    def wait(self, value: int, seconds: float) -> bool:
-        """Until `value` is reached, for at most `seconds`."""
-        if self.poll() >= value:
-            return True
-        timeout = max(0, min(int(seconds * _NANOSECONDS), (1 << 63) - 1))
-        for signaled, sync in self._pending:
-            if signaled >= value:
-                return self._is_signaled(sync, timeout) and self.poll() >= value
-        return False  # nobody will ever signal it
-
-    def _is_signaled(self, sync: int | None, timeout: int) -> bool:
-        flags = enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0
-        return self._gl.ClientWaitSync(sync, flags, timeout) in _SIGNALED
-
 
 @dataclass(slots=True, eq=False)
-class Count:
+class CounterValue:
     """The running counter at one point of the stream; `value` is None until it is known."""
 
     value: int | None = None
@@ -83,14 +43,16 @@ class SampleCounter:
         or None, `free` takes its name back."""
         self._begin, self._end, self._read, self._free = begin, end, read, free
         self._active = 0
-        self._closed: deque[tuple[int, list[Count]]] = deque()  # names, and the counts taken at their ends
+        self._closed: deque[tuple[int, list[CounterValue]]] = (
+            deque()
+        )  # names, and the counts taken at their ends
         self._total = 0
 
     @property
     def is_running(self) -> bool:
         return self._active != 0
 
-    def start(self, active: int = 0) -> Count:
+    def start(self, active: int = 0) -> CounterValue:
         """`active` is a query that runs already and becomes the first segment."""
         count = self._mark()
         self._active = active or self._begin()
@@ -102,7 +64,7 @@ class SampleCounter:
             self._closed.append((self._active, []))
             self._active = 0
 
-    def take(self) -> Count:
+    def take(self) -> CounterValue:
         """The counter at this point of the stream."""
         self.stop()
         count = self._mark()
@@ -124,24 +86,24 @@ class SampleCounter:
             for count in counts:
                 count.value = self._total
 
-    def _mark(self) -> Count:
+    def _mark(self) -> CounterValue:
         if not self._closed:
-            return Count(self._total)
-        count = Count()
+            return CounterValue(self._total)
+        count = CounterValue()
         self._closed[-1][1].append(count)
         return count
 
 
 @dataclass(slots=True)
-class Query:
+class GlQuery:
     """A query of the device."""
 
     kind: QueryKind
     name: int = 0
     """GL's query, for occlusion and timestamps."""
-    begin: Count | None = None
+    begin: CounterValue | None = None
     """Set when the sample counter does the counting for an occlusion query."""
-    end: Count | None = None
+    end: CounterValue | None = None
     is_pending: bool = False
     """Whether GL's query was begun and not yet seen to be finished."""
 
@@ -151,14 +113,14 @@ class Queries:
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
-        self._queries: dict[Id, Query] = {}
+        self._queries: dict[Id, GlQuery] = {}
         self._result = ctypes.c_uint64()
         self._result_reference = ctypes.byref(self._result)
         self._spare: list[int] = []
         self._left: deque[int] = deque()  # GL may still count for these
         self._counters = 0  # COUNTER queries that exist
         self._counter = SampleCounter(self._begin_segment, self._end_segment, self._poll, self._spare.append)
-        self._active: Query | None = None
+        self._active: GlQuery | None = None
         self._no_samples = self._begin_segment()  # a query that counted none
         self._end_segment()
 
@@ -167,18 +129,18 @@ class Queries:
         """Whether the sample counter runs, so that occlusion queries are differences of it."""
         return self._counter.is_running
 
-    def __getitem__(self, query: Id) -> Query:
+    def __getitem__(self, query: Id) -> GlQuery:
         return self._queries[query]
 
     def create(self, query: Id, kind: QueryKind) -> None:
         if kind is QueryKind.COUNTER:
-            self._queries[query] = Query(kind)
+            self._queries[query] = GlQuery(kind)
             self._counters += 1
             if not self._counter.is_running:
                 self._start_counter()
             return
         target = enums.SAMPLES_PASSED if kind is QueryKind.OCCLUSION else enums.TIMESTAMP
-        self._queries[query] = Query(kind, self._gl.create(self._gl.CreateQueries, target))
+        self._queries[query] = GlQuery(kind, self._gl.create(self._gl.CreateQueries, target))
 
     def destroy(self, query: Id) -> None:
         made = self._queries.pop(query)
@@ -199,7 +161,7 @@ class Queries:
             made.is_pending = True
             self._gl.BeginQuery(enums.SAMPLES_PASSED, made.name)
 
-    def renew(self, query: Query) -> None:
+    def renew(self, query: GlQuery) -> None:
         """Before a query is begun that was begun before: another name, if GL may still count for it."""
         if self._poll(query.name) is None:
             name = self._take_name()
@@ -293,7 +255,7 @@ class Queries:
         return self._result.value
 
 
-def _difference(query: Query) -> int | None:
+def _difference(query: GlQuery) -> int | None:
     """Of the counts at a query's end and begin; the one at the begin is known first."""
     assert query.end is not None
     if query.end.value is None or query.begin is None:

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.gl import enums
-from rhi.backends.gl.draws import Calls
+from rhi.backends.gl.draws import DrawCalls
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.queries import Queries
 from rhi.contract.backend import Backend
@@ -27,20 +27,22 @@ from rhi.contract.queries import PlainQueries
 __rhi_internal__ = True
 
 
-class Drawing(Backend, Protocol):
+class _DrawingBackend(Backend, Protocol):
     """The backend, as this module sees it."""
 
     def activate(self) -> None:
         """Make its context the current one."""
 
-    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> Calls:
+    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> DrawCalls:
         """What draws an array of draws, with the bound program. Not for QUADS."""
 
 
-class QuerySet:
+class GlQuerySet:
     """See `rhi.contract.backend.PreparedQueries`."""
 
-    def __init__(self, backend: Drawing, gl: EntryPoints, queries: Queries, ids: Sequence[Id]) -> None:
+    def __init__(
+        self, backend: _DrawingBackend, gl: EntryPoints, queries: Queries, ids: Sequence[Id]
+    ) -> None:
         self._backend = backend
         self._gl = gl
         self._queries = queries

@@ -1,6 +1,6 @@
 """Render states: a table from each state's type to what applies it.
 
-- States that GL takes together (stencil function, reference and mask; bias and slope) find each other in
+- RenderStates that GL takes together (stencil function, reference and mask; bias and slope) find each other in
   `values`, which holds what was told last. It serves passes too: clears have to ignore the write masks and the
   scissor, which GL's clears obey, and a pass of another size moves `Viewport.TARGET`.
 - A depth test that is off lets all pass but must not stop depth writes; GL's disabled test does. So GL's test
@@ -106,7 +106,7 @@ _TESTS_DEPTH: Final = DepthTest.ON  # an enum's member costs 80 ns to reach thro
 _WRITES_DEPTH: Final = DepthWrite.ON
 
 
-class States:
+class RenderStates:
     """The states of one context; the defaults hold from its making."""
 
     def __init__(self, gl: EntryPoints, has_offset_clamp: bool, alpha_changed: Callable[[], None]) -> None:
