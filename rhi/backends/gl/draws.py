@@ -17,7 +17,7 @@ from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import INDEX_TYPES
 from rhi.backends.gl.programs import LinkedProgram, VertexArrays
 from rhi.backends.gl.quads import QuadIndices, expand_indices
-from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+from rhi.contract.descriptors import DRAW, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 
 __rhi_internal__ = True
@@ -30,7 +30,6 @@ MODES: Final = {
     Primitive.TRIANGLE_STRIP: enums.TRIANGLE_STRIP,
     Primitive.TRIANGLE_FAN: enums.TRIANGLE_FAN,
 }
-_COMMAND_BYTES: Final = 20
 
 DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
 """A function, and its arguments for each draw."""
@@ -101,7 +100,7 @@ class Draws:
     ) -> None:  # fmt: skip
         gl, mode = self._gl, MODES[primitive]
         array = self._arrays.descriptors[vertex_array]
-        stride = stride or _COMMAND_BYTES
+        stride = stride or DRAW.itemsize
         linked.use(vertex_array)
         gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, self._buffers.objects[buffer].glo)
         if count_buffer:

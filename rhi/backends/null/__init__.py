@@ -4,17 +4,16 @@
 `rhi.commands.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
 """
 
-from rhi.backends.null.backend import NullBackend, Statistics
+from rhi.backends.null.answers import AnswerLog, RecordedAnswers
+from rhi.backends.null.backend import ExecutionStatistics, NullBackend
+from rhi.backends.null.capabilities import PROFILES, find_profile
+from rhi.backends.null.draws import Draw, ExecutedIndirectDraws
 from rhi.backends.null.faults import FaultInjector, Faults
-from rhi.backends.null.profiles import PROFILES, find_profile
-from rhi.backends.null.queries import Draw
-from rhi.backends.null.resources import IndirectDraws
 from rhi.backends.null.shaders import StandIn
-from rhi.backends.null.simulation.activity import Activity, ActivityTimeline, Frame, Lane, Span
+from rhi.backends.null.simulation.activity import Activity, ActivityTimeline, FrameActivity, Lane, Span
 from rhi.backends.null.simulation.backend import SimulatedBackend, Simulation
-from rhi.backends.null.simulation.cost import CostModel, Work
+from rhi.backends.null.simulation.cost import CommandWork, CostModel
 from rhi.backends.null.simulation.hazards import Hazard, HazardKind
-from rhi.backends.null.visibility import AnswerLog, RecordedAnswers
 from rhi.contract.backend import Backend, Capabilities
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
@@ -22,10 +21,28 @@ from rhi.errors.rules import DEVICE_ARGUMENT
 __rhi_internal__ = True
 
 __all__ = [
-    "PROFILES", "Activity", "ActivityTimeline", "AnswerLog", "CostModel", "Draw", "FaultInjector",
-    "Faults", "Frame", "Hazard",
-    "HazardKind", "IndirectDraws", "Lane", "NullBackend", "RecordedAnswers", "SimulatedBackend", "Simulation",
-    "Span", "StandIn", "Statistics", "Work", "create_backend",
+    "PROFILES",
+    "Activity",
+    "ActivityTimeline",
+    "AnswerLog",
+    "CommandWork",
+    "CostModel",
+    "Draw",
+    "ExecutedIndirectDraws",
+    "ExecutionStatistics",
+    "FaultInjector",
+    "Faults",
+    "FrameActivity",
+    "Hazard",
+    "HazardKind",
+    "Lane",
+    "NullBackend",
+    "RecordedAnswers",
+    "SimulatedBackend",
+    "Simulation",
+    "Span",
+    "StandIn",
+    "create_backend",
 ]  # fmt: skip
 
 

@@ -22,13 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.backends.null.answers import Answers
+from rhi.backends.null.buffers import Buffers
+from rhi.backends.null.capabilities import PROFILES
+from rhi.backends.null.draws import Draw, ExecutedIndirectDraws, read_indirect_draws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
-from rhi.backends.null.profiles import PROFILES
 from rhi.backends.null.programs import Programs
-from rhi.backends.null.queries import Draw, Queries
-from rhi.backends.null.resources import IndirectDraws, Resources
+from rhi.backends.null.queries import Queries
 from rhi.backends.null.shaders import Shaders, StandIn
-from rhi.backends.null.visibility import Answers
+from rhi.backends.null.textures import Textures
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.recorder import CommandMethods
 from rhi.contract.backend import Capabilities
@@ -55,7 +57,7 @@ KEPT_INDIRECT: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
-class Statistics:
+class ExecutionStatistics:
     """What was executed since the start: commands, draws (those of indirect commands one by one), draws
     dropped by conditional rendering, draws whose condition nobody knows, dispatches, simulated time."""
 
@@ -81,19 +83,21 @@ class NullBackend(CommandMethods):
         self._executed = 0
         self._draws = dict.fromkeys(DrawOutcome, 0)
         self._dispatches = 0
-        self._resources = Resources()
+        self._buffers = Buffers()
+        self._textures = Textures()
         self._programs = Programs()
         self._queries = Queries()
         self._state = ExecutionState()
-        self._shaders = Shaders(self._resources, self._programs, self._state)
+        self._shaders = Shaders(self._buffers, self._textures, self._programs, self._state)
         self._streams: set[Id] = set()
-        self._indirect_draws: deque[IndirectDraws] = deque(maxlen=KEPT_INDIRECT)
+        self._indirect_draws: deque[ExecutedIndirectDraws] = deque(maxlen=KEPT_INDIRECT)
         self._indirect_dispatches: deque[tuple[int, int, int]] = deque(maxlen=KEPT_INDIRECT)
         self._execute = self._find_executors()
 
     def close(self) -> None:
         self._queue.clear()
-        self._resources.clear()
+        self._buffers.clear()
+        self._textures.clear()
 
     # -- for tests ---------------------------------------------------------------------------------------
 
@@ -117,14 +121,14 @@ class NullBackend(CommandMethods):
         self._shaders.run(stand_ins)
 
     @property
-    def statistics(self) -> Statistics:
+    def statistics(self) -> ExecutionStatistics:
         self._run()
-        executed, dropped, undecided = (self._draws[fate] for fate in DrawOutcome)
+        executed, dropped, undecided = (self._draws[outcome] for outcome in DrawOutcome)
         time = self._executed * COMMAND_NANOSECONDS
-        return Statistics(self._executed, executed, dropped, undecided, self._dispatches, time)
+        return ExecutionStatistics(self._executed, executed, dropped, undecided, self._dispatches, time)
 
     @property
-    def indirect_draws(self) -> tuple[IndirectDraws, ...]:
+    def indirect_draws(self) -> tuple[ExecutedIndirectDraws, ...]:
         """What each `draw_indirect` came to, in order: the last 1,024."""
         self._run()
         return tuple(self._indirect_draws)
@@ -138,15 +142,15 @@ class NullBackend(CommandMethods):
     # -- calls that happen at once -------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        self._resources.create_buffer(buffer, descriptor)
+        self._buffers.create_buffer(buffer, descriptor)
         if descriptor.usage is BufferUsage.STREAM:
             self._streams.add(buffer)
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        self._resources.create_texture(texture, descriptor)
+        self._textures.create_texture(texture, descriptor)
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self._programs.create_sampler(sampler, descriptor)
+        self._textures.create_sampler(sampler, descriptor)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self._programs.create_program(program, descriptor)
@@ -159,7 +163,7 @@ class NullBackend(CommandMethods):
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if buffer in self._streams:
-            self._resources.write_buffer(buffer, offset, bytes(data))
+            self._buffers.write_buffer(buffer, offset, bytes(data))
         else:
             self._enqueue_bytes(Op.WRITE_BUFFER, (buffer, offset), bytes(data))
 
@@ -176,11 +180,11 @@ class NullBackend(CommandMethods):
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._run()
-        return self._resources.read_buffer(buffer, offset, size)
+        return self._buffers.read_buffer(buffer, offset, size)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._run()
-        return self._resources.read_texture(texture, level, region, stencil)
+        return self._textures.read_texture(texture, level, region, stencil)
 
     def signal(self, value: int) -> None:
         self._enqueue((Op.SIGNAL, value))
@@ -236,9 +240,9 @@ class NullBackend(CommandMethods):
             Op.BEGIN_CONDITIONAL: self._begin_conditional,
         }
         parts: dict[object, tuple[Op, ...]] = {
-            self._resources: (
-                Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER, Op.WRITE_TEXTURE, Op.COPY_TEXTURE,
-                Op.RESOLVE_TEXTURE, Op.GENERATE_MIPMAPS,
+            self._buffers: (Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER),
+            self._textures: (
+                Op.WRITE_TEXTURE, Op.COPY_TEXTURE, Op.RESOLVE_TEXTURE, Op.GENERATE_MIPMAPS,
             ),
             self._state: (
                 Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE,
@@ -251,19 +255,20 @@ class NullBackend(CommandMethods):
         return tuple(executors.get(op) for op in Op)
 
     def _destroy(self, resource: Id) -> None:
-        self._resources.destroy(resource)
+        self._buffers.destroy(resource)
+        self._textures.destroy(resource)
         self._programs.destroy(resource)
         self._queries.destroy(resource)
         self._streams.discard(resource)
 
     def _begin_pass(self, descriptor: PassDescriptor) -> None:
         self._state.begin_pass(descriptor)
-        self._resources.begin_pass(descriptor)
+        self._textures.begin_pass(descriptor)
 
     def _end_pass(self) -> None:
         descriptor = self._state.render_pass
         if descriptor is not None:
-            self._resources.end_pass(descriptor)
+            self._textures.end_pass(descriptor)
         self._state.end_pass()
 
     def _signal(self, value: int) -> None:
@@ -289,23 +294,25 @@ class NullBackend(CommandMethods):
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         indexed = self._programs.is_indexed(vertex_array)
-        resolved = self._resources.indirect_draws(
-            buffer, offset, draws, stride, count_buffer, count_offset, indexed
+        resolved = read_indirect_draws(
+            self._buffers, buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )
         if self._follows_draws:
             for count, instances, first, base_vertex, base_instance in resolved.tolist():
-                self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+                self._follow_draw(
+                    vertex_array, primitive, first, count, instances, base_vertex, base_instance
+                )
         else:
             something = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
             self._count_unseen(len(resolved), bool(something))
-        kept = resolved[:0] if self._state.fate is DrawOutcome.DROPPED else resolved
-        self._indirect_draws.append(IndirectDraws(vertex_array, primitive, kept))
+        kept = resolved[:0] if self._state.outcome is DrawOutcome.DROPPED else resolved
+        self._indirect_draws.append(ExecutedIndirectDraws(vertex_array, primitive, kept))
 
     @property
     def _follows_draws(self) -> bool:
         """Whether somebody wants to know each of the present draws."""
         state = self._state
-        return state.fate is DrawOutcome.EXECUTED and (
+        return state.outcome is DrawOutcome.EXECUTED and (
             self._queries.counts or state.program in self._shaders.stand_ins
         )
 
@@ -325,9 +332,9 @@ class NullBackend(CommandMethods):
 
     def _count_unseen(self, draws: int, something: bool) -> None:
         """Draws whose samples nobody counts; `something`: any of them has vertices."""
-        fate = self._state.fate
-        self._draws[fate] += draws
-        if something and fate is not DrawOutcome.DROPPED:
+        outcome = self._state.outcome
+        self._draws[outcome] += draws
+        if something and outcome is not DrawOutcome.DROPPED:
             self._queries.add_unknown()
 
     def _dispatch(self, x: int, y: int, z: int) -> None:
@@ -335,6 +342,6 @@ class NullBackend(CommandMethods):
         self._shaders.dispatch((x, y, z))
 
     def _dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        groups = self._resources.indirect_groups(buffer, offset)
-        self._indirect_dispatches.append(groups)
-        self._dispatch(*groups)
+        x, y, z = self._buffers.words(buffer, offset, 3).tolist()
+        self._indirect_dispatches.append((x, y, z))
+        self._dispatch(x, y, z)

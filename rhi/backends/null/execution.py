@@ -27,18 +27,18 @@ class DrawOutcome(enum.Enum):
 class ExecutionState(StreamContext):
     """The context of the command that is being executed."""
 
-    __slots__ = ("fate",)
+    __slots__ = ("outcome",)
 
     def __init__(self) -> None:
         super().__init__()
-        self.fate = DrawOutcome.EXECUTED
+        self.outcome = DrawOutcome.EXECUTED
 
     def begin_conditional(self, samples: int | None, inverted: bool) -> None:
         """`samples` is the query's answer, None if it is not known."""
         if samples is None:
-            self.fate = DrawOutcome.UNDECIDED
+            self.outcome = DrawOutcome.UNDECIDED
         else:
-            self.fate = DrawOutcome.DROPPED if (samples == 0) != inverted else DrawOutcome.EXECUTED
+            self.outcome = DrawOutcome.DROPPED if (samples == 0) != inverted else DrawOutcome.EXECUTED
 
     def end_conditional(self) -> None:
-        self.fate = DrawOutcome.EXECUTED
+        self.outcome = DrawOutcome.EXECUTED

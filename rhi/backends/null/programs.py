@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rhi.contract.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
+from rhi.contract.descriptors import Id, ProgramDescriptor, VertexArrayDescriptor
 
 __rhi_internal__ = True
 
@@ -13,16 +13,12 @@ class Programs:
     def __init__(self) -> None:
         self.programs: dict[Id, ProgramDescriptor] = {}
         self.vertex_arrays: dict[Id, VertexArrayDescriptor] = {}
-        self.samplers: dict[Id, SamplerDescriptor] = {}
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self.programs[program] = descriptor
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self.vertex_arrays[vertex_array] = descriptor
-
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self.samplers[sampler] = descriptor
 
     def is_indexed(self, vertex_array: Id) -> bool:
         """Whether draws take their vertices through an index buffer."""
@@ -31,4 +27,3 @@ class Programs:
     def destroy(self, resource: Id) -> None:
         self.programs.pop(resource, None)
         self.vertex_arrays.pop(resource, None)
-        self.samplers.pop(resource, None)

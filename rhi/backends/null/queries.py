@@ -12,32 +12,17 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
-from rhi.backends.null.visibility import Answers, Oracle, RecordedAnswers, make_oracle
-from rhi.contract.descriptors import Id, Primitive, QueryKind
+from rhi.backends.null.answers import Answers, Oracle, RecordedAnswers, make_oracle
+from rhi.backends.null.draws import Draw
+from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import refuse
 from rhi.errors.rules import NULL_ANSWER, NULL_SAMPLES
 
 __rhi_internal__ = True
 
 
-@dataclass(frozen=True, slots=True)
-class Draw:
-    """An executed draw, indirect ones one by one. `labels` are those it lies in, outermost first."""
-
-    program: Id
-    vertex_array: Id
-    primitive: Primitive
-    first: int
-    count: int
-    instances: int
-    base_vertex: int
-    base_instance: int
-    labels: tuple[str, ...]
-
-
-class _Query:
+class _QueryState:
     __slots__ = ("finished", "kind", "place", "use", "value")
 
     def __init__(self, kind: QueryKind) -> None:
@@ -59,8 +44,8 @@ class Queries:
     def __init__(self) -> None:
         self.passed = 0
         self.unknown = 0
-        self._queries: dict[Id, _Query] = {}
-        self._open: _Query | None = None
+        self._queries: dict[Id, _QueryState] = {}
+        self._open: _QueryState | None = None
         self._counter: int | None = 0
         self._samples: Callable[[Draw], int | None] | None = None
         self._oracle: Oracle = lambda query, use, place: None
@@ -90,7 +75,7 @@ class Queries:
     # -- commands ----------------------------------------------------------------------------------------
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        self._queries[query] = _Query(kind)
+        self._queries[query] = _QueryState(kind)
 
     def destroy(self, resource: Id) -> None:
         self._queries.pop(resource, None)

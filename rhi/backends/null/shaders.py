@@ -13,10 +13,11 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.backends.null.buffers import Buffers
+from rhi.backends.null.draws import Draw
 from rhi.backends.null.execution import ExecutionState
 from rhi.backends.null.programs import Programs
-from rhi.backends.null.queries import Draw
-from rhi.backends.null.resources import Resources
+from rhi.backends.null.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
 from rhi.contract.layout import Layout, dtype_of, element_dtype
 
@@ -34,10 +35,13 @@ class Shaders:
         stand_ins: by program.
     """
 
-    def __init__(self, resources: Resources, programs: Programs, state: ExecutionState) -> None:
+    def __init__(
+        self, buffers: Buffers, textures: Textures, programs: Programs, state: ExecutionState
+    ) -> None:
         self.stand_ins: Mapping[Id, StandIn] = {}
         self._runs = False
-        self._resources = resources
+        self._buffers = buffers
+        self._textures = textures
         self._programs = programs
         self._state = state
         self._kernels: dict[ProgramDescriptor, Any] = {}
@@ -81,20 +85,23 @@ class Shaders:
         if binding.kind is BindingKind.IMAGE:
             return self._image(binding, name, *place)
         offset, size = place
-        return _view(self._resources.buffers[name][offset : offset + size], binding)
+        return _view(self._buffers.memory[name][offset : offset + size], binding)
 
     def _texture(self, binding: Binding, name: Id, sampler: Id) -> Any:
         from rhi.shading.numpy.textures import HostTexture
 
-        texture = self._resources.textures[name]
+        texture = self._textures.textures[name]
         return HostTexture(
-            texture.levels, texture.descriptor.format, texture.descriptor.kind, self._programs.samplers.get(sampler)
+            texture.levels,
+            texture.descriptor.format,
+            texture.descriptor.kind,
+            self._textures.samplers.get(sampler),
         )
 
     def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:
         from rhi.shading.numpy.textures import HostTexture
 
-        texture = self._resources.textures[name]
+        texture = self._textures.textures[name]
         texels = texture.levels[level]
         bound = HostTexture(texels[:0], texture.descriptor.format, texture.descriptor.kind)
         bound.levels = [texels if layer < 0 else texels[layer : layer + 1]]  # itself: shaders write into it

@@ -58,7 +58,7 @@ class Span:
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class FrameActivity:
     """One frame: what the CPU did between two `present`s, and when the GPU was done with it.
 
     Attributes:
@@ -94,7 +94,7 @@ class ActivityTimeline:
 
     spans: tuple[Span, ...]
     labels: tuple[Span, ...]
-    frames: tuple[Frame, ...]
+    frames: tuple[FrameActivity, ...]
     end: int
 
     def lane(self, lane: Lane) -> list[Span]:
@@ -186,10 +186,19 @@ class ActivityTimeline:
         ]
         for span in self.spans:
             name = span.activity.name.lower()
-            events.append(_slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name))
+            events.append(
+                _slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name)
+            )
         events += [_slice(span, threads["GPU labels"], span.name) for span in self.labels]
         events += [
-            {"ph": "i", "s": "g", "name": f"frame {number} presented", "pid": 1, "tid": 1, "ts": frame.presented / 1e3}
+            {
+                "ph": "i",
+                "s": "g",
+                "name": f"frame {number} presented",
+                "pid": 1,
+                "tid": 1,
+                "ts": frame.presented / 1e3,
+            }
             for number, frame in enumerate(self.frames)
         ]
         document = {"displayTimeUnit": "ns", "traceEvents": events}
@@ -242,7 +251,7 @@ class ActivityLog:
         spans = (*_fill(Lane.CPU, self.stalls, now), *_fill(Lane.GPU, rests, now))
         starts = [0, *(time for time, _ in self.presented)]
         frames = [
-            Frame(starts[i], time, self.done[i] if i < len(self.done) else None, in_flight)
+            FrameActivity(starts[i], time, self.done[i] if i < len(self.done) else None, in_flight)
             for i, (time, in_flight) in enumerate(self.presented)
         ]
         return ActivityTimeline(spans, tuple(label for label in self._labels if label), tuple(frames), now)

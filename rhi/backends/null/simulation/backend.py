@@ -23,11 +23,11 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.null.backend import QUEUED_BYTES, NullBackend, Statistics
+from rhi.backends.null.backend import QUEUED_BYTES, ExecutionStatistics, NullBackend
 from rhi.backends.null.simulation.activity import Activity, ActivityLog, ActivityTimeline
-from rhi.backends.null.simulation.cost import CostModel, Work
+from rhi.backends.null.simulation.cost import CommandWork, CostModel
 from rhi.backends.null.simulation.hazards import Hazard, HazardTracker
-from rhi.backends.null.simulation.streams import Use
+from rhi.backends.null.simulation.streams import CommandUse
 from rhi.backends.null.simulation.work import WorkMeter
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.recorder import _get_frame, _nowhere  # noqa: F401 (the generated methods use them)
@@ -88,7 +88,7 @@ class Simulation:
                 refuse(DEVICE_ARGUMENT, f"Simulation({name}={value})", value, f"{smallest} or more")
 
 
-class _Batch:
+class _Submission:
     """Submitted commands: a flat list, where the GPU is in it, and when it may start."""
 
     __slots__ = ("entries", "place", "ready")
@@ -122,16 +122,16 @@ class SimulatedBackend(NullBackend):
         self._followed = 0  # place in the queue up to which the CPU's clock has followed the calls
         self._called = 0  # commands called, as far as followed
         self._submitted = 0  # commands submitted
-        self._batches: deque[_Batch] = deque()
+        self._batches: deque[_Submission] = deque()
         self._interrupts: deque[tuple[int, Id]] = deque()  # when a handler reads the counter, for which query
         self._read_at: dict[Id, int] = {}  # when it did
         self._log = ActivityLog()
-        self._hazards = HazardTracker(self._resources, self._is_done)
-        self._meter = WorkMeter(simulation.cost, self._resources, self._programs, self._state)
+        self._hazards = HazardTracker(self._buffers, self._textures, self._is_done)
+        self._meter = WorkMeter(simulation.cost, self._textures, self._programs, self._state)
         self._meter.indirect_draws = self._indirect_draws
         self._meter.indirect_dispatches = self._indirect_dispatches
         self._measure = self._meter.meters()
-        self._fixed = tuple(simulation.cost.nanoseconds(Work(op)) for op in Op)
+        self._fixed = tuple(simulation.cost.nanoseconds(CommandWork(op)) for op in Op)
         self._marks: dict[int, Callable[..., None]] = {
             Op.PUSH_LABEL: lambda text: self._log.begin_label(self._gpu, text),
             Op.POP_LABEL: lambda: self._log.end_label(self._gpu),
@@ -174,7 +174,7 @@ class SimulatedBackend(NullBackend):
         self._now += nanoseconds
 
     @property
-    def statistics(self) -> Statistics:
+    def statistics(self) -> ExecutionStatistics:
         return replace(super().statistics, nanoseconds=self._gpu)
 
     # -- the CPU's side ------------------------------------------------------------------------------------
@@ -231,7 +231,7 @@ class SimulatedBackend(NullBackend):
             self._followed = 0
 
     def _send(self, entries: list[Any]) -> None:
-        self._batches.append(_Batch(entries, self._now + self.simulation.submission_latency))
+        self._batches.append(_Submission(entries, self._now + self.simulation.submission_latency))
         self._submitted = self._called
         self._queued_bytes = 0
 
@@ -257,7 +257,7 @@ class SimulatedBackend(NullBackend):
         self._advance(self._now)
         return serial <= self._executed - (self._gpu > self._now)
 
-    def _make_use(self) -> Use:
+    def _make_use(self) -> CommandUse:
         """The present call of the CPU, which isn't a command of the GPU, as hazards see it."""
         return self._called, *self._find_site(), Op.WRITE_BUFFER
 
@@ -298,7 +298,7 @@ class SimulatedBackend(NullBackend):
             self._advance(self._now)  # what the GPU has read by now, it has read as it was
             end = offset + memoryview(data).nbytes
             self._hazards.write_stream(self._make_use, buffer, offset, end)
-            self._resources.write_buffer(buffer, offset, bytes(data))
+            self._buffers.write_buffer(buffer, offset, bytes(data))
         else:
             self._note(Op.WRITE_BUFFER, buffer, offset, bytes(data))
             self._count_queued(memoryview(data).nbytes)
@@ -316,12 +316,12 @@ class SimulatedBackend(NullBackend):
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._note(Op.READ_BUFFER, buffer, offset, size)
         self._drain("read_buffer")
-        return self._resources.read_buffer(buffer, offset, size)
+        return self._buffers.read_buffer(buffer, offset, size)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._note(Op.READ_TEXTURE, texture, level, region, stencil)
         self._drain("read_texture")
-        return self._resources.read_texture(texture, level, region, stencil)
+        return self._textures.read_texture(texture, level, region, stencil)
 
     def signal(self, value: int) -> None:
         self._note(Op.SIGNAL, value)
@@ -374,7 +374,9 @@ class SimulatedBackend(NullBackend):
             self._execute_batches(until, fence)
         if self._interrupts:
             idle = not batches or batches[0].ready > until
-            self._handle_interrupts(until if idle else min(until, self._gpu), self._gpu, self._queries.counter)
+            self._handle_interrupts(
+                until if idle else min(until, self._gpu), self._gpu, self._queries.counter
+            )
 
     def _execute_batches(self, until: float, fence: int | None) -> None:
         """A command that raises is taken out."""

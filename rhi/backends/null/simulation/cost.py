@@ -1,6 +1,6 @@
 """What commands cost the simulated GPU: a small model of the work in them.
 
-- A command comes down to a `Work`: vertices, covered pixels, bytes, state changes, invocations.
+- A command comes down to a `CommandWork`: vertices, covered pixels, bytes, state changes, invocations.
 - `CostModel.nanoseconds` turns that into time. It is linear; replace it by a subclass. Nothing measured stands
   behind the numbers: they are of the order of a small GPU's, so that a timeline shows what waits for what.
 """
@@ -16,7 +16,7 @@ from rhi.contract.descriptors import Primitive
 __rhi_internal__ = True
 
 
-class Work(NamedTuple):
+class CommandWork(NamedTuple):
     """What one command makes the GPU do."""
 
     op: Op
@@ -47,7 +47,7 @@ class CostModel:
     invocation: float = 0.1
     primitive_pixels: float = 32.0
 
-    def nanoseconds(self, work: Work) -> int:
+    def nanoseconds(self, work: CommandWork) -> int:
         """How long the GPU takes. For commands that have no work of their own it is asked once per op."""
         return round(
             self.command

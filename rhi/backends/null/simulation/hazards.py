@@ -18,12 +18,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rhi.backends.null.resources import IndirectDraws, Resources
-from rhi.backends.null.simulation.streams import StreamMemory, Use, vertex_ranges
+from rhi.backends.null.buffers import Buffers
+from rhi.backends.null.draws import ExecutedIndirectDraws
+from rhi.backends.null.simulation.streams import CommandUse, StreamMemory, vertex_ranges
+from rhi.backends.null.textures import Textures
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import Op
 from rhi.commands.stream import find_site
 from rhi.contract.descriptors import (
+    DRAW,
     Attachment,
     BindingKind,
     BufferDescriptor,
@@ -86,16 +89,19 @@ class _Deferred:
 
     __slots__ = ("arguments", "array", "buffers", "suspects", "use")
 
-    def __init__(self, use: Use, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()) -> None:
+    def __init__(
+        self, use: CommandUse, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()
+    ) -> None:
         self.use = use
         self.array = array
         self.buffers = {array.index_buffer, *(stream.buffer for stream in array.streams)}
         self.arguments = arguments
-        self.suspects: list[tuple[Id, int, int, Use, HazardKind]] = []
+        self.suspects: list[tuple[Id, int, int, CommandUse, HazardKind]] = []
 
 
 _Slots = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 _NO_SLOTS: _Slots = ((), (), (), ())
+_DRAW_BYTES = DRAW.itemsize
 _BINDING = frozenset(
     {Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE}
 )
@@ -111,33 +117,34 @@ class HazardTracker:
         known: the number of the command up to which the CPU knows that all is done.
     """
 
-    def __init__(self, resources: Resources, is_done: Callable[[int], bool]) -> None:
+    def __init__(self, buffers: Buffers, textures: Textures, is_done: Callable[[int], bool]) -> None:
         """`is_done(serial)` says whether the GPU is in truth done with a command."""
-        self._resources = resources
+        self._buffers = buffers
+        self._textures = textures
         self._is_done = is_done
         self.hazards: list[Hazard] = []
         self.asked: dict[Id, int] = {}
         self.known = 0
         self._fences: deque[tuple[int, int]] = deque()  # (value, serial) of signals not known to be reached
-        self._uses: dict[Id, Use] = {}  # by resource, the latest
-        self._destroyed: dict[Id, Use] = {}
+        self._uses: dict[Id, CommandUse] = {}  # by resource, the latest
+        self._destroyed: dict[Id, CommandUse] = {}
         self._streams: dict[Id, StreamMemory] = {}
         self._deferred: deque[_Deferred] = deque()
         self._slots: dict[Id, _Slots] = {}
         # By vertex array: its descriptor, all that its draws use, whether any of that is a stream buffer.
         self._arrays: dict[Id, tuple[VertexArrayDescriptor, tuple[Id, ...], bool]] = {}
         self._program: Id = 0
-        self._uniforms: dict[int, tuple[Id, int, int]] = {}
-        self._storages: dict[int, tuple[Id, int, int]] = {}
-        self._textures: dict[int, Id] = {}
-        self._images: dict[int, tuple[Id, int, int]] = {}
-        self._pass: tuple[PassDescriptor, Use] | None = None
+        self._bound_uniforms: dict[int, tuple[Id, int, int]] = {}
+        self._bound_storages: dict[int, tuple[Id, int, int]] = {}
+        self._bound_textures: dict[int, Id] = {}
+        self._bound_images: dict[int, tuple[Id, int, int]] = {}
+        self._pass: tuple[PassDescriptor, CommandUse] | None = None
         self._targets: frozenset[Id] = frozenset()
         self._states = StreamContext().states
-        self._unfinished: dict[Id, Use | None] = {}  # queries begun or only created
+        self._unfinished: dict[Id, CommandUse | None] = {}  # queries begun or only created
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
-        """By op, what follows a call, and whether it takes the call's `Use` before the call's arguments."""
+        """By op, what follows a call, and whether it takes the call's `CommandUse` before the call's arguments."""
         followers: list[tuple[Callable[..., None] | None, bool]] = []
         for op in Op:
             follower = None if op.method.startswith("create_") else getattr(self, op.method, None)
@@ -146,7 +153,7 @@ class HazardTracker:
 
     # -- what the CPU knows --------------------------------------------------------------------------------
 
-    def signal(self, use: Use, value: int) -> None:
+    def signal(self, use: CommandUse, value: int) -> None:
         self._fences.append((value, use[0]))
 
     def learn_fence(self, value: int) -> None:
@@ -186,11 +193,13 @@ class HazardTracker:
 
     # -- what the CPU does at once -------------------------------------------------------------------------
 
-    def write_stream(self, make_use: Callable[[], Use], buffer: Id, begin: int, end: int) -> None:
+    def write_stream(self, make_use: Callable[[], CommandUse], buffer: Id, begin: int, end: int) -> None:
         """The CPU writes memory past the queue; that is no use of the GPU's. `make_use` finds the call."""
         memory = self._streams.get(buffer)
         if memory is None:
-            self._report(HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True)
+            self._report(
+                HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True
+            )
             return
         if end <= begin:
             return
@@ -204,7 +213,7 @@ class HazardTracker:
             if buffer in deferred.buffers:
                 deferred.suspects.append((buffer, begin, end, make_use(), kind))
 
-    def read_query(self, make_use: Callable[[], Use], query: Id) -> None:
+    def read_query(self, make_use: Callable[[], CommandUse], query: Id) -> None:
         """The CPU asks for an answer."""
         if query in self._unfinished:
             begun = self._unfinished[query]
@@ -212,7 +221,7 @@ class HazardTracker:
                             ("begin_query" if begun else "", "read_query"), True)  # fmt: skip
             self.hazards.append(hazard)
 
-    def destroy(self, use: Use, resource: Id) -> None:
+    def destroy(self, use: CommandUse, resource: Id) -> None:
         last = self._uses.pop(resource, None)
         if last is not None and last[0] > self.known:
             self._report(HazardKind.DESTROYED_IN_USE, resource, last, use)
@@ -232,29 +241,29 @@ class HazardTracker:
         self._program = program
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._uniforms[slot] = (buffer, offset, size)
+        self._bound_uniforms[slot] = (buffer, offset, size)
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._storages[slot] = (buffer, offset, size)
+        self._bound_storages[slot] = (buffer, offset, size)
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        self._textures[slot] = texture
+        self._bound_textures[slot] = texture
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        self._images[slot] = (texture, level, layer)
+        self._bound_images[slot] = (texture, level, layer)
 
-    def begin_pass(self, use: Use, descriptor: PassDescriptor) -> None:
+    def begin_pass(self, use: CommandUse, descriptor: PassDescriptor) -> None:
         self._pass = (descriptor, use)
         self._touch_targets(use, descriptor)
         depth = {descriptor.depth.texture} if descriptor.depth is not None else set()
         self._targets = frozenset({attachment.texture for attachment in descriptor.colors} | depth)
 
-    def end_pass(self, use: Use) -> None:
+    def end_pass(self, use: CommandUse) -> None:
         if self._pass is not None:
             self._touch_targets(use, self._pass[0])
         self._pass, self._targets = None, frozenset()
 
-    def _touch_targets(self, use: Use, descriptor: PassDescriptor) -> None:
+    def _touch_targets(self, use: CommandUse, descriptor: PassDescriptor) -> None:
         for attachment in descriptor.colors:
             self._touch(use, attachment.texture)
             if attachment.resolve:
@@ -265,7 +274,7 @@ class HazardTracker:
     # -- work ----------------------------------------------------------------------------------------------
 
     def draw(
-        self, use: Use, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        self, use: CommandUse, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         self._use_program(use)
@@ -283,81 +292,81 @@ class HazardTracker:
         if index and index not in streams:
             self._deferred.append(_Deferred(use, array, arguments))
         else:
-            for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._resources.buffers):
+            for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._buffers.memory):
                 streams[buffer].use(begin, end, use, self.known)
 
     def draw_indirect(
-        self, use: Use, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        self, use: CommandUse, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
         for index in range(draws):
-            self._use_bytes(use, buffer, offset + index * stride, offset + index * stride + 20)
+            self._use_bytes(use, buffer, offset + index * stride, offset + index * stride + _DRAW_BYTES)
         if count_buffer:
             self._use_bytes(use, count_buffer, count_offset, count_offset + 4)
         if array is not None:
             self._deferred.append(_Deferred(use, array))
 
-    def dispatch(self, use: Use, x: int, y: int, z: int) -> None:
+    def dispatch(self, use: CommandUse, x: int, y: int, z: int) -> None:
         self._use_program(use)
 
-    def dispatch_indirect(self, use: Use, buffer: Id, offset: int) -> None:
+    def dispatch_indirect(self, use: CommandUse, buffer: Id, offset: int) -> None:
         self._use_program(use)
         self._use_bytes(use, buffer, offset, offset + 12)
 
-    def write_buffer(self, use: Use, buffer: Id, offset: int, data: bytes) -> None:
+    def write_buffer(self, use: CommandUse, buffer: Id, offset: int, data: bytes) -> None:
         self._touch(use, buffer)
 
-    def read_buffer(self, use: Use, buffer: Id, offset: int, size: int) -> None:
+    def read_buffer(self, use: CommandUse, buffer: Id, offset: int, size: int) -> None:
         self._touch(use, buffer)
 
     def copy_buffer(
-        self, use: Use, source: Id, source_offset: int, target: Id, target_offset: int, size: int
+        self, use: CommandUse, source: Id, source_offset: int, target: Id, target_offset: int, size: int
     ) -> None:
         self._use_bytes(use, source, source_offset, source_offset + size)
         self._use_bytes(use, target, target_offset, target_offset + size)
 
-    def clear_buffer(self, use: Use, buffer: Id, offset: int, size: int, value: int) -> None:
+    def clear_buffer(self, use: CommandUse, buffer: Id, offset: int, size: int, value: int) -> None:
         self._use_bytes(use, buffer, offset, offset + size)
 
-    def write_texture(self, use: Use, texture: Id, level: int, region: Region, data: bytes) -> None:
+    def write_texture(self, use: CommandUse, texture: Id, level: int, region: Region, data: bytes) -> None:
         self._touch(use, texture)
 
-    def read_texture(self, use: Use, texture: Id, level: int, region: Region, stencil: bool) -> None:
+    def read_texture(self, use: CommandUse, texture: Id, level: int, region: Region, stencil: bool) -> None:
         self._touch(use, texture)
 
     def copy_texture(
-        self, use: Use, source: Id, source_level: int, source_region: Region, target: Id, *place: int
+        self, use: CommandUse, source: Id, source_level: int, source_region: Region, target: Id, *place: int
     ) -> None:
         self._touch(use, source)
         self._touch(use, target)
 
-    def resolve_texture(self, use: Use, source: Id, target: Id) -> None:
+    def resolve_texture(self, use: CommandUse, source: Id, target: Id) -> None:
         self._touch(use, source)
         self._touch(use, target)
 
-    def generate_mipmaps(self, use: Use, texture: Id) -> None:
+    def generate_mipmaps(self, use: CommandUse, texture: Id) -> None:
         self._touch(use, texture)
 
-    def present(self, use: Use, texture: Id) -> None:
+    def present(self, use: CommandUse, texture: Id) -> None:
         if texture:
             self._touch(use, texture)
 
-    def begin_query(self, use: Use, query: Id) -> None:
+    def begin_query(self, use: CommandUse, query: Id) -> None:
         self._touch(use, query)
         self.asked[query] = use[0]
         self._unfinished[query] = use
 
-    def end_query(self, use: Use, query: Id) -> None:
+    def end_query(self, use: CommandUse, query: Id) -> None:
         self.write_query(use, query)
 
-    def write_query(self, use: Use, query: Id) -> None:
+    def write_query(self, use: CommandUse, query: Id) -> None:
         self._touch(use, query)
         self.asked[query] = use[0]
         self._unfinished.pop(query, None)
 
-    def begin_conditional(self, use: Use, query: Id, inverted: bool) -> None:
+    def begin_conditional(self, use: CommandUse, query: Id, inverted: bool) -> None:
         self._touch(use, query)
 
     # -- what only execution tells -------------------------------------------------------------------------
@@ -367,7 +376,7 @@ class HazardTracker:
         """The number of the next command that `executed` must be told of, 0 if none."""
         return self._deferred[0].use[0] if self._deferred else 0
 
-    def executed(self, serial: int, indirect: Sequence[IndirectDraws]) -> None:
+    def executed(self, serial: int, indirect: Sequence[ExecutedIndirectDraws]) -> None:
         """The GPU is at that draw: its vertices are known, and what was written before it came to them."""
         deferred = self._deferred.popleft()
         if deferred.use[0] != serial:  # it failed when it was executed
@@ -377,7 +386,7 @@ class HazardTracker:
             primitive, draws = deferred.arguments
         else:
             primitive, draws = indirect[-1].primitive, indirect[-1].draws.tolist()
-        ranges = vertex_ranges(array, primitive, draws, self._streams, self._resources.buffers)
+        ranges = vertex_ranges(array, primitive, draws, self._streams, self._buffers.memory)
         if not deferred.arguments and array.index_buffer in self._streams:
             size = array.index_format.size
             ranges += [(array.index_buffer, first * size, (first + count) * size)
@@ -392,13 +401,13 @@ class HazardTracker:
 
     # -- inside --------------------------------------------------------------------------------------------
 
-    def _touch(self, use: Use, resource: Id) -> None:
+    def _touch(self, use: CommandUse, resource: Id) -> None:
         """A command uses a resource."""
         if resource in self._destroyed:
             self._report(HazardKind.USED_DESTROYED, resource, self._destroyed[resource], use, happened=True)
         self._uses[resource] = use
 
-    def _use_bytes(self, use: Use, buffer: Id, begin: int, end: int) -> None:
+    def _use_bytes(self, use: CommandUse, buffer: Id, begin: int, end: int) -> None:
         if buffer in self._destroyed:
             self._touch(use, buffer)
         self._uses[buffer] = use
@@ -406,7 +415,7 @@ class HazardTracker:
         if memory is not None:
             memory.use(begin, end, use, self.known)
 
-    def _use_vertex_array(self, use: Use, vertex_array: Id) -> VertexArrayDescriptor | None:
+    def _use_vertex_array(self, use: CommandUse, vertex_array: Id) -> VertexArrayDescriptor | None:
         """What a draw reads its vertices through; None if none of it is written unordered."""
         known = self._arrays.get(vertex_array)
         if known is None:
@@ -419,32 +428,32 @@ class HazardTracker:
             uses[resource] = use
         return array if streamed else None
 
-    def _use_program(self, use: Use) -> None:
+    def _use_program(self, use: CommandUse) -> None:
         """The bound program and what is bound to the slots it reads."""
         program = self._program
         if not program:
             return
         self._touch(use, program)
         uniforms, storages, textures, images = self._slots.get(program, _NO_SLOTS)
-        for slots, bound in ((uniforms, self._uniforms), (storages, self._storages)):
+        for slots, bound in ((uniforms, self._bound_uniforms), (storages, self._bound_storages)):
             for slot in slots:
                 if slot in bound:
                     buffer, offset, size = bound[slot]
                     self._use_bytes(use, buffer, offset, offset + size)
         for slot in textures:
-            if slot in self._textures:
-                texture = self._textures[slot]
+            if slot in self._bound_textures:
+                texture = self._bound_textures[slot]
                 self._touch(use, texture)
                 if texture in self._targets:
                     self._check_feedback(use, texture, None, -1)
         for slot in images:
-            if slot in self._images:
-                texture, level, layer = self._images[slot]
+            if slot in self._bound_images:
+                texture, level, layer = self._bound_images[slot]
                 self._touch(use, texture)
                 if texture in self._targets:
                     self._check_feedback(use, texture, level, layer)
 
-    def _check_feedback(self, use: Use, texture: Id, level: int | None, layer: int) -> None:
+    def _check_feedback(self, use: CommandUse, texture: Id, level: int | None, layer: int) -> None:
         """Whether the part of a texture that is read (None: all levels; −1: all layers) is written."""
         if self._pass is None:
             return
@@ -470,11 +479,11 @@ class HazardTracker:
                 return
 
     def _has_stencil(self, texture: Id) -> bool:
-        made = self._resources.textures.get(texture)
+        made = self._textures.textures.get(texture)
         return made is not None and made.descriptor.format.has_stencil
 
     def _report(
-        self, kind: HazardKind, resource: Id, first: Use, second: Use, bytes: tuple[int, int] = (0, 0),
+        self, kind: HazardKind, resource: Id, first: CommandUse, second: CommandUse, bytes: tuple[int, int] = (0, 0),
         happened: bool | None = None,
     ) -> None:  # fmt: skip
         happened = not self._is_done(first[0]) if happened is None else happened
@@ -482,5 +491,5 @@ class HazardTracker:
         self.hazards.append(Hazard(kind, resource, _site(first), _site(second), calls, happened, bytes))
 
 
-def _site(use: Use | None) -> CallSite | None:
+def _site(use: CommandUse | None) -> CallSite | None:
     return find_site(use[1], use[2]) if use is not None else None

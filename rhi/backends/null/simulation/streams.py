@@ -13,7 +13,7 @@ from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
 __rhi_internal__ = True
 
-Use: TypeAlias = tuple[int, CodeType | None, int, int]
+CommandUse: TypeAlias = tuple[int, CodeType | None, int, int]
 """A call as seen by hazards: its number in the order of the calls, its site (code and instruction offset) and
 its op. A plain tuple, for one is made for each draw."""
 
@@ -28,11 +28,11 @@ class StreamMemory:
     __slots__ = ("_pages", "_shift", "written")
 
     def __init__(self, size: int) -> None:
-        self._pages: dict[int, list[tuple[int, int, Use]]] = {}
+        self._pages: dict[int, list[tuple[int, int, CommandUse]]] = {}
         self._shift = max(8, size.bit_length() - 10)
         self.written = (0, 0)
 
-    def use(self, begin: int, end: int, use: Use, known: int) -> None:
+    def use(self, begin: int, end: int, use: CommandUse, known: int) -> None:
         """A command uses these bytes; of what came before, uses up to the one numbered `known` are done."""
         for page in range(begin >> self._shift, (max(end, begin + 1) - 1 >> self._shift) + 1):
             uses = self._pages.setdefault(page, [])
@@ -43,9 +43,9 @@ class StreamMemory:
                 uses[:] = [each for each in uses if each[2][0] > known]
             uses.append((begin, end, use))
 
-    def find(self, begin: int, end: int, known: int) -> tuple[int, int, Use] | None:
+    def find(self, begin: int, end: int, known: int) -> tuple[int, int, CommandUse] | None:
         """The latest use after the one numbered `known` that a write of these bytes meets."""
-        found: tuple[int, int, Use] | None = None
+        found: tuple[int, int, CommandUse] | None = None
         for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
             for each in self._pages.get(page, ()):
                 meets = each[0] < end and begin < each[1] and each[2][0] > known

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from rhi.backends.null import Activity, ActivityTimeline, Frame, Lane, Span
+from rhi.backends.null import Activity, ActivityTimeline, FrameActivity, Lane, Span
 from rhi.backends.null.simulation.activity import ActivityLog
 
 
@@ -33,7 +33,7 @@ def test_busy_is_what_lies_between(timeline):
 
 
 def test_frames_know_when_they_were_done(timeline):
-    assert timeline.frames == (Frame(0, 350, 800, 1), Frame(350, 900, None, 1))
+    assert timeline.frames == (FrameActivity(0, 350, 800, 1), FrameActivity(350, 900, None, 1))
     assert [frame.latency for frame in timeline.frames] == [800, None]
 
 

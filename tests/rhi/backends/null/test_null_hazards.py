@@ -30,7 +30,7 @@ from rhi.contract.descriptors import (
     VertexStream,
 )
 from rhi.contract.formats import Format, IndexFormat
-from rhi.contract.states import ColorWrite, DepthWrite, StateChange
+from rhi.contract.states import ColorWrite, DepthWrite, StateChange, StencilTest
 from rhi.device.core.ring import Ring
 from rhi.device.core.timeline import Timeline
 from rhi.errors import ValidationError
@@ -454,6 +454,12 @@ NO_COLOR = (ColorWrite, (ColorWrite.OFF,) * 8)
 )
 def test_a_pass_that_reads_what_it_writes_is_found(descriptor, changes, image, found):
     assert feedback(descriptor, changes, image) == [KINDS.PASS_FEEDBACK] * found
+
+
+@pytest.mark.parametrize(("form", "found"), [(Format.D24S8, True), (Format.D24, False)])
+def test_a_stencil_test_writes_only_a_target_that_has_stencil(form, found):
+    changes = [(DepthWrite, DepthWrite.OFF), (StencilTest, StencilTest.ON)]
+    assert feedback(DEPTH, changes, form=form) == [KINDS.PASS_FEEDBACK] * found
 
 
 # -- any program, any latency ----------------------------------------------------------------------------------

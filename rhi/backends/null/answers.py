@@ -40,7 +40,9 @@ class RecordedAnswers:
         return cls({(int(query), int(use)): int(samples) for query, use, samples in rows})
 
 
-Answers: TypeAlias = int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
+Answers: TypeAlias = (
+    int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
+)
 """Samples for every query; a script, in the order in which OCCLUSION queries end; by query; from a function of
 the query's id; or of another run. None, a missing key and the end of a script: unknown."""
 
