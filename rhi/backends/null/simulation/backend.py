@@ -16,6 +16,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from textwrap import indent
 from types import CodeType
 from typing import Any, TypeAlias
 
@@ -30,7 +31,7 @@ from rhi.backends.null.simulation.hazards import Hazard, HazardTracker
 from rhi.backends.null.simulation.streams import CommandUse
 from rhi.backends.null.simulation.work import WorkMeter
 from rhi.commands.ops import WIDTHS, Op
-from rhi.commands.recorder import _get_frame, _nowhere  # noqa: F401 (the generated methods use them)
+from rhi.commands.recorder import FIND_CALLER, FIND_CALLER_GLOBALS
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import (
     BufferDescriptor,
@@ -102,15 +103,14 @@ class _Submission:
 class SimulatedBackend(NullBackend):
     """The null backend on a simulated clock; see the module."""
 
-    METHOD = """\
+    METHOD = f"""\
     if self._site is None:
-        frame = _get_frame(1)
-        while "__rhi_internal__" in frame.f_globals:
-            frame = frame.f_back or _nowhere
-        self._enqueue(({op}, {arguments}frame.f_code, frame.f_lasti))
+{indent(FIND_CALLER, "    ")}\
+        self._enqueue(({{op}}, {{arguments}}frame.f_code, frame.f_lasti))
     else:
-        self._enqueue(({op}, {arguments}*self._site))
+        self._enqueue(({{op}}, {{arguments}}*self._site))
 """
+    GLOBALS = FIND_CALLER_GLOBALS
 
     def __init__(self, simulation: Simulation, capabilities: Capabilities | None = None) -> None:
         super().__init__(capabilities)
