@@ -1,15 +1,13 @@
-"""The GL backend: rhi's contract on one context.
+"""The GL backend: rhi's contract on one OpenGL context.
 
-- moderngl makes the context, buffers, programs and vertex arrays, and its C functions do what happens
-  thousands of times a frame: binding a range and drawing. All else goes through `entry_points`.
-- Conventions: vertex stages end in a flip of y, so that texel rows, window y and gl_FragCoord.y count from the
-  top; for GL that is a mirrored image, so the names of the windings and the origin of point coordinates are
-  swapped. Clip control could flip too, but its flip turns Mesa's fill rule from top-left to bottom-left. It
-  gives us depth 0…1.
-- A context is current per thread, and a process may hold several: each method first looks whether its own is
-  (5 ns). One thread at a time uses a backend.
-- The memory order of the contract: after each dispatch, and each draw of a program that writes memory, comes a
-  full memory barrier.
+- moderngl creates the context, buffers, programs and vertex arrays. Its C functions also make the calls that happen
+  thousands of times a frame: binding a range and drawing. All other calls go through `entry_points`.
+- Conventions: each vertex stage ends by negating y, so texel rows, window y and gl_FragCoord.y count from the top.
+  For GL the image is mirrored, so the two windings and the origin of point coordinates are swapped. Clip control
+  could flip y too, but it would change Mesa's fill rule from top-left to bottom-left. It is used for depth 0…1 only.
+- A context is current per thread, and a process may hold several. Each method therefore first checks whether its own
+  context is current (5 ns). Only one thread at a time may use a backend.
+- Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory.
 """
 
 from __future__ import annotations
@@ -60,7 +58,7 @@ __rhi_internal__ = True
 
 _QUADS: Final = Primitive.QUADS
 _TESTS_ALPHA: Final = AlphaTest.ON
-_MAX_LABELS: Final = 60  # open at a time; GL promises 64
+_MAX_LABELS: Final = 60  # open at a time; GL guarantees 64
 _MAX_LABEL_BYTES: Final = 255
 
 _current: GlBackend | None = None
@@ -68,11 +66,11 @@ _current: GlBackend | None = None
 
 
 class GlBackend:
-    """One GL context; see `rhi.contract.backend.Backend` for what the methods do.
+    """A backend on one GL context. `rhi.contract.backend.Backend` documents the methods.
 
     Attributes:
-        context: moderngl's context, for what only GL has; state left behind is the caller's to restore.
-        gl: GL's entry points.
+        context: moderngl's context, for features that only GL has. A caller that changes its state must restore it.
+        gl: the entry points of GL.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -86,9 +84,9 @@ class GlBackend:
         if "llvmpipe" in self._capabilities.device:
             keep_freed_memory()
         gl.ClipControl(enums.LOWER_LEFT, enums.ZERO_TO_ONE)
-        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, in this window
+        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, since y is flipped
         gl.ProvokingVertex(enums.FIRST_VERTEX_CONVENTION)
-        gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl's, which restarts at 0xFFFFFFFF only
+        gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl enables it, and it restarts at 0xFFFFFFFF only
         gl.Enable(enums.PRIMITIVE_RESTART_FIXED_INDEX)
         gl.Enable(enums.PROGRAM_POINT_SIZE)
         gl.Enable(enums.FRAMEBUFFER_SRGB)
@@ -133,7 +131,7 @@ class GlBackend:
         self._interrupted = call
 
     def activate(self) -> None:
-        """Make its context the current one."""
+        """Make this backend's context current."""
         if _current is not self:
             self._activate()
 
@@ -142,8 +140,8 @@ class GlBackend:
         if _current is not self:
             self._activate()
         self._queries.stop()
-        self.context.mglo.__exit__()  # a context that is current outlives its release
-        self.context.release()  # and with it all that was made in it
+        self.context.mglo.__exit__()  # a current context would survive its release
+        self.context.release()  # releases all its objects too
         _current = None
 
     # -- resources ---------------------------------------------------------------------------------------
@@ -303,7 +301,7 @@ class GlBackend:
 
     @contextmanager
     def _unmasked(self, color: bool, depth: bool, stencil: bool) -> Iterator[None]:
-        """Clears and blits of these buffers ignore scissor, write masks and conditional rendering."""
+        """Let clears and blits of these buffers ignore scissor, write masks and conditional rendering."""
         condition = self._condition
         if condition is not None:
             self.end_conditional()
@@ -406,7 +404,7 @@ class GlBackend:
         return GlQuerySet(self, self.gl, self._queries, queries)
 
     def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> DrawCalls:
-        """As `Draws.prepare_calls`, of the bound program."""
+        """Return `Draws.prepare_calls` for the bound program."""
         if _current is not self:
             self._activate()
         return self._draws.prepare_calls(self._bound_program, vertex_array, primitive, draws)
@@ -434,7 +432,7 @@ class GlBackend:
             self._activate()
         if self._condition is None:
             self._bound_program.dispatch(x, y, z)
-        else:  # a condition is for draws; OpenGL would drop this, too
+        else:  # conditions apply to draws only, but OpenGL would drop the dispatch, too
             with self._unmasked(False, False, False):
                 self._bound_program.dispatch(x, y, z)
 

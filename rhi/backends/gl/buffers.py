@@ -1,7 +1,7 @@
-"""Buffers: moderngl's, and persistently mapped ones for streams.
+"""Buffers: moderngl's own, and persistently mapped STREAM buffers.
 
-- Tables are dictionaries by id; the two that a draw goes through hold moderngl's bound C methods, which cost a
-  tenth of a ctypes call with as many arguments.
+- Tables are dictionaries by id. The two that a draw uses hold moderngl's bound C methods, which cost a tenth of a
+  ctypes call with as many arguments.
 - A STREAM buffer is mapped once, persistently and coherently. Writing it is a copy into that memory, unordered
   as the contract allows.
 """
@@ -27,7 +27,7 @@ BindRange: TypeAlias = Callable[[int, int, int], object]
 """(slot, offset, size)"""
 
 _STREAM_FLAGS: Final = enums.MAP_WRITE_BIT | enums.MAP_PERSISTENT_BIT | enums.MAP_COHERENT_BIT
-_MODERNGL_MAX_SIZE: Final = (1 << 31) - 1  # of an external buffer; its ranges are 64-bit
+_MODERNGL_MAX_SIZE: Final = (1 << 31) - 1  # of an external buffer; binding its ranges is 64-bit
 
 
 class Buffers:
@@ -35,7 +35,7 @@ class Buffers:
 
     Attributes:
         bind_uniform, bind_storage: by id, the functions that bind a range of a buffer to a slot.
-        objects: by id, the moderngl buffers.
+        objects: by id, moderngl's buffers.
     """
 
     def __init__(self, context: moderngl.Context, gl: EntryPoints) -> None:
@@ -92,7 +92,7 @@ class Buffers:
             return
         try:
             mapping[offset : offset + len(data)] = data  # type: ignore[arg-type]
-        except (ValueError, TypeError, NotImplementedError):  # not a row of bytes; nothing was copied
+        except (ValueError, TypeError, NotImplementedError):  # no flat bytes; nothing was copied
             source = np.frombuffer(memoryview(data), np.uint8)
             mapping[offset : offset + len(source)] = source.data
 

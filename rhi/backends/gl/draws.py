@@ -1,4 +1,4 @@
-"""Draws that moderngl's own can't do: base vertices and instances, quads, arguments in memory, whole arrays."""
+"""Draws that moderngl lacks: with base vertex or base instance, quads, indirect draws, and arrays of draws."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ MODES: Final = {
 }
 
 DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
-"""A function, and its arguments for each draw."""
+"""A function, and the arguments for each call of it."""
 
 
 class Draws:
-    """Of one context; each method is given the bound program."""
+    """Issues the draws of one context. Each method takes the bound program."""
 
     def __init__(
         self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
@@ -51,7 +51,7 @@ class Draws:
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        """Quads, or with bases."""
+        """Draw quads, or draw with a base vertex or base instance."""
         gl, array = self._gl, self._arrays.descriptors[vertex_array]
         name = linked.use(vertex_array)
         if primitive is Primitive.QUADS:
@@ -71,9 +71,10 @@ class Draws:
         self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        """As triangles. The indices of indexed quads are expanded by the CPU, which waits for them."""
+        """Draw quads as triangles. For indexed quads the CPU reads the indices back, waiting for the GPU, and expands
+        them."""
         gl, count = self._gl, count // 4 * 6
-        if not count:  # no indices to read
+        if not count:  # then there are no indices to read
             return
 
         def draw(index_format: IndexFormat, base: int) -> None:
@@ -110,7 +111,7 @@ class Draws:
                 gl.MultiDrawElementsIndirectCountARB(mode, index_type, offset, count_offset, draws, stride)
             else:
                 gl.MultiDrawArraysIndirectCountARB(mode, offset, count_offset, draws, stride)
-            # Mesa takes the count from a bound parameter buffer in draws without a count, too.
+            # With a parameter buffer bound, Mesa reads the count from it even in draws that have no count.
             gl.BindBuffer(enums.PARAMETER_BUFFER, 0)
         elif array.index_buffer:
             gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
@@ -122,8 +123,8 @@ class Draws:
     def prepare_calls(
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
     ) -> DrawCalls:
-        """What draws an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`: a function, and its arguments for each draw.
-        Not for QUADS. It holds until something else is bound or drawn."""
+        """Return the calls that draw an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`; not for QUADS. They are valid
+        until something else is bound or drawn."""
         array, mode = self._arrays.descriptors[vertex_array], repeat(MODES[primitive])
         indexed = bool(array.index_buffer)
         count, first, instances, base_instance = (

@@ -1,4 +1,4 @@
-"""The fence: sync objects in a queue, of which only the oldest are polled."""
+"""The fence: a queue of GL sync objects, of which only the oldest are polled."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _SIGNALED: Final = (enums.ALREADY_SIGNALED, enums.CONDITION_SATISFIED)
 
 
 class Fence:
-    """The device's fence: a value that rises as the GPU gets done."""
+    """The device's fence: a value that increases as the GPU completes work."""
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
@@ -27,7 +27,7 @@ class Fence:
         self._gl.Flush()
 
     def poll(self) -> int:
-        """The value reached; doesn't wait."""
+        """Return the value reached, without waiting."""
         pending = self._pending
         while pending and self._is_signaled(pending[0][1], 0):
             self._value, sync = pending.popleft()
@@ -35,14 +35,14 @@ class Fence:
         return self._value
 
     def wait(self, value: int, seconds: float) -> bool:
-        """Until `value` is reached, for at most `seconds`."""
+        """Wait until `value` is reached, for at most `seconds`. Return whether it was."""
         if self.poll() >= value:
             return True
         timeout = max(0, min(int(seconds * _NANOSECONDS), (1 << 63) - 1))
         for signaled, sync in self._pending:
             if signaled >= value:
                 return self._is_signaled(sync, timeout) and self.poll() >= value
-        return False  # nobody will ever signal it
+        return False  # no such signal is pending
 
     def _is_signaled(self, sync: int | None, timeout: int) -> bool:
         flags = enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0

@@ -1,4 +1,4 @@
-"""Framebuffers, made when a pass first asks for its set of attachments, dropped with any of their textures."""
+"""Framebuffers: created when a pass first uses a set of attachments, deleted with any of their textures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Framebuffers:
         self._keys: dict[Id, set[_AttachmentKey]] = {}  # by texture
 
     def find(self, descriptor: PassDescriptor) -> int:
-        """GL's name of the framebuffer with a pass's attachments."""
+        """Return GL's name of the framebuffer for a pass, creating it on first use."""
         colors, depth = descriptor.colors, descriptor.depth
         key: _AttachmentKey = tuple((color.texture, color.level, color.layer) for color in colors)
         if depth is not None:
@@ -40,15 +40,15 @@ class Framebuffers:
         return self._names.get(key) or self._create(key, descriptor)
 
     def find_color(self, texture: Id) -> int:
-        """One with level 0, layer 0 of `texture` alone, for a resolve."""
+        """Return GL's name of a framebuffer whose only attachment is level 0, layer 0 of `texture`, for resolves."""
         key = ((texture, 0, 0),)
         descriptor = PassDescriptor(self._textures[texture].descriptor.size, (Attachment(texture),))
         return self._names.get(key) or self._create(key, descriptor)
 
     def forget(self, texture: Id) -> None:
-        """Delete those that `texture` is part of."""
+        """Delete the framebuffers that have `texture` as an attachment."""
         for key in self._keys.pop(texture, ()):
-            name = self._names.pop(key, None)  # gone already when another of its textures was destroyed
+            name = self._names.pop(key, None)  # None if another of its textures was destroyed before
             if name is not None:
                 self._gl.delete(self._gl.DeleteFramebuffers, name)
 

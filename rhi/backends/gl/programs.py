@@ -1,15 +1,14 @@
-"""Programs and vertex arrays: what a draw runs and what it reads.
+"""Programs and vertex arrays: the code that a draw executes and the inputs that it reads.
 
-- A `LinkedProgram` is one linked program with a table from vertex array to the C function that draws it. The
-  backend keeps the bound linked's table, so a draw is one look-up and one call; what is special about a
-  program (it writes memory, it does the alpha test) is in the functions of its table, and a program that
-  isn't special pays nothing.
-- moderngl ties a vertex array to one program, so a table makes its entries when they are first asked for.
-- A vertex stage gets an end that flips y: GL's window y runs up, ours down (`backend` says why it isn't left to
-  clip control).
-- GL's core profile has no alpha test: a program gets a variant per comparison whose fragment stage ends in the
-  test, compiled when it is first drawn with; the reference is a uniform.
-- Both are done by renaming `main` and calling it from another, which keeps the lines of the text.
+- A `LinkedProgram` is a program with a table from vertex array to the C function that draws it. The backend keeps the
+  table of the bound program, so a draw is one look-up and one call. Whatever is special about a program (it writes
+  memory, it has an alpha test) is in the functions of its table, so other programs pay nothing for it.
+- moderngl ties a vertex array to one program, so entries of a table are created on first use.
+- Each vertex stage ends by negating y, because GL's window y points up and ours down (`backend` says why clip control
+  doesn't do this).
+- GL's core profile has no alpha test. Instead, a program gets a variant for each comparison, compiled on first use,
+  whose fragment stage ends with the test. The reference is a uniform.
+- Both endings are added by renaming `main` and calling it from a new one, which keeps the line numbers of the source.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ _TITLES: Final = {
 
 
 class VertexArrays:
-    """All vertex arrays of one context; GL's objects are made per linked."""
+    """All vertex arrays of one context. Their GL objects are created once for each linked program that uses them."""
 
     def __init__(self, context: moderngl.Context, gl: EntryPoints, buffers: Buffers) -> None:
         self._context = context
@@ -61,8 +60,8 @@ class VertexArrays:
         self._buffers = buffers
         self.descriptors: dict[Id, VertexArrayDescriptor] = {}
 
-    def make(self, vertex_array: Id, program: GlProgram) -> moderngl.VertexArray:
-        """moderngl's vertex array for a program of moderngl."""
+    def create(self, vertex_array: Id, program: GlProgram) -> moderngl.VertexArray:
+        """Create moderngl's vertex array for one of moderngl's programs."""
         gl, descriptor = self._gl, self.descriptors[vertex_array]
         objects = self._buffers.objects
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
@@ -87,11 +86,11 @@ class VertexArrays:
 
 
 class LinkedProgram(dict[Id, Render]):
-    """A linked program, as the table of what draws each vertex array with it.
+    """A linked program: a table from vertex array to the function that draws it with this program.
 
     Attributes:
         program: moderngl's program or compute shader.
-        writes_memory: whether what follows must be made to see what it wrote.
+        writes_memory: whether the program writes memory, so that a memory barrier follows each draw.
     """
 
     def __init__(
@@ -105,18 +104,18 @@ class LinkedProgram(dict[Id, Render]):
         self.writes_memory = writes_memory
 
     def __missing__(self, vertex_array: Id) -> Render:
-        made = self._made[vertex_array] = self._arrays.make(vertex_array, self.program)
+        made = self._made[vertex_array] = self._arrays.create(vertex_array, self.program)
         render: Render = made.mglo.render
         self[vertex_array] = self.then_memory_barrier(render) if self.writes_memory else render
         return self[vertex_array]
 
     def prepare(self, vertex_array: Id) -> None:
-        """Make what a draw of `vertex_array` needs, if it isn't there."""
+        """Create the entry of `vertex_array` if it doesn't exist yet."""
         if vertex_array not in self:
             self.__missing__(vertex_array)
 
     def memory_barrier(self) -> None:
-        """Make what was written visible to all that follows, whatever reads it and how."""
+        """Make everything written so far visible to all later reads of any kind."""
         self._gl.MemoryBarrier(enums.ALL_BARRIER_BITS)
 
     def dispatch(self, x: int, y: int, z: int) -> None:
@@ -128,7 +127,7 @@ class LinkedProgram(dict[Id, Render]):
         self.memory_barrier()
 
     def use(self, vertex_array: Id) -> int:
-        """Make program and vertex array current for a draw through GL itself; the vertex array's name."""
+        """Bind the program and a vertex array, for a draw through an entry point. Return GL's name of the latter."""
         self.prepare(vertex_array)
         name: int = self._made[vertex_array].glo
         self._gl.UseProgram(self.program.glo)
@@ -145,7 +144,7 @@ class LinkedProgram(dict[Id, Render]):
         self.program.release()
 
     def then_memory_barrier(self, draw: Callable[..., object]) -> Callable[..., object]:
-        """A draw, and what it wrote made visible."""
+        """Return a function that calls `draw` and then issues a memory barrier."""
         memory_barrier = self.memory_barrier
 
         def draw_and_barrier(*arguments: object) -> None:
@@ -156,14 +155,16 @@ class LinkedProgram(dict[Id, Render]):
 
 
 class _ProgramVariants:
-    """A program's descriptor, its linked and the variants of that for the alpha test."""
+    """A program's descriptor, its linked program, and its variants with an alpha test.
+
+    Attributes:
+        variants: by comparison, the linked variant and the location of its reference uniform (-1: none).
+    """
 
     def __init__(self, descriptor: ProgramDescriptor, linked: LinkedProgram) -> None:
         self.descriptor = descriptor
         self.linked = linked
-        self.variants: dict[
-            AlphaFunction, tuple[LinkedProgram, int]
-        ] = {}  # and the location of the reference
+        self.variants: dict[AlphaFunction, tuple[LinkedProgram, int]] = {}
 
     @property
     def all_linked(self) -> list[LinkedProgram]:
@@ -196,7 +197,7 @@ class Programs:
                 linked.forget(vertex_array)
 
     def find_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> LinkedProgram:
-        """The linked that drops fragments unless `alpha function reference`."""
+        """Return the variant that discards fragments unless `alpha function reference`, creating it on first use."""
         made = self._programs[program]
         if function not in made.variants:
             source = add_alpha_test(made.descriptor, function)
@@ -214,7 +215,7 @@ class Programs:
     def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> LinkedProgram:
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
-        # Bytes, because moderngl strips and preprocesses text, which would move its lines.
+        # As bytes, because moderngl strips and preprocesses text, which would change its line numbers.
         encoded = {stage: source.encode() for stage, source in sources.items()}
         program: GlProgram
         try:
@@ -235,8 +236,10 @@ class Programs:
 
 
 def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> str | None:
-    """The fragment stage's source ending in the test, or None where it tests nothing: with ALWAYS, and for
-    programs that give target 0 no alpha."""
+    """Return the source of the fragment stage with an alpha test at its end.
+
+    Returns None if there is nothing to test: for ALWAYS, and for programs that write no alpha to target 0.
+    """
     output = next((o for o in descriptor.outputs if o.location == 0), None)
     if function is AlphaFunction.ALWAYS or output is None or (output.kind, output.components) != ("float", 4):
         return None
@@ -250,12 +253,15 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> st
 
 
 def _extend_main(source: str, statement: str, declaration: str = "") -> str:
-    """`source` with `statement` at the end of its main function."""
+    """Return `source` with `statement` added at the end of its main function."""
     renamed = _MAIN.sub("void rhi_inner_main()", source)
     return f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
 
 
 def _split_message(message: str) -> tuple[str, str]:
-    """moderngl's message is what failed, an empty line, which stage, a line of `=`, and the driver's log."""
+    """Return the stage's title and the driver's log from a message of moderngl.
+
+    Its lines are: what failed, an empty line, the title of the stage, a line of `=`, and the log.
+    """
     parts = message.split("\n", 4)
     return (parts[2], parts[4]) if len(parts) == 5 else ("", message)

@@ -1,11 +1,11 @@
-"""Queries, none of which makes the CPU wait unless asked.
+"""Queries. None of them makes the CPU wait unless it is asked to.
 
-- Occlusion queries are GL's own, until the first COUNTER query exists. GL has no running samples-passed
-  counter, and allows one active samples-passed query at a time. So from then on a chain of such queries runs
-  all the time, cut wherever someone takes the count (`SampleCounter`); an occlusion query is then the
-  difference of two counts, which is the thesis's emulation (4.4.2).
-- llvmpipe adds what a query still counts to what it is begun with anew, so a query that is begun before its last
-  answer was there gets another name.
+- Occlusion queries are GL's own until the first COUNTER query exists. GL has no running samples-passed counter, and
+  allows only one active samples-passed query. So from then on a chain of such queries is always running, and a new
+  one begins wherever the count is taken (`SampleCounter`). An occlusion query is then the difference of two counts,
+  which is the thesis's emulation (4.4.2).
+- If a query begins again while llvmpipe is still counting for it, llvmpipe adds both counts. So a query that begins
+  before its last result is available gets another GL query.
 """
 
 from __future__ import annotations
@@ -24,28 +24,32 @@ __rhi_internal__ = True
 
 @dataclass(slots=True, eq=False)
 class CounterValue:
-    """The running counter at one point of the stream; `value` is None until it is known."""
+    """The value of the running counter at one point of the stream; None until its result is available."""
 
     value: int | None = None
 
 
 class SampleCounter:
-    """A running count of samples passed, made of consecutive GL queries.
+    """A running count of samples passed, made of consecutive GL queries, called segments.
 
-    `take` ends the segment that runs and begins the next; a count is the sum of all segments up to it. They
-    are added up in order as their results come in, so a sum never skips one. Outside `start` and `stop` no
-    query is active.
+    `take` ends the active segment and begins the next. A count is the sum of all segments before it. Segments are
+    added in order as their results become available, so a sum never omits one. No query is active outside `start`
+    and `stop`.
     """
 
     def __init__(self, begin: Callable[[], int], end: Callable[[], None], read: Callable[[int], int | None],
                  free: Callable[[int], None]) -> None:  # fmt: skip
-        """`begin` starts a query of GL and returns its name, `end` ends it, `read` gives the result of one
-        or None, `free` takes its name back."""
+        """Create a stopped counter at 0.
+
+        Args:
+            begin: begins a GL query and returns its name.
+            end: ends the active GL query.
+            read: returns the result of a GL query, None while it isn't available.
+            free: receives the names of queries that aren't used any more.
+        """
         self._begin, self._end, self._read, self._free = begin, end, read, free
         self._active = 0
-        self._closed: deque[tuple[int, list[CounterValue]]] = (
-            deque()
-        )  # names, and the counts taken at their ends
+        self._closed: deque[tuple[int, list[CounterValue]]] = deque()  # (query, values taken at its end)
         self._total = 0
 
     @property
@@ -53,7 +57,7 @@ class SampleCounter:
         return self._active != 0
 
     def start(self, active: int = 0) -> CounterValue:
-        """`active` is a query that runs already and becomes the first segment."""
+        """Begin counting. `active` is a query that is active already; it becomes the first segment."""
         count = self._mark()
         self._active = active or self._begin()
         return count
@@ -65,7 +69,7 @@ class SampleCounter:
             self._active = 0
 
     def take(self) -> CounterValue:
-        """The counter at this point of the stream."""
+        """Return the counter's value at this point of the stream."""
         self.stop()
         count = self._mark()
         self._active = self._begin()
@@ -73,7 +77,7 @@ class SampleCounter:
         return count
 
     def collect(self, read: Callable[[int], int | None] | None = None) -> None:
-        """Add up what has come in; waits only if `read` does."""
+        """Add the results that are available; waits only if `read` does."""
         closed, read = self._closed, read or self._read
         while closed:
             name, counts = closed[0]
@@ -96,16 +100,16 @@ class SampleCounter:
 
 @dataclass(slots=True)
 class GlQuery:
-    """A query of the device."""
+    """A query of the device, with the GL query or the counter values behind it."""
 
     kind: QueryKind
     name: int = 0
-    """GL's query, for occlusion and timestamps."""
+    """GL's name of the query, for occlusion and timestamps; 0 for counters."""
     begin: CounterValue | None = None
-    """Set when the sample counter does the counting for an occlusion query."""
+    """The counter's value at the begin of an occlusion query, if the sample counter counts for it."""
     end: CounterValue | None = None
     is_pending: bool = False
-    """Whether GL's query was begun and not yet seen to be finished."""
+    """Whether GL's query began and isn't known to be finished."""
 
 
 class Queries:
@@ -117,16 +121,16 @@ class Queries:
         self._result = ctypes.c_uint64()
         self._result_reference = ctypes.byref(self._result)
         self._spare: list[int] = []
-        self._left: deque[int] = deque()  # GL may still count for these
+        self._retired: deque[int] = deque()  # names of queries for which GL may still be counting
         self._counters = 0  # COUNTER queries that exist
         self._counter = SampleCounter(self._begin_segment, self._end_segment, self._poll, self._spare.append)
         self._active: GlQuery | None = None
-        self._no_samples = self._begin_segment()  # a query that counted none
+        self._no_samples = self._begin_segment()  # a query that counts no samples
         self._end_segment()
 
     @property
     def is_counting(self) -> bool:
-        """Whether the sample counter runs, so that occlusion queries are differences of it."""
+        """Whether the sample counter is running, so that occlusion queries are differences of it."""
         return self._counter.is_running
 
     def __getitem__(self, query: Id) -> GlQuery:
@@ -162,18 +166,18 @@ class Queries:
             self._gl.BeginQuery(enums.SAMPLES_PASSED, made.name)
 
     def renew(self, query: GlQuery) -> None:
-        """Before a query is begun that was begun before: another name, if GL may still count for it."""
+        """Give a query that begins again another GL query, if GL may still be counting for the old one."""
         if self._poll(query.name) is None:
             name = self._take_name()
-            self._left.append(query.name)
+            self._retired.append(query.name)
             query.name = name
 
     def _take_name(self) -> int:
-        """A query of GL that nobody uses."""
+        """Return the name of an unused samples-passed query."""
         if self._spare:
             return self._spare.pop()
-        if self._left and self._poll(self._left[0]) is not None:
-            return self._left.popleft()
+        if self._retired and self._poll(self._retired[0]) is not None:
+            return self._retired.popleft()
         return self._gl.create(self._gl.CreateQueries, enums.SAMPLES_PASSED)
 
     def end(self, query: Id) -> None:
@@ -186,7 +190,7 @@ class Queries:
             self._stop_unused_counter()
 
     def stop(self) -> None:
-        """End what counts: llvmpipe crashes if its context goes while a query is active."""
+        """End the active query: llvmpipe crashes if a context is destroyed while one is active."""
         if self._counter.is_running:
             self._counter.stop()
         elif self._active is not None:
@@ -210,7 +214,7 @@ class Queries:
         return _difference(made)
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
-        """The GPU waits for a query of GL; for one that the counter counted, the CPU has to."""
+        """Begin conditional rendering. The GPU waits for a GL query, the CPU for a difference of counts."""
         gl, made = self._gl, self._queries[query]
         name = made.name
         if made.end is not None:
@@ -224,7 +228,7 @@ class Queries:
 
     def _start_counter(self) -> None:
         gl, active = self._gl, self._active
-        if active is not None:  # this native query runs, so it becomes the first segment
+        if active is not None:  # its GL query becomes the first segment
             active.begin = self._counter.start(active.name)
             active.name = gl.create(gl.CreateQueries, enums.SAMPLES_PASSED)
         else:
@@ -256,7 +260,7 @@ class Queries:
 
 
 def _difference(query: GlQuery) -> int | None:
-    """Of the counts at a query's end and begin; the one at the begin is known first."""
+    """Return the count at a query's end minus that at its begin, which is known first; None while the end is unknown."""
     assert query.end is not None
     if query.end.value is None or query.begin is None:
         return query.end.value

@@ -30,7 +30,11 @@ _MINIFIERS: Final = {
 
 
 class Samplers:
-    """All samplers of one context; `names` by id, 0 being no sampler."""
+    """All samplers of one context.
+
+    Attributes:
+        names: GL's names, by id; id 0 is no sampler.
+    """
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl

@@ -31,7 +31,7 @@ _TARGETS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class GlTexture:
-    """A texture: GL's name and target, and what it was made from."""
+    """A texture: GL's name and target, its descriptor, and its format for GL."""
 
     name: int
     target: int
@@ -40,7 +40,11 @@ class GlTexture:
 
 
 class Textures:
-    """All textures of one context; `names` are GL's, by id."""
+    """All textures of one context.
+
+    Attributes:
+        names: GL's names, by id.
+    """
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
@@ -73,7 +77,7 @@ class Textures:
         clear = CLEAR_FORMATS[descriptor.format]
         for level in range(descriptor.levels):
             gl.ClearTexImage(name, level, clear.format, clear.type, None)
-        if descriptor.samples == 1:  # for texel fetches without a sampler, of integers too
+        if descriptor.samples == 1:  # so that texel fetches without a sampler work, for integers too
             gl.TextureParameteri(name, enums.TEXTURE_MIN_FILTER, enums.NEAREST_MIPMAP_NEAREST)
             gl.TextureParameteri(name, enums.TEXTURE_MAG_FILTER, enums.NEAREST)
         if descriptor.label:
