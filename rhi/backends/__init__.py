@@ -1,1 +1,1 @@
-"""Implementations of `rhi.contract.Backend`, one package per platform. They don't import each other and hold no policy."""
+"""Implementations of `rhi.contract.Backend`, one package per platform. None imports another or holds policy."""

@@ -260,7 +260,10 @@ class Queries:
 
 
 def _difference(query: GlQuery) -> int | None:
-    """Return the count at a query's end minus that at its begin, which is known first; None while the end is unknown."""
+    """Return the samples counted between a query's begin and end, None while the end's value is unknown.
+
+    The value at the begin is known first.
+    """
     assert query.end is not None
     if query.end.value is None or query.begin is None:
         return query.end.value

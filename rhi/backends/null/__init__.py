@@ -1,6 +1,6 @@
-"""The null backend: real memory, real time order, no GPU; draws are counted, not rasterised.
+"""The null backend: real memory and real execution order, but no GPU. Draws are counted, not rasterised.
 
-`create_backend()` gives the backend itself. A device made with `rhi.create_device("null")` always has a
+`create_backend()` returns the backend itself. A device created with `rhi.create_device("null")` always has a
 `rhi.commands.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
 """
 
@@ -53,18 +53,19 @@ def create_backend(
     simulation: Simulation | None = None,
     faults: Faults | None = None,
 ) -> Backend:
-    """A new null backend. There is no driver whose messages `validation` could turn on.
+    """Create a null backend. `validation` has no effect, since there is no driver whose messages it could enable.
 
     Args:
-        profile: which device to pretend to be: a name of `PROFILES`, or capabilities of your own.
-        simulation: execute on a simulated clock (a `SimulatedBackend`); None: whenever something asks.
-        faults: what fails, and when (a `FaultInjector` in front).
+        profile: the capabilities to present: a name of `PROFILES`, or a `Capabilities`.
+        simulation: execute commands on a simulated clock (in a `SimulatedBackend`). None: execute them when something
+            depends on them.
+        faults: the faults to inject (by a `FaultInjector` in front of the backend).
 
     Raises:
         ValidationError: `device-argument` for an unknown profile, or an option of the wrong type.
     """
     for name, value, kind in (("simulation", simulation, Simulation), ("faults", faults, Faults)):
-        if not isinstance(value, (kind, type(None))):  # `rhi.create_device` passes on whatever it is given
+        if not isinstance(value, (kind, type(None))):  # `rhi.create_device` forwards any value
             refuse(DEVICE_ARGUMENT, f"{name}=", repr(value), f"a {kind.__name__}, or None")
     capabilities = find_profile(profile)
     backend = NullBackend(capabilities) if simulation is None else SimulatedBackend(simulation, capabilities)

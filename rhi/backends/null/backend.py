@@ -1,13 +1,13 @@
-"""A queue of commands in front of memory that is real and a GPU that isn't.
+"""A queue of commands in front of real memory, without a GPU.
 
-- Calls are put into a queue, flat (`op, arguments…`, as in `rhi.commands.stream`); creation happens at once.
-- The queue is executed in order when something demands it: a signal, a wait, a read. Whatever is read when
-  executed (indirect arguments, copies, counters) is so by construction. `simulated` executes the same queue
-  on a clock of its own.
-- STREAM buffers are written at once, past the queue, as on hardware that maps them: memory overwritten too
-  early is seen to be overwritten.
-- Shaders run only when asked for, and only compute (`shaders`).
-- Time is simulated: every executed command takes `COMMAND_NANOSECONDS`.
+- Calls are appended to a flat queue (`op, arguments…`, as in `rhi.commands.stream`). Only creation is immediate.
+- The queue is executed in order when something depends on it: a signal, a wait, a read. So commands that read memory
+  (indirect arguments, copies, counters) see what it holds at their place in the stream. `simulation` executes the
+  same queue on its own clock.
+- STREAM buffers are written immediately, without the queue, as on hardware that maps them. So memory that is
+  overwritten too early shows the new contents.
+- Shaders are executed only on request, and only compute shaders (`shaders`).
+- Time is simulated: each executed command takes `COMMAND_NANOSECONDS`.
 """
 
 from __future__ import annotations
@@ -52,14 +52,23 @@ __rhi_internal__ = True
 
 COMMAND_NANOSECONDS: Final = 1000
 QUEUED_BYTES: Final = 1 << 24
-"""Written memory that may lie in the queue."""
+"""Bytes of written data that the queue may hold before it is executed."""
 KEPT_INDIRECT: Final = 1024
+"""Executed indirect commands whose arguments are kept."""
 
 
 @dataclass(frozen=True, slots=True)
 class ExecutionStatistics:
-    """What was executed since the start: commands, draws (those of indirect commands one by one), draws
-    dropped by conditional rendering, draws whose condition nobody knows, dispatches, simulated time."""
+    """Counts of what was executed since the device was created.
+
+    Attributes:
+        commands: executed commands.
+        draws: executed draws; an indirect command counts each of its draws.
+        dropped_draws: draws dropped by conditional rendering.
+        undecided_draws: draws under a condition that is unknown.
+        dispatches: executed dispatches.
+        nanoseconds: simulated time.
+    """
 
     commands: int
     draws: int
@@ -70,7 +79,7 @@ class ExecutionStatistics:
 
 
 class NullBackend(CommandMethods):
-    """Keeps memory, counts draws; see the module."""
+    """A backend that keeps memory and counts draws, without a GPU."""
 
     METHOD = "    self._enqueue(({op}, {arguments}))"
 
@@ -102,21 +111,28 @@ class NullBackend(CommandMethods):
     # -- for tests ---------------------------------------------------------------------------------------
 
     def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
-        """From the next command on, `samples(draw)` says how many samples a draw passes, None if it is not
-        known. It is called in the order of execution."""
+        """Set the function that says how many samples a draw passes, from the next command on.
+
+        `samples(draw)` is called in the order of execution, and returns None where the number is unknown.
+        """
         self._run()
         self._queries.count_samples(samples)
 
     def answer_queries(self, answers: Answers) -> None:
-        """What occlusion and counter queries answer: a number for all of them, a script in the order in which
-        queries end, a mapping by query id, a function of the id, or what they answered on another backend
-        (`AnswerLog`). It goes before what `count_samples` counts; where it doesn't say, it leaves it to that."""
+        """Set the answers of occlusion and counter queries.
+
+        They are a number for all queries, a script in the order in which queries end, a mapping by query id, a
+        function of the id, or answers recorded on another backend (`AnswerLog`). They take precedence over
+        `count_samples`, which is used where they are unknown.
+        """
         self._queries.answer(answers)
 
     def run_shaders(self, stand_ins: Mapping[Id, StandIn] = MappingProxyType({})) -> None:
-        """From the next command on, run each dispatch, on NumPy. `stand_ins`, by a program's id, are called in place of
-        their programs, at dispatches and at draws, indirect ones one by one: see `shaders.StandIn`. No other draw runs
-        anything."""
+        """Execute each dispatch on NumPy, from the next command on.
+
+        `stand_ins`, by a program's id, are called in place of their programs, for each dispatch and each draw (for
+        each draw of an indirect command): see `shaders.StandIn`. Draws without a stand-in execute no shader.
+        """
         self._run()
         self._shaders.run(stand_ins)
 
@@ -129,17 +145,17 @@ class NullBackend(CommandMethods):
 
     @property
     def indirect_draws(self) -> tuple[ExecutedIndirectDraws, ...]:
-        """What each `draw_indirect` came to, in order: the last 1,024."""
+        """The last 1,024 `draw_indirect` commands with the arguments that they read, in order of execution."""
         self._run()
         return tuple(self._indirect_draws)
 
     @property
     def indirect_dispatches(self) -> tuple[tuple[int, int, int], ...]:
-        """The work-groups of each `dispatch_indirect`, in order: the last 1,024."""
+        """The work-groups of the last 1,024 `dispatch_indirect` commands, in order of execution."""
         self._run()
         return tuple(self._indirect_dispatches)
 
-    # -- calls that happen at once -------------------------------------------------------------------------
+    # -- immediate calls -----------------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         self._buffers.create_buffer(buffer, descriptor)
@@ -176,7 +192,7 @@ class NullBackend(CommandMethods):
         if self._queued_bytes > QUEUED_BYTES:
             self._run()
 
-    # -- calls that demand execution -----------------------------------------------------------------------
+    # -- calls that execute the queue ----------------------------------------------------------------------
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._run()
@@ -205,7 +221,7 @@ class NullBackend(CommandMethods):
     # -- execution ---------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Execute the queue. A command that raises is taken out; those after it stay."""
+        """Execute the queue. A command that raises is removed; the commands after it stay in the queue."""
         queue = self._queue
         if not queue:
             return
@@ -217,7 +233,7 @@ class NullBackend(CommandMethods):
         try:
             while place < end:
                 op = entries[place]
-                start, place = place + 1, place + WIDTHS[op] - 2  # no call site here
+                start, place = place + 1, place + WIDTHS[op] - 2  # entries have no call site here
                 self._executed += 1
                 executor = execute[op]
                 if executor is not None:
@@ -226,7 +242,7 @@ class NullBackend(CommandMethods):
             queue[:0] = entries[place:]
 
     def _find_executors(self) -> tuple[Callable[..., None] | None, ...]:
-        """By op, what executes a command; None where there is nothing to do."""
+        """Return the function that executes each op, None where there is nothing to do."""
         executors: dict[Op, Callable[..., None]] = {
             Op.DESTROY: self._destroy,
             Op.BEGIN_PASS: self._begin_pass,
@@ -287,7 +303,7 @@ class NullBackend(CommandMethods):
         if self._follows_draws:
             self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
         else:
-            self._count_unseen(1, count > 0 and instances > 0)
+            self._count_unfollowed(1, count > 0 and instances > 0)
 
     def _draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
@@ -303,14 +319,15 @@ class NullBackend(CommandMethods):
                     vertex_array, primitive, first, count, instances, base_vertex, base_instance
                 )
         else:
-            something = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
-            self._count_unseen(len(resolved), bool(something))
+            draws_vertices = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
+            self._count_unfollowed(len(resolved), bool(draws_vertices))
         kept = resolved[:0] if self._state.outcome is DrawOutcome.DROPPED else resolved
         self._indirect_draws.append(ExecutedIndirectDraws(vertex_array, primitive, kept))
 
     @property
     def _follows_draws(self) -> bool:
-        """Whether somebody wants to know each of the present draws."""
+        """Whether each draw must be processed individually: its samples are counted, or its program has a
+        stand-in."""
         state = self._state
         return state.outcome is DrawOutcome.EXECUTED and (
             self._queries.counts or state.program in self._shaders.stand_ins
@@ -320,7 +337,7 @@ class NullBackend(CommandMethods):
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        """An executed draw whose samples are counted, or whose program has a stand-in."""
+        """Process an executed draw whose samples are counted, or whose program has a stand-in."""
         self._draws[DrawOutcome.EXECUTED] += 1
         if count and instances:
             state = self._state
@@ -330,11 +347,11 @@ class NullBackend(CommandMethods):
             if state.program in self._shaders.stand_ins:
                 self._shaders.draw(draw)
 
-    def _count_unseen(self, draws: int, something: bool) -> None:
-        """Draws whose samples nobody counts; `something`: any of them has vertices."""
+    def _count_unfollowed(self, draws: int, draws_vertices: bool) -> None:
+        """Count draws whose samples aren't counted. `draws_vertices` says whether any of them has vertices."""
         outcome = self._state.outcome
         self._draws[outcome] += draws
-        if something and outcome is not DrawOutcome.DROPPED:
+        if draws_vertices and outcome is not DrawOutcome.DROPPED:
             self._queries.add_unknown()
 
     def _dispatch(self, x: int, y: int, z: int) -> None:

@@ -1,7 +1,7 @@
 """Buffers in host memory, and the commands that change them.
 
 - A buffer is an array of bytes.
-- The methods named as commands are executed when the queue reaches them (`backend`), never earlier.
+- The methods named like commands are called when the queue reaches the command (`backend`), never earlier.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Programs, vertex arrays and samplers: nothing is compiled, so their descriptions are all there is of them."""
+"""Programs and vertex arrays. Nothing is compiled: only their descriptors are kept."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __rhi_internal__ = True
 
 
 class Programs:
-    """All programs, vertex arrays and samplers of a device, by id."""
+    """All programs and vertex arrays of a device, by id."""
 
     def __init__(self) -> None:
         self.programs: dict[Id, ProgramDescriptor] = {}
@@ -21,7 +21,7 @@ class Programs:
         self.vertex_arrays[vertex_array] = descriptor
 
     def is_indexed(self, vertex_array: Id) -> bool:
-        """Whether draws take their vertices through an index buffer."""
+        """Return whether draws of a vertex array use an index buffer."""
         return self.vertex_arrays[vertex_array].index_buffer != 0
 
     def destroy(self, resource: Id) -> None:

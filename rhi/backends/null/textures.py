@@ -1,9 +1,9 @@
-"""Buffers and textures in real memory, and the commands that change them.
+"""Textures in host memory and the commands that change them, and the descriptors of samplers.
 
-- A buffer is bytes; a texture an array (layers, height, width, channels) for each level, as stored. Depth is
-  kept as float32 with the values the format has, stencil in arrays of its own.
-- Multi-sampled textures keep one sample a texel: without rasterisation all of a texel's samples are equal.
-- The methods named as commands run when the queue gets to them (`backend`), never earlier.
+- A texture is one array (layers, height, width, channels) per level, as stored. Depth is kept as float32 with the
+  values that the format can represent; stencil is in arrays of its own.
+- Multi-sampled textures keep one sample per texel: without rasterisation all samples of a texel are equal.
+- The methods named like commands are called when the queue reaches the command (`backend`), never earlier.
 """
 
 from __future__ import annotations
@@ -28,7 +28,12 @@ __rhi_internal__ = True
 
 
 class TextureMemory:
-    """A texture's levels, and those of its stencil if it has one."""
+    """The contents of a texture.
+
+    Attributes:
+        levels: the texels of each level: (layers, height, width, channels).
+        stencil: the stencil values of each level: (layers, height, width, 1); empty without stencil.
+    """
 
     __slots__ = ("descriptor", "levels", "stencil")
 
@@ -46,7 +51,7 @@ class TextureMemory:
 
 
 def _box(region: Region) -> tuple[slice, slice, slice]:
-    """A region as an index of a level's array."""
+    """Return a region as an index into a level's array."""
     return (
         slice(region.layer, region.layer + region.layers),
         slice(region.y, region.y + region.height),
@@ -55,16 +60,17 @@ def _box(region: Region) -> tuple[slice, slice, slice]:
 
 
 class Textures:
-    """All buffers and textures of a device, by id."""
+    """All textures and samplers of a device, by id."""
 
     def __init__(self) -> None:
         self.textures: dict[Id, TextureMemory] = {}
         self.samplers: dict[Id, SamplerDescriptor] = {}
 
     def clear(self) -> None:
+        """Release all textures."""
         self.textures.clear()
 
-    # -- at once -----------------------------------------------------------------------------------------
+    # -- immediate -----------------------------------------------------------------------------------------
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
         try:
@@ -98,10 +104,10 @@ class Textures:
     ) -> None:  # fmt: skip
         region = source_region
         target_region = Region(x, y, region.width, region.height, layer, region.layers)
-        taken, given = self.textures[source], self.textures[target]
-        given.levels[target_level][_box(target_region)] = taken.levels[source_level][_box(region)]
-        if taken.stencil:
-            given.stencil[target_level][_box(target_region)] = taken.stencil[source_level][_box(region)]
+        read, written = self.textures[source], self.textures[target]
+        written.levels[target_level][_box(target_region)] = read.levels[source_level][_box(region)]
+        if read.stencil:
+            written.stencil[target_level][_box(target_region)] = read.stencil[source_level][_box(region)]
 
     def resolve_texture(self, source: Id, target: Id) -> None:
         self.textures[target].levels[0][:] = self.textures[source].levels[0]
@@ -112,7 +118,7 @@ class Textures:
             levels[index][:] = halve(format, levels[index - 1], len(levels[index]))
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
-        """The clears."""
+        """Clear the attachments of a pass."""
         for attachment in descriptor.colors:
             if attachment.clear is not None:
                 self._clear_color(attachment)
@@ -120,7 +126,7 @@ class Textures:
             self._clear_depth(descriptor.depth)
 
     def end_pass(self, descriptor: PassDescriptor) -> None:
-        """The resolves of the pass that was begun."""
+        """Resolve the attachments of a pass."""
         for attachment in descriptor.colors:
             if attachment.resolve:
                 source = self.textures[attachment.texture].levels[attachment.level]
