@@ -1,7 +1,7 @@
-"""How much work is in a command: what the cost model is asked with.
+"""Measures the work in a command, for the cost model.
 
-Measured right after the command was executed, from its arguments and what holds then. Covered pixels are the
-samples that someone counted (`NullBackend.count_samples`), else the model's estimate for the draw's viewport.
+Work is measured right after the command was executed, from its arguments and the state at that point. Covered pixels
+are the counted samples (`NullBackend.count_samples`); without a count, the model's estimate for the draw's viewport.
 """
 
 from __future__ import annotations
@@ -25,11 +25,12 @@ __rhi_internal__ = True
 
 
 class WorkMeter:
-    """One device's. Its methods are the commands that have work of their own, by their names in `Backend`.
+    """Measures the commands of one device. Its methods are the commands with work of their own, named as in
+    `Backend`.
 
     Attributes:
-        samples: that the command just executed passed, None if nobody knows.
-        indirect_draws, indirect_dispatches: what indirect commands came to, the latest last.
+        samples: the samples that the command just executed passed, None if unknown.
+        indirect_draws, indirect_dispatches: the executed indirect commands with their arguments, the latest last.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class WorkMeter:
         return CommandWork(Op.BIND_PROGRAM, state_changes=1)
 
     def begin_pass(self, descriptor: PassDescriptor) -> CommandWork:
-        """The clears."""
+        """Measure the clears."""
         self._begun = descriptor
         width, height = descriptor.size
         targets: list[Attachment | DepthAttachment] = [*descriptor.colors]
@@ -62,7 +63,7 @@ class WorkMeter:
         return CommandWork(Op.BEGIN_PASS, pixels=width * height * descriptor.samples * cleared)
 
     def end_pass(self) -> CommandWork:
-        """The resolves: all samples are read."""
+        """Measure the resolves, which read all samples."""
         begun = self._begun
         if begun is None:
             return CommandWork(Op.END_PASS)
@@ -121,13 +122,15 @@ class WorkMeter:
     def generate_mipmaps(self, texture: Id) -> CommandWork:
         levels = len(self._textures.textures[texture].levels)
         written = sum(self._level_bytes(texture, level) for level in range(1, levels))
-        return CommandWork(Op.GENERATE_MIPMAPS, bytes=5 * written)  # four texels are read for each
+        return CommandWork(
+            Op.GENERATE_MIPMAPS, bytes=5 * written
+        )  # each texel written needs four texels read
 
     def meters(self) -> tuple[Callable[..., CommandWork] | None, ...]:
-        """By op, what measures it; None where there is no work but the command itself."""
+        """Return the function that measures each op, None where the command has no work of its own."""
         return tuple(getattr(self, op.method, None) for op in Op)
 
-    # -- inside ------------------------------------------------------------------------------------------
+    # -- helpers -----------------------------------------------------------------------------------------
 
     def _level_bytes(self, texture: Id, level: int = 0) -> int:
         descriptor = self._textures.textures[texture].descriptor
@@ -145,7 +148,7 @@ class WorkMeter:
         return self._cost.covered_pixels(primitives, self._area())
 
     def _area(self) -> int:
-        """Pixels that a draw can reach: the target, the viewport and the scissor in common."""
+        """Return the number of pixels that a draw can reach: the intersection of target, viewport and scissor."""
         state = self._state
         parts = (state.render_pass, state.states[Viewport], state.states[Scissor])
         known, area = self._known_area

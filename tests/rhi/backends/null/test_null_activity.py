@@ -11,9 +11,9 @@ from rhi.backends.null.simulation.activity import ActivityLog
 @pytest.fixture
 def timeline():
     log = ActivityLog()
-    log.stall(400, 800, "wait(1)")
-    log.rest(Activity.STARVED, 0, 200)
-    log.rest(Activity.HALTED, 500, 600, "counter")
+    log.add_stall(400, 800, "wait(1)")
+    log.add_idle(Activity.STARVED, 0, 200)
+    log.add_idle(Activity.HALTED, 500, 600, "counter")
     log.begin_label(200, "frame")
     log.begin_label(300, "shadows")
     log.end_label(400)
