@@ -172,15 +172,46 @@ class CommandWriter(CommandMethods):
         """Do nothing: there is nothing to release."""
 
 
-class Recorder(CommandMethods):
-    """A `Backend` that records every command into `stream` and forwards it to `backend`.
+class ForwardingBackend(CommandMethods):
+    """A `Backend` that forwards every call to another. Subclasses add what they do with some or all calls.
 
     Attributes:
         backend: the backend that receives all calls.
-        stream: the commands so far. It grows until `stream.clear()`.
     """
 
-    __slots__ = ("_write", "backend", "stream")
+    __slots__ = ("backend",)
+
+    METHOD = "    return self.backend.{method}({arguments})"
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend = backend
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """The capabilities of the inner backend."""
+        return self.backend.capabilities
+
+    def close(self) -> None:
+        """Close the inner backend."""
+        self.backend.close()
+
+    def completed(self) -> int:
+        """Return the inner backend's fence value. This isn't a command."""
+        return self.backend.completed()
+
+    def read_query(self, query: Id) -> int | None:
+        """Return the inner backend's answer to a query. This isn't a command."""
+        return self.backend.read_query(query)
+
+
+class Recorder(ForwardingBackend):
+    """A `Backend` that records every command into `stream` and forwards it to `backend`.
+
+    Attributes:
+        stream: the commands so far. It grows until `stream.clear()`, and is kept when the backend is closed.
+    """
+
+    __slots__ = ("_write", "stream")
 
     METHOD = f"""\
 {_RECORD}\
@@ -193,26 +224,9 @@ class Recorder(CommandMethods):
     GLOBALS = FIND_CALLER_GLOBALS
 
     def __init__(self, backend: Backend) -> None:
-        self.backend = backend
+        super().__init__(backend)
         self.stream = CommandStream()
         self._write: Callable[[tuple[Any, ...]], None] = self.stream.data.extend
-
-    @property
-    def capabilities(self) -> Capabilities:
-        """The capabilities of the inner backend."""
-        return self.backend.capabilities
-
-    def close(self) -> None:
-        """Close the inner backend; the stream is kept."""
-        self.backend.close()
-
-    def completed(self) -> int:
-        """Return the inner backend's fence value. This is no command and isn't recorded."""
-        return self.backend.completed()
-
-    def read_query(self, query: Id) -> int | None:
-        """Return the inner backend's answer to a query. This is no command and isn't recorded."""
-        return self.backend.read_query(query)
 
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
         """Record a command that was called elsewhere, with its own call site, and forward it."""

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rhi.commands.recorder import CommandMethods
-from rhi.contract.backend import Backend, Capabilities
+from rhi.commands.recorder import ForwardingBackend
+from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True
@@ -67,16 +67,14 @@ def make_oracle(answers: Answers) -> Oracle:
     return lambda query, use, place: given
 
 
-class AnswerLog(CommandMethods):
+class AnswerLog(ForwardingBackend):
     """A backend in front of another that records the answers of its queries: `rhi.Device(AnswerLog(backend))`.
 
     Only answers that the program reads are recorded. If a query begins twice and is read once, one use stays unknown.
     """
 
-    METHOD = "    return self.backend.{method}({arguments})"
-
     def __init__(self, backend: Backend) -> None:
-        self.backend = backend
+        super().__init__(backend)
         self._uses: Counter[Id] = Counter()
         self._samples: dict[tuple[Id, int], int] = {}
 
@@ -84,16 +82,6 @@ class AnswerLog(CommandMethods):
     def answers(self) -> RecordedAnswers:
         """The answers so far."""
         return RecordedAnswers(self._samples.copy())
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return self.backend.capabilities
-
-    def close(self) -> None:
-        self.backend.close()
-
-    def completed(self) -> int:
-        return self.backend.completed()
 
     def begin_query(self, query: Id) -> None:
         self.backend.begin_query(query)

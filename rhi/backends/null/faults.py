@@ -15,9 +15,9 @@ from types import CodeType
 from typing import Any
 
 from rhi.commands.ops import Op
-from rhi.commands.recorder import CommandMethods, pass_on
+from rhi.commands.recorder import ForwardingBackend, pass_on
 from rhi.commands.stream import CommandStream
-from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id, ProgramDescriptor, QueryKind
 from rhi.errors import DeviceError, ShaderError
 from rhi.errors.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
@@ -68,7 +68,7 @@ class Faults:
         return cls(**{kind: generator.randrange(places[kind])})
 
 
-class FaultInjector(CommandMethods):
+class FaultInjector(ForwardingBackend):
     """A backend that forwards calls to another, and fails where its `faults` say so."""
 
     METHOD = """\
@@ -77,7 +77,7 @@ class FaultInjector(CommandMethods):
 """
 
     def __init__(self, backend: Backend, faults: Faults) -> None:
-        self.backend = backend
+        super().__init__(backend)
         self.faults = faults
         self._commands = 0
         self._creations = 0
@@ -90,13 +90,6 @@ class FaultInjector(CommandMethods):
         ] = {}  # by fence value not yet seen, the number of frames presented before
         self._seen = 0
         self._silent: Id = 0
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return self.backend.capabilities
-
-    def close(self) -> None:
-        self.backend.close()
 
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
         """Forward a command of a command buffer with its call site; never one that this class defines."""
