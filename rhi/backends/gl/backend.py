@@ -357,9 +357,9 @@ class GlBackend:
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
         if _current is not self:
             self._activate()
-        made = self._textures[texture]
+        image = self._textures[texture]
         self.gl.BindImageTexture(
-            slot, made.name, level, layer < 0, max(layer, 0), enums.READ_WRITE, made.pixel.internal
+            slot, image.name, level, layer < 0, max(layer, 0), enums.READ_WRITE, image.pixel.internal
         )
 
     # -- work --------------------------------------------------------------------------------------------

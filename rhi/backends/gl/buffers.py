@@ -49,36 +49,36 @@ class Buffers:
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         drain_errors(self._gl)
         create = self._create_stream if descriptor.usage is BufferUsage.STREAM else self._create_static
-        made, mapping = create(descriptor.size)
+        created, mapping = create(descriptor.size)
         error = find_error(self._gl, f"device.buffer(size={descriptor.size})")
         if error is not None:
-            made.release()
+            created.release()
             raise error
         if mapping is not None:
             self._mappings[buffer] = mapping
         if descriptor.label:
-            self._gl.ObjectLabel(enums.BUFFER, made.glo, -1, descriptor.label.encode())
-        self.objects[buffer] = made
-        self.bind_uniform[buffer] = made.mglo.bind_to_uniform_block
-        self.bind_storage[buffer] = made.mglo.bind_to_storage_buffer
+            self._gl.ObjectLabel(enums.BUFFER, created.glo, -1, descriptor.label.encode())
+        self.objects[buffer] = created
+        self.bind_uniform[buffer] = created.mglo.bind_to_uniform_block
+        self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
 
     def _create_static(self, size: int) -> tuple[moderngl.Buffer, None]:
-        made = self._context.buffer(reserve=size)
+        created = self._context.buffer(reserve=size)
         self._gl.ClearNamedBufferSubData(
-            made.glo, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
+            created.glo, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
         )
-        return made, None
+        return created, None
 
     def _create_stream(self, size: int) -> tuple[moderngl.Buffer, memoryview | None]:
         gl = self._gl
         name = gl.create(gl.CreateBuffers)
         gl.NamedBufferStorage(name, size, None, _STREAM_FLAGS)
         address = gl.MapNamedBufferRange(name, 0, size, _STREAM_FLAGS)
-        made = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
+        created = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
         if not address:
-            return made, None
+            return created, None
         ctypes.memset(address, 0, size)
-        return made, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
+        return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
 
     def destroy(self, buffer: Id) -> None:
         del self.bind_uniform[buffer], self.bind_storage[buffer]

@@ -203,15 +203,15 @@ class EntryPoints:
         return value.value
 
 
-_made: dict[str, Any] = {}
+_prototype_cache: dict[str, Any] = {}
 
 
 def _prototypes() -> dict[str, Any]:
     """Return the ctypes function types of all entry points, by name. They are created once, from the annotations."""
-    if not _made:
+    if not _prototype_cache:
         hints = typing.get_type_hints(EntryPoints, include_extras=True)
-        _made.update((name, _make_prototype(hint)) for name, hint in hints.items())
-    return _made
+        _prototype_cache.update((name, _make_prototype(hint)) for name, hint in hints.items())
+    return _prototype_cache
 
 
 def _make_prototype(hint: Any) -> Any:

@@ -65,24 +65,24 @@ class VertexArrays:
         gl, descriptor = self._gl, self.descriptors[vertex_array]
         objects = self._buffers.objects
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
-        made = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
+        array = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
         for binding, stream in enumerate(descriptor.streams):
             gl.VertexArrayVertexBuffer(
-                made.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
+                array.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
             )
-            gl.VertexArrayBindingDivisor(made.glo, binding, int(stream.per_instance))
+            gl.VertexArrayBindingDivisor(array.glo, binding, int(stream.per_instance))
             for attribute in stream.attributes:
                 texel, location = attribute.format, attribute.location
                 kind = VERTEX_TYPES[texel]
                 if texel.kind == "float":
                     gl.VertexArrayAttribFormat(
-                        made.glo, location, texel.components, kind, texel.normalized, attribute.offset
+                        array.glo, location, texel.components, kind, texel.normalized, attribute.offset
                     )
                 else:
-                    gl.VertexArrayAttribIFormat(made.glo, location, texel.components, kind, attribute.offset)
-                gl.VertexArrayAttribBinding(made.glo, location, binding)
-                gl.EnableVertexArrayAttrib(made.glo, location)
-        return made
+                    gl.VertexArrayAttribIFormat(array.glo, location, texel.components, kind, attribute.offset)
+                gl.VertexArrayAttribBinding(array.glo, location, binding)
+                gl.EnableVertexArrayAttrib(array.glo, location)
+        return array
 
 
 class LinkedProgram(dict[Id, Render]):
@@ -99,13 +99,13 @@ class LinkedProgram(dict[Id, Render]):
         super().__init__()
         self._gl = gl
         self._arrays = arrays
-        self._made: dict[Id, moderngl.VertexArray] = {}
+        self._vertex_arrays: dict[Id, moderngl.VertexArray] = {}
         self.program = program
         self.writes_memory = writes_memory
 
     def __missing__(self, vertex_array: Id) -> Render:
-        made = self._made[vertex_array] = self._arrays.create(vertex_array, self.program)
-        render: Render = made.mglo.render
+        array = self._vertex_arrays[vertex_array] = self._arrays.create(vertex_array, self.program)
+        render: Render = array.mglo.render
         self[vertex_array] = self.then_memory_barrier(render) if self.writes_memory else render
         return self[vertex_array]
 
@@ -129,14 +129,14 @@ class LinkedProgram(dict[Id, Render]):
     def use(self, vertex_array: Id) -> int:
         """Bind the program and a vertex array, for a draw through an entry point. Return GL's name of the latter."""
         self.prepare(vertex_array)
-        name: int = self._made[vertex_array].glo
+        name: int = self._vertex_arrays[vertex_array].glo
         self._gl.UseProgram(self.program.glo)
         self._gl.BindVertexArray(name)
         return name
 
     def forget(self, vertex_array: Id) -> None:
         if self.pop(vertex_array, None) is not None:
-            self._made.pop(vertex_array).release()
+            self._vertex_arrays.pop(vertex_array).release()
 
     def release(self) -> None:
         for vertex_array in list(self):
@@ -198,16 +198,16 @@ class Programs:
 
     def find_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> LinkedProgram:
         """Return the variant that discards fragments unless `alpha function reference`, creating it on first use."""
-        made = self._programs[program]
-        if function not in made.variants:
-            source = add_alpha_test(made.descriptor, function)
+        known = self._programs[program]
+        if function not in known.variants:
+            source = add_alpha_test(known.descriptor, function)
             if source is None:
-                return made.linked
-            sources = {stage: made.descriptor.emit("glsl", stage) for stage in made.descriptor.stages}
-            linked = self._link(made.descriptor, sources | {Stage.FRAGMENT: source})
+                return known.linked
+            sources = {stage: known.descriptor.emit("glsl", stage) for stage in known.descriptor.stages}
+            linked = self._link(known.descriptor, sources | {Stage.FRAGMENT: source})
             location = self._gl.GetUniformLocation(linked.program.glo, b"rhi_alpha_reference")
-            made.variants[function] = linked, location
-        linked, location = made.variants[function]
+            known.variants[function] = linked, location
+        linked, location = known.variants[function]
         if location >= 0:
             self._gl.ProgramUniform1f(linked.program.glo, location, reference)
         return linked

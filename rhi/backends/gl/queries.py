@@ -147,23 +147,23 @@ class Queries:
         self._queries[query] = GlQuery(kind, self._gl.create(self._gl.CreateQueries, target))
 
     def destroy(self, query: Id) -> None:
-        made = self._queries.pop(query)
-        if made.name:
-            self._gl.delete(self._gl.DeleteQueries, made.name)
-        if made.kind is QueryKind.COUNTER:
+        gl_query = self._queries.pop(query)
+        if gl_query.name:
+            self._gl.delete(self._gl.DeleteQueries, gl_query.name)
+        if gl_query.kind is QueryKind.COUNTER:
             self._counters -= 1
             self._stop_unused_counter()
 
     def begin(self, query: Id) -> None:
-        made = self._active = self._queries[query]
-        made.begin = made.end = None
+        gl_query = self._active = self._queries[query]
+        gl_query.begin = gl_query.end = None
         if self._counter.is_running:
-            made.begin = self._counter.take()
+            gl_query.begin = self._counter.take()
         else:
-            if made.is_pending:
-                self.renew(made)
-            made.is_pending = True
-            self._gl.BeginQuery(enums.SAMPLES_PASSED, made.name)
+            if gl_query.is_pending:
+                self.renew(gl_query)
+            gl_query.is_pending = True
+            self._gl.BeginQuery(enums.SAMPLES_PASSED, gl_query.name)
 
     def renew(self, query: GlQuery) -> None:
         """Give a query that begins again another GL query, if GL may still be counting for the old one."""
@@ -181,12 +181,12 @@ class Queries:
         return self._gl.create(self._gl.CreateQueries, enums.SAMPLES_PASSED)
 
     def end(self, query: Id) -> None:
-        made = self._queries[query]
+        gl_query = self._queries[query]
         self._active = None
-        if made.begin is None:
+        if gl_query.begin is None:
             self._gl.EndQuery(enums.SAMPLES_PASSED)
         else:
-            made.end = self._counter.take()
+            gl_query.end = self._counter.take()
             self._stop_unused_counter()
 
     def stop(self) -> None:
@@ -198,28 +198,28 @@ class Queries:
         self._active = None
 
     def write(self, query: Id) -> None:
-        made = self._queries[query]
-        if made.kind is QueryKind.TIMESTAMP:
-            self._gl.QueryCounter(made.name, enums.TIMESTAMP)
+        gl_query = self._queries[query]
+        if gl_query.kind is QueryKind.TIMESTAMP:
+            self._gl.QueryCounter(gl_query.name, enums.TIMESTAMP)
         else:
-            made.end = self._counter.take()
+            gl_query.end = self._counter.take()
 
     def read(self, query: Id) -> int | None:
-        made = self._queries[query]
-        if made.end is None:
-            samples = self._poll(made.name)
-            made.is_pending = made.is_pending and samples is None
+        gl_query = self._queries[query]
+        if gl_query.end is None:
+            samples = self._poll(gl_query.name)
+            gl_query.is_pending = gl_query.is_pending and samples is None
             return samples
         self._counter.collect()
-        return _difference(made)
+        return _difference(gl_query)
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         """Begin conditional rendering. The GPU waits for a GL query, the CPU for a difference of counts."""
-        gl, made = self._gl, self._queries[query]
-        name = made.name
-        if made.end is not None:
+        gl, gl_query = self._gl, self._queries[query]
+        name = gl_query.name
+        if gl_query.end is not None:
             self._counter.collect(self._wait)
-            drops = (_difference(made) == 0) != inverted
+            drops = (_difference(gl_query) == 0) != inverted
             name, inverted = self._no_samples, not drops
         gl.BeginConditionalRender(name, enums.QUERY_WAIT_INVERTED if inverted else enums.QUERY_WAIT)
 

@@ -1,4 +1,4 @@
-"""Samplers: GL sampler objects made from descriptors."""
+"""Samplers: GL sampler objects created from descriptors."""
 
 from __future__ import annotations
 

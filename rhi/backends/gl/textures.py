@@ -90,26 +90,28 @@ class Textures:
         self._gl.delete(self._gl.DeleteTextures, self.names.pop(texture))
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        made, r = self._textures[texture], region
+        gl_texture, r = self._textures[texture], region
         pixels = np.frombuffer(memoryview(data), np.uint8).ctypes.data
-        _, texel, kind = made.pixel
-        if made.target == enums.TEXTURE_2D:
-            self._gl.TextureSubImage2D(made.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels)
+        _, texel, kind = gl_texture.pixel
+        if gl_texture.target == enums.TEXTURE_2D:
+            self._gl.TextureSubImage2D(
+                gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels
+            )
         else:
             self._gl.TextureSubImage3D(
-                made.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels
+                gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels
             )
 
     def read(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        made, r = self._textures[texture], region
-        _, texel, kind = made.pixel
-        dtype = made.descriptor.format.dtype
+        gl_texture, r = self._textures[texture], region
+        _, texel, kind = gl_texture.pixel
+        dtype = gl_texture.descriptor.format.dtype
         if stencil:
             texel, kind, dtype = enums.STENCIL_INDEX, enums.UNSIGNED_BYTE, np.dtype(np.uint8)
-        channels = made.descriptor.format.channels
+        channels = gl_texture.descriptor.format.channels
         pixels = np.empty((r.layers, r.height, r.width, channels), dtype)
         self._gl.GetTextureSubImage(
-            made.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels.nbytes,
+            gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels.nbytes,
             pixels.ctypes.data,
         )  # fmt: skip
         return pixels

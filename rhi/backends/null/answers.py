@@ -47,12 +47,12 @@ Answers: TypeAlias = (
 """Samples of queries: one number for all; a script, in the order in which OCCLUSION queries end; a mapping by query
 id; a function of the id; or the answers of another run. None, a missing key and the end of a script mean unknown."""
 
-Oracle: TypeAlias = Callable[[Id, int, int], object]
+AnswerFunction: TypeAlias = Callable[[Id, int, int], object]
 """A function from a query, the number of its use, and its place in the order of ended queries (−1: none) to
 samples."""
 
 
-def make_oracle(answers: Answers) -> Oracle:
+def make_answer_function(answers: Answers) -> AnswerFunction:
     """Return answers of any form as one function, which returns None for unknown answers."""
     given: Any = answers
     if isinstance(answers, RecordedAnswers):

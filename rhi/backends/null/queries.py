@@ -13,7 +13,7 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 
-from rhi.backends.null.answers import Answers, Oracle, RecordedAnswers, make_oracle
+from rhi.backends.null.answers import AnswerFunction, Answers, RecordedAnswers, make_answer_function
 from rhi.backends.null.draws import Draw
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import refuse
@@ -50,7 +50,7 @@ class Queries:
         self._open: _QueryState | None = None
         self._counter: int | None = 0
         self._samples: Callable[[Draw], int | None] | None = None
-        self._oracle: Oracle = lambda query, use, place: None
+        self._answers: AnswerFunction = lambda query, use, place: None
         self._ended = 0
 
     def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
@@ -59,7 +59,7 @@ class Queries:
     def answer(self, answers: Answers) -> None:
         if not (callable(answers) or isinstance(answers, (Mapping, Sequence, RecordedAnswers))):
             _check_samples("answer_queries", answers)
-        self._oracle = make_oracle(answers)
+        self._answers = make_answer_function(answers)
 
     @property
     def counts(self) -> bool:
@@ -101,14 +101,14 @@ class Queries:
         written.use += 1
         written.value = nanoseconds if written.kind is QueryKind.TIMESTAMP else self._counter
 
-    def expect(self, query: Id) -> None:
-        """Mark a COUNTER as written, with a value that `take` gives later."""
+    def begin_write(self, query: Id) -> None:
+        """Mark a COUNTER as written, with a value that `finish_write` sets later."""
         written = self._queries[query]
         written.finished = False
         written.use += 1
 
-    def take(self, query: Id, counter: int | None) -> None:
-        """Set the value of a COUNTER announced by `expect`; None if unknown."""
+    def finish_write(self, query: Id, counter: int | None) -> None:
+        """Set the value of a COUNTER that `begin_write` marked; None if unknown."""
         taken = self._queries[query]
         taken.finished, taken.value = True, counter
 
@@ -140,11 +140,11 @@ class Queries:
 
     def samples(self, query: Id) -> int | None:
         """Return the samples that a query counted, None if they are unknown or the query is unfinished."""
-        asked = self._queries[query]
-        if not asked.finished:
+        state = self._queries[query]
+        if not state.finished:
             return None
-        given = _check_samples("answer_queries", self._oracle(query, asked.use, asked.place))
-        return asked.value if given is None else given
+        given = _check_samples("answer_queries", self._answers(query, state.use, state.place))
+        return state.value if given is None else given
 
     def read(self, query: Id) -> int | None:
         """Return the answer of a query, None while it is unfinished.
@@ -152,14 +152,14 @@ class Queries:
         Raises:
             ValidationError: `null-samples` if the query is finished but its answer is unknown.
         """
-        asked = self._queries[query]
-        if not asked.finished:
+        state = self._queries[query]
+        if not state.finished:
             return None
-        if asked.kind is QueryKind.TIMESTAMP:
-            return asked.value
+        if state.kind is QueryKind.TIMESTAMP:
+            return state.value
         samples = self.samples(query)
         if samples is None:
-            refuse(NULL_SAMPLES, f"the answer of {asked.kind.value} query {query}")
+            refuse(NULL_SAMPLES, f"the answer of {state.kind.value} query {query}")
         return samples
 
 

@@ -128,7 +128,7 @@ class SimulatedBackend(NullBackend):
         self._followed = 0  # position in the queue up to which the CPU's clock has advanced
         self._called = 0  # number of commands called, up to `_followed`
         self._submitted = 0  # number of commands submitted
-        self._batches: deque[_Submission] = deque()
+        self._submissions: deque[_Submission] = deque()
         self._interrupts: deque[tuple[int, Id]] = deque()  # (when the handler reads the counter, query)
         self._read_at: dict[Id, int] = {}  # by query, when the handler read the counter
         self._log = ActivityLog()
@@ -150,7 +150,7 @@ class SimulatedBackend(NullBackend):
     def close(self) -> None:
         self._follow_calls()  # hazards depend on all calls, executed or not
         super().close()
-        self._batches.clear()
+        self._submissions.clear()
         self._followed = 0
 
     # -- for tests ---------------------------------------------------------------------------------------
@@ -165,7 +165,7 @@ class SimulatedBackend(NullBackend):
     def timeline(self) -> ActivityTimeline:
         """The activity of CPU and GPU so far."""
         self._run()
-        idle = not self._batches or self._batches[0].ready > self._now
+        idle = not self._submissions or self._submissions[0].ready > self._now
         return self._log.timeline(self._now, self._gpu if idle else None)
 
     @property
@@ -185,7 +185,7 @@ class SimulatedBackend(NullBackend):
 
     # -- the CPU's side ------------------------------------------------------------------------------------
 
-    def _note(self, op: Op, *arguments: Any) -> None:
+    def _enqueue_call(self, op: Op, *arguments: Any) -> None:
         """Append a call to the queue, with its site."""
         self._enqueue((op, *arguments, *self._find_site()))
 
@@ -237,7 +237,7 @@ class SimulatedBackend(NullBackend):
             self._followed = 0
 
     def _send(self, entries: list[Any]) -> None:
-        self._batches.append(_Submission(entries, self._now + self.simulation.submission_latency))
+        self._submissions.append(_Submission(entries, self._now + self.simulation.submission_latency))
         self._submitted = self._called
         self._queued_bytes = 0
 
@@ -306,11 +306,11 @@ class SimulatedBackend(NullBackend):
             self._hazards.write_stream(self._make_use, buffer, offset, end)
             self._buffers.write_buffer(buffer, offset, bytes(data))
         else:
-            self._note(Op.WRITE_BUFFER, buffer, offset, bytes(data))
+            self._enqueue_call(Op.WRITE_BUFFER, buffer, offset, bytes(data))
             self._count_queued(memoryview(data).nbytes)
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        self._note(Op.WRITE_TEXTURE, texture, level, region, bytes(data))
+        self._enqueue_call(Op.WRITE_TEXTURE, texture, level, region, bytes(data))
         self._count_queued(memoryview(data).nbytes)
 
     def _count_queued(self, size: int) -> None:
@@ -320,17 +320,17 @@ class SimulatedBackend(NullBackend):
             self._advance(self._now)
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        self._note(Op.READ_BUFFER, buffer, offset, size)
+        self._enqueue_call(Op.READ_BUFFER, buffer, offset, size)
         self._drain("read_buffer")
         return self._buffers.read_buffer(buffer, offset, size)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        self._note(Op.READ_TEXTURE, texture, level, region, stencil)
+        self._enqueue_call(Op.READ_TEXTURE, texture, level, region, stencil)
         self._drain("read_texture")
         return self._textures.read_texture(texture, level, region, stencil)
 
     def signal(self, value: int) -> None:
-        self._note(Op.SIGNAL, value)
+        self._enqueue_call(Op.SIGNAL, value)
         self._submit()
 
     def completed(self) -> int:
@@ -358,7 +358,7 @@ class SimulatedBackend(NullBackend):
         self._submit()
         self._advance(self._now)
         self._hazards.read_query(self._make_use, query)
-        asked = self._hazards.asked.get(query, 0)
+        asked = self._hazards.latest_uses.get(query, 0)
         if asked > self._executed or self._read_at.get(query, 0) > self._now:
             return None  # there may be an earlier answer, but the query was used again
         answer = self._queries.read(query)
@@ -375,29 +375,29 @@ class SimulatedBackend(NullBackend):
 
     def _advance(self, until: float, fence: int | None = None) -> None:
         """Execute the commands that start by `until`, up to the signal of `fence`."""
-        batches = self._batches
-        if batches and batches[0].ready <= until:
-            self._execute_batches(until, fence)
+        submissions = self._submissions
+        if submissions and submissions[0].ready <= until:
+            self._execute_submissions(until, fence)
         if self._interrupts:
-            idle = not batches or batches[0].ready > until
+            idle = not submissions or submissions[0].ready > until
             self._handle_interrupts(
                 until if idle else min(until, self._gpu), self._gpu, self._queries.counter
             )
 
-    def _execute_batches(self, until: float, fence: int | None) -> None:
+    def _execute_submissions(self, until: float, fence: int | None) -> None:
         """Execute submitted commands, as in `_advance`. A command that raises is removed."""
-        batches = self._batches
+        submissions = self._submissions
         execute, measure, fixed, marks = self._execute, self._measure, self._fixed, self._marks
         queries, meter, nanoseconds = self._queries, self._meter, self.simulation.cost.nanoseconds
         hazards = self._hazards
-        while batches and (fence is None or self._fence < fence):
-            batch = batches[0]
-            if batch.ready > until:
+        while submissions and (fence is None or self._fence < fence):
+            submission = submissions[0]
+            if submission.ready > until:
                 return
-            if self._gpu < batch.ready:
-                self._log.add_idle(Activity.STARVED, self._gpu, batch.ready)
-                self._gpu = batch.ready
-            entries, place, end = batch.entries, batch.place, len(batch.entries)
+            if self._gpu < submission.ready:
+                self._log.add_idle(Activity.STARVED, self._gpu, submission.ready)
+                self._gpu = submission.ready
+            entries, place, end = submission.entries, submission.place, len(submission.entries)
             try:
                 while place < end:
                     if self._gpu > until or (fence is not None and self._fence >= fence):
@@ -419,14 +419,14 @@ class SimulatedBackend(NullBackend):
                     if executor is not None:
                         executor(*arguments)
                     meter.samples = queries.passed - passed if queries.unknown == unknown else None
-                    while 0 < hazards.waits_for <= self._executed:
-                        hazards.executed(self._executed, self._indirect_draws)
+                    while 0 < hazards.next_deferred <= self._executed:
+                        hazards.execute_deferred(self._executed, self._indirect_draws)
                     self._gpu += nanoseconds(measured(*arguments))
                     if self._interrupts:
                         self._handle_interrupts(self._gpu, start, counter)
             finally:
-                batch.place = place
-            batches.popleft()
+                submission.place = place
+            submissions.popleft()
 
     def _mark_pass(self, descriptor: PassDescriptor) -> None:
         self._log.begin_label(self._gpu, descriptor.label or "pass")
@@ -440,7 +440,7 @@ class SimulatedBackend(NullBackend):
         if latency is None or self._queries.kind(query) is not QueryKind.COUNTER:
             self._queries.write_query(query, self._gpu)
             return
-        self._queries.expect(query)
+        self._queries.begin_write(query)
         self._interrupts.append((self._gpu + latency, query))
         if self.simulation.halts_at_events:
             self._log.add_idle(Activity.HALTED, self._gpu, self._gpu + latency, "sample counter")
@@ -458,5 +458,5 @@ class SimulatedBackend(NullBackend):
             if before is not None and after is not None and start < self._gpu:
                 share = max(0, min(time, self._gpu) - start)
                 value = before + (after - before) * share // (self._gpu - start)
-            self._queries.take(query, value)
+            self._queries.finish_write(query, value)
             self._read_at[query] = time

@@ -84,7 +84,7 @@ class Hazard:
         return "\n".join(lines)
 
 
-class _Deferred:
+class _DeferredDraw:
     """A draw whose vertices are known only when it is executed, and the writes to its buffers until then."""
 
     __slots__ = ("arguments", "array", "buffers", "suspects", "use")
@@ -113,7 +113,7 @@ class HazardTracker:
 
     Attributes:
         hazards: the hazards found, in order.
-        asked: by query, the number of the command that last began, ended or wrote it.
+        latest_uses: by query, the number of the command that last began, ended or wrote it.
         known: the number of the command up to which the CPU knows that everything is done.
     """
 
@@ -123,13 +123,13 @@ class HazardTracker:
         self._textures = textures
         self._is_done = is_done
         self.hazards: list[Hazard] = []
-        self.asked: dict[Id, int] = {}
+        self.latest_uses: dict[Id, int] = {}
         self.known = 0
         self._fences: deque[tuple[int, int]] = deque()  # (value, command) of signals not known to be reached
         self._uses: dict[Id, CommandUse] = {}  # the latest use of each resource
         self._destroyed: dict[Id, CommandUse] = {}
         self._streams: dict[Id, StreamMemory] = {}
-        self._deferred: deque[_Deferred] = deque()
+        self._deferred: deque[_DeferredDraw] = deque()
         self._slots: dict[Id, _Slots] = {}
         # By vertex array: its descriptor, the resources that its draws use, whether any of them is a STREAM buffer.
         self._arrays: dict[Id, tuple[VertexArrayDescriptor, tuple[Id, ...], bool]] = {}
@@ -231,7 +231,7 @@ class HazardTracker:
         self._slots.pop(resource, None)
         # The descriptor of a vertex array is kept: a draw may still refer to it.
         self._unfinished.pop(resource, None)
-        self.asked.pop(resource, None)
+        self.latest_uses.pop(resource, None)
 
     # -- binding -------------------------------------------------------------------------------------------
 
@@ -291,7 +291,7 @@ class HazardTracker:
             return
         arguments = (primitive, [(count, instances, first, base_vertex, base_instance)])
         if index and index not in streams:
-            self._deferred.append(_Deferred(use, array, arguments))
+            self._deferred.append(_DeferredDraw(use, array, arguments))
         else:
             for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._buffers.memory):
                 streams[buffer].use(begin, end, use, self.known)
@@ -307,7 +307,7 @@ class HazardTracker:
         if count_buffer:
             self._use_bytes(use, count_buffer, count_offset, count_offset + 4)
         if array is not None:
-            self._deferred.append(_Deferred(use, array))
+            self._deferred.append(_DeferredDraw(use, array))
 
     def dispatch(self, use: CommandUse, x: int, y: int, z: int) -> None:
         self._use_program(use)
@@ -356,7 +356,7 @@ class HazardTracker:
 
     def begin_query(self, use: CommandUse, query: Id) -> None:
         self._use(use, query)
-        self.asked[query] = use[0]
+        self.latest_uses[query] = use[0]
         self._unfinished[query] = use
 
     def end_query(self, use: CommandUse, query: Id) -> None:
@@ -364,7 +364,7 @@ class HazardTracker:
 
     def write_query(self, use: CommandUse, query: Id) -> None:
         self._use(use, query)
-        self.asked[query] = use[0]
+        self.latest_uses[query] = use[0]
         self._unfinished.pop(query, None)
 
     def begin_conditional(self, use: CommandUse, query: Id, inverted: bool) -> None:
@@ -373,11 +373,11 @@ class HazardTracker:
     # -- known only when executed --------------------------------------------------------------------------
 
     @property
-    def waits_for(self) -> int:
-        """The number of the next command for which `executed` must be called, 0 if none."""
+    def next_deferred(self) -> int:
+        """The number of the next command for which `execute_deferred` must be called, 0 if none."""
         return self._deferred[0].use[0] if self._deferred else 0
 
-    def executed(self, serial: int, indirect: Sequence[ExecutedIndirectDraws]) -> None:
+    def execute_deferred(self, serial: int, indirect: Sequence[ExecutedIndirectDraws]) -> None:
         """Check a deferred draw as the GPU executes it: its vertices are known now, and so are the writes to them."""
         deferred = self._deferred.popleft()
         if deferred.use[0] != serial:  # that draw failed when it was executed
