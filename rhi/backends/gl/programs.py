@@ -184,8 +184,7 @@ class Programs:
         return self._programs[program].linked
 
     def create(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
-        self._programs[program] = _ProgramVariants(descriptor, self._link(descriptor, sources))
+        self._programs[program] = _ProgramVariants(descriptor, self._link(descriptor))
 
     def destroy(self, program: Id) -> None:
         for linked in self._programs.pop(program).all_linked:
@@ -200,11 +199,10 @@ class Programs:
         """Return the variant that discards fragments unless `alpha function reference`, creating it on first use."""
         known = self._programs[program]
         if function not in known.variants:
-            source = add_alpha_test(known.descriptor, function)
-            if source is None:
+            fragment = add_alpha_test(known.descriptor, function)
+            if fragment is None:
                 return known.linked
-            sources = {stage: known.descriptor.emit("glsl", stage) for stage in known.descriptor.stages}
-            linked = self._link(known.descriptor, sources | {Stage.FRAGMENT: source})
+            linked = self._link(known.descriptor, fragment)
             location = self._gl.GetUniformLocation(linked.program.glo, b"rhi_alpha_reference")
             known.variants[function] = linked, location
         linked, location = known.variants[function]
@@ -212,7 +210,11 @@ class Programs:
             self._gl.ProgramUniform1f(linked.program.glo, location, reference)
         return linked
 
-    def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> LinkedProgram:
+    def _link(self, descriptor: ProgramDescriptor, fragment: str | None = None) -> LinkedProgram:
+        """Compile and link a program. `fragment` replaces the source of its fragment stage."""
+        sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
+        if fragment is not None:
+            sources[Stage.FRAGMENT] = fragment
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
         # As bytes, because moderngl strips and preprocesses text, which would change its line numbers.

@@ -1,4 +1,4 @@
-"""A timeline as text, as a picture and as a trace."""
+"""Timelines as text, as pictures and as traces."""
 
 import json
 

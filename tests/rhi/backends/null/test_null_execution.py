@@ -1,4 +1,4 @@
-"""The queue on the null backend: what is read when executed, queries, fences, time."""
+"""The queue of the null backend: memory read when executed, queries, fences, time."""
 
 import numpy as np
 import pytest

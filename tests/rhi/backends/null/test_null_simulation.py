@@ -1,4 +1,4 @@
-"""The simulated GPU: two clocks, submission, order, what waits for what."""
+"""The simulated GPU: two clocks, submission, order, and waits."""
 
 import numpy as np
 import pytest
@@ -163,7 +163,7 @@ def test_the_gpu_starves_between_two_submissions():
 
 
 def test_stop_and_wait_alternates_and_asking_later_overlaps():
-    """Thesis 6.1.1 and Figure 6.2."""
+    """As in the thesis, 6.1.1 and Figure 6.2."""
 
     def run(stop: bool):
         backend = make_backend(batch=8)
@@ -325,7 +325,7 @@ def test_frames_have_a_latency_that_grows_with_those_in_flight_and_the_cpu_is_he
 
 
 class Watched(CostModel):
-    """Remembers what it is asked."""
+    """A cost model that remembers the work it was called with."""
 
     def nanoseconds(self, work: CommandWork) -> int:
         if not hasattr(self, "asked"):
@@ -335,7 +335,7 @@ class Watched(CostModel):
 
 
 def works(call, **options):
-    """The work that a call comes down to."""
+    """Return the work that calls cause."""
     cost = Watched()
     backend = make_backend(cost)
     backend.create_texture(
