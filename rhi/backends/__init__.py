@@ -1,1 +1,1 @@
-"""Implementations of `rhi.contract.Backend`: one package per platform. None imports another or holds any policy."""
+"""Implementations of `rhi.contract.Backend`, one package per platform. None imports another or holds policy."""

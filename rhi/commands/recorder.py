@@ -1,48 +1,60 @@
-"""The recorder: a `Backend` that writes each call down and passes it on.
+"""The recorder: a `Backend` that records each call and forwards it to another backend.
 
-- Written down are the op, the arguments and the caller's frame (its code object and instruction), before the
-  call is passed on; a call that raises stays in the stream, marked with the error.
-- Memory that is written is copied, and the copy is passed on, so that the stream stays true whatever the
-  caller does with its array, and the inner backend need not copy again.
-- The methods are generated, once when the class is made, from the signatures of `Backend`: the text below
-  stands for all of them, and arguments are passed without packing (`*args` would double the cost).
+- Each call is recorded before it is forwarded: its op, its arguments and its call site (the caller's code object
+  and instruction offset). A call that raises stays in the stream, marked with the error.
+- Data to be written is copied, and the copy is forwarded. So the stream stays correct whatever the caller does with
+  its array, and the inner backend need not copy again.
+- The methods are generated from the signatures of `Backend`, once when a class is created. One text stands for
+  all of them, and arguments are passed without packing (`*args` would double the cost).
 """
 
 from __future__ import annotations
 
 import linecache
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from types import CodeType
+from types import CodeType, MappingProxyType
 from typing import TYPE_CHECKING, Any, ClassVar, Final
 
 from rhi.commands.ops import Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
+from rhi.errors import MARK
 
 __rhi_internal__ = True
 
 
 class CommandMethods:
-    """The command methods of a `Backend`, all made from one text.
+    """The command methods of a `Backend`, all generated from one text.
 
-    A subclass gives `METHOD`, the body of a method in which `{op}` stands for the number of its `Op`,
-    `{method}` for its name and `{arguments}` for its arguments ("a, b, " or nothing). Methods that the
-    subclass writes out itself are left alone. Memory arrives in the body as `bytes`, sequences as tuples.
+    A subclass defines `METHOD`, the body of a method, in which `{op}` stands for the number of its `Op`, `{method}`
+    for its name and `{arguments}` for its arguments ("a, b, " or nothing). Methods that the subclass defines itself
+    are kept. The body receives data to be written as `bytes`, and sequences as tuples. A subclass without a `METHOD`
+    of its own inherits the methods.
+
+    Attributes:
+        METHOD: the body of each generated method.
+        GLOBALS: the global names that the body uses, besides Python's builtins. It sees no others.
     """
 
     __slots__ = ()
 
     METHOD: ClassVar[str]
+    GLOBALS: ClassVar[Mapping[str, object]] = MappingProxyType({})
 
     def __init_subclass__(cls) -> None:
+        if "METHOD" not in vars(cls):
+            return
+        namespace = {"__name__": cls.__module__, **cls.GLOBALS}
+        if hasattr(sys.modules[cls.__module__], MARK):
+            namespace[MARK] = True  # else the generated frames would pass for the user's
         for op in Op:
             if op.method not in vars(cls):
-                setattr(cls, op.method, _make_method(cls, op))
+                setattr(cls, op.method, _make_method(cls, op, namespace))
 
-    if TYPE_CHECKING:  # what __init_subclass__ makes, for type checkers
+    if TYPE_CHECKING:  # the methods that __init_subclass__ generates
         create_buffer = Backend.create_buffer
         create_texture = Backend.create_texture
         create_sampler = Backend.create_sampler
@@ -83,8 +95,7 @@ class CommandMethods:
         present = Backend.present
 
 
-def _make_method(cls: type[CommandMethods], op: Op) -> Callable[..., Any]:
-    module = sys.modules[cls.__module__]
+def _make_method(cls: type[CommandMethods], op: Op, namespace: dict[str, object]) -> Callable[..., Any]:
     lines = [f"def {op.method}({', '.join(('self', *op.parameters))}):"]
     for name, annotation in op.parameters.items():
         if annotation == "BytesLike":
@@ -97,14 +108,14 @@ def _make_method(cls: type[CommandMethods], op: Op) -> Callable[..., Any]:
     file = f"<{cls.__module__}.{cls.__qualname__}.{op.method}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks
     made: dict[str, Any] = {}
-    exec(compile(source, file, "exec"), vars(module), made)
+    exec(compile(source, file, "exec"), namespace, made)
     method: Callable[..., Any] = made[op.method]
     method.__qualname__ = f"{cls.__qualname__}.{op.method}"
     method.__doc__ = getattr(Backend, op.method).__doc__
     return method
 
 
-class _Nowhere:
+class _NoFrame:
     """Stands for the caller's frame where the whole call stack belongs to this package."""
 
     f_globals: ClassVar[dict[str, object]] = {}
@@ -112,30 +123,32 @@ class _Nowhere:
     f_lasti = -1
 
 
-# Names that the generated methods use.
-_get_frame = sys._getframe
-_nowhere = _Nowhere()
-
-
-_FIND_CALLER: Final = """\
-    frame = _get_frame(1)
-    while "__rhi_internal__" in frame.f_globals:
-        frame = frame.f_back or _nowhere
-    self._write(({op}, {arguments}frame.f_code, frame.f_lasti))
+FIND_CALLER: Final = f"""\
+    frame = get_frame(1)
+    while "{MARK}" in frame.f_globals:
+        frame = frame.f_back or no_frame
 """
+"""The part of a `METHOD` that finds the innermost frame of user code: `frame`, with its code object
+(`frame.f_code`) and instruction offset (`frame.f_lasti`)."""
+
+FIND_CALLER_GLOBALS: Final = MappingProxyType({"get_frame": sys._getframe, "no_frame": _NoFrame()})
+"""The `GLOBALS` that `FIND_CALLER` uses."""
+
+_RECORD: Final = f"{FIND_CALLER}    self._write(({{op}}, {{arguments}}frame.f_code, frame.f_lasti))\n"
 
 
 class CommandWriter(CommandMethods):
-    """Writes commands into `stream` and does nothing else: the backend that a command buffer is recorded on.
+    """A `Backend` that only records: it writes commands into `stream`. Command buffers are recorded with it.
 
     Attributes:
         stream: the commands so far.
-        vertex_arrays: those that were asked for; they are made once, before the commands are carried out.
+        vertex_arrays: the requested vertex arrays, by id. They are created once, before the commands are executed.
     """
 
     __slots__ = ("_write", "capabilities", "stream", "vertex_arrays")
 
-    METHOD = _FIND_CALLER
+    METHOD = _RECORD
+    GLOBALS = FIND_CALLER_GLOBALS
 
     def __init__(self, capabilities: Capabilities) -> None:
         self.capabilities = capabilities
@@ -144,64 +157,79 @@ class CommandWriter(CommandMethods):
         self._write: Callable[[tuple[Any, ...]], None] = self.stream.data.extend
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
-        """Keep it for later."""
+        """Remember the vertex array; it is created later."""
         self.vertex_arrays[vertex_array] = descriptor
 
     def completed(self) -> int:
-        """Nothing is."""
+        """Return 0: no fence is ever reached here."""
         return 0
 
     def read_query(self, query: Id) -> int | None:
-        """There is no answer."""
+        """Return None: no query has an answer here."""
         return None
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Do nothing: there is nothing to release."""
 
 
-class Recorder(CommandMethods):
-    """Writes the commands that reach `backend` into `stream`.
+class ForwardingBackend(CommandMethods):
+    """A `Backend` that forwards every call to another. Subclasses add what they do with some or all calls.
 
     Attributes:
-        backend: what every call is passed on to.
-        stream: the commands so far. It grows until `stream.clear()`.
+        backend: the backend that receives all calls.
     """
 
-    __slots__ = ("_write", "backend", "stream")
+    __slots__ = ("backend",)
+
+    METHOD = "    return self.backend.{method}({arguments})"
+
+    def __init__(self, backend: Backend) -> None:
+        self.backend = backend
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """The capabilities of the inner backend."""
+        return self.backend.capabilities
+
+    def close(self) -> None:
+        """Close the inner backend."""
+        self.backend.close()
+
+    def completed(self) -> int:
+        """Return the inner backend's fence value. This isn't a command."""
+        return self.backend.completed()
+
+    def read_query(self, query: Id) -> int | None:
+        """Return the inner backend's answer to a query. This isn't a command."""
+        return self.backend.read_query(query)
+
+
+class Recorder(ForwardingBackend):
+    """A `Backend` that records every command into `stream` and forwards it to `backend`.
+
+    Attributes:
+        stream: the commands so far. It grows until `stream.clear()`, and is kept when the backend is closed.
+    """
+
+    __slots__ = ("_write", "stream")
 
     METHOD = f"""\
-{_FIND_CALLER}\
+{_RECORD}\
     try:
         return self.backend.{{method}}({{arguments}})
     except BaseException as error:
         self._fail(error)
         raise
 """
+    GLOBALS = FIND_CALLER_GLOBALS
 
     def __init__(self, backend: Backend) -> None:
-        self.backend = backend
+        super().__init__(backend)
         self.stream = CommandStream()
         self._write: Callable[[tuple[Any, ...]], None] = self.stream.data.extend
 
-    @property
-    def capabilities(self) -> Capabilities:
-        """Those of the backend behind."""
-        return self.backend.capabilities
-
-    def close(self) -> None:
-        """Close the backend; the stream stays."""
-        self.backend.close()
-
-    def completed(self) -> int:
-        """As the backend says; not a command."""
-        return self.backend.completed()
-
-    def read_query(self, query: Id) -> int | None:
-        """As the backend says; not a command."""
-        return self.backend.read_query(query)
-
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """Write down a command that was called elsewhere, at its own call site, and pass it on."""
+        """Record a command that was called elsewhere, with its own call site, and forward it."""
         self._write((int(op), *arguments, code, offset))
         try:
             pass_on(self.backend, op, arguments, code, offset)
@@ -211,8 +239,8 @@ class Recorder(CommandMethods):
 
     @contextmanager
     def paused(self) -> Iterator[None]:
-        """Pass calls on without writing them down. States and labels set meanwhile are known to the
-        commands that follow."""
+        """Forward calls without recording them. Commands recorded afterwards still know the states and labels
+        that were set meanwhile."""
         before = self._write
         self._write = self.stream.leave_out
         try:
@@ -222,7 +250,7 @@ class Recorder(CommandMethods):
 
     @property
     def is_paused(self) -> bool:
-        """Whether calls are passed on without being written down."""
+        """Whether calls are forwarded without being recorded."""
         return self._write == self.stream.leave_out
 
     def _fail(self, error: BaseException) -> None:
@@ -231,7 +259,7 @@ class Recorder(CommandMethods):
 
 
 def pass_on(backend: Backend, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-    """Call a backend's command that was called elsewhere: with the call site, if the backend has a method for that."""
+    """Call a backend's command that was called elsewhere, with its call site if the backend has a `pass_on` method."""
     with_site = getattr(backend, "pass_on", None)
     if with_site is None:
         getattr(backend, op.method)(*arguments)

@@ -1,6 +1,6 @@
 """Would this frame run elsewhere? One frame against many devices, none of which is there.
 
-A frame is a function of a device. It runs on null devices that pretend to be others (`rhi.backends.null.profiles`),
+A frame is a function of a device. It runs on null devices that pretend to be others (`rhi.backends.null.capabilities`),
 on each until nothing stops it any more: the call that was refused is noted, the capability that stopped it is granted
 to this one line of the program, and the frame runs again. So every line is found that the device would refuse, each
 with what it lacks; and a frame that asks `device.capabilities` and adapts is judged by what it then does, since all
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
-from rhi.backends.null.profiles import PROFILES, find_profile
+from rhi.backends.null.capabilities import PROFILES, find_profile
 from rhi.contract.backend import Capabilities
 from rhi.device.device import Device
 from rhi.device.registry import create_device

@@ -1,6 +1,6 @@
 """The OpenGL backend: GL 4.5 core, headless through EGL.
 
-`create_backend` is its entry point in the group `rhi.backends`. Nothing of GL is imported before it is called.
+`create_backend` is its entry point in the group `rhi.backends`. No GL library is imported before it is called.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ __rhi_internal__ = True
 
 
 def create_backend(*, validation: bool = False) -> GlBackend:
-    """A backend on a context of its own.
+    """Create a backend with its own context.
 
     Args:
-        validation: raise what the driver itself reports as `DeviceError` (`device-debug`); slower.
+        validation: raise the errors that the driver reports as `DeviceError` (`device-debug`). This is slower.
 
     Raises:
-        DeviceError: `device-driver` without moderngl, EGL or a driver for GL 4.5; its tip says what to install.
+        DeviceError: `device-driver` if moderngl, EGL or a driver for GL 4.5 is missing; its tip says what to install.
     """
     from rhi.backends.gl.context import open_context
 
@@ -37,7 +37,7 @@ def create_backend(*, validation: bool = False) -> GlBackend:
 
 
 def find_obstacle() -> str | None:
-    """Why GL can't be used here, in one line; None if it can."""
+    """Return why GL can't be used on this machine, in one line, or None if it can."""
     try:
         create_backend().close()
     except DeviceError as error:

@@ -1,15 +1,13 @@
-"""The GL backend: rhi's contract on one context.
+"""The GL backend: rhi's contract on one OpenGL context.
 
-- moderngl makes the context, buffers, programs and vertex arrays, and its C functions do what happens
-  thousands of times a frame: binding a range and drawing. All else goes through `entry_points`.
-- Conventions: vertex stages end in a flip of y, so that texel rows, window y and gl_FragCoord.y count from the
-  top; for GL that is a mirrored image, so the names of the windings and the origin of point coordinates are
-  swapped. Clip control could flip too, but its flip turns Mesa's fill rule from top-left to bottom-left. It
-  gives us depth 0…1.
-- A context is current per thread, and a process may hold several: each method first looks whether its own is
-  (5 ns). One thread at a time uses a backend.
-- The memory order of the contract: after each dispatch, and each draw of a program that writes memory, comes a
-  full memory barrier.
+- moderngl creates the context, buffers, programs and vertex arrays. Its C functions also make the calls that happen
+  thousands of times a frame: binding a range and drawing. All other calls go through `entry_points`.
+- Conventions: each vertex stage ends by negating y, so texel rows, window y and gl_FragCoord.y count from the top.
+  For GL the image is mirrored, so the two windings and the origin of point coordinates are swapped. Clip control
+  could flip y too, but it would change Mesa's fill rule from top-left to bottom-left. It is used for depth 0…1 only.
+- A context is current per thread, and a process may hold several. Each method therefore first checks whether its own
+  context is current (5 ns). Only one thread at a time may use a backend.
+- Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory.
 """
 
 from __future__ import annotations
@@ -26,16 +24,19 @@ from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
 from rhi.backends.gl import enums
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.capabilities import query_capabilities
-from rhi.backends.gl.draws import MODES, Calls, Draws
+from rhi.backends.gl.draws import MODES, DrawCalls, Draws
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.fence import Fence
 from rhi.backends.gl.framebuffers import Framebuffers
 from rhi.backends.gl.heap import keep_freed_memory
-from rhi.backends.gl.programs import Pipeline, Programs, VertexArrays
-from rhi.backends.gl.queries import Fence, Queries
-from rhi.backends.gl.query_sets import QuerySet
-from rhi.backends.gl.resources import Buffers, Samplers, Textures
-from rhi.backends.gl.states import States
+from rhi.backends.gl.programs import LinkedProgram, Programs, VertexArrays
+from rhi.backends.gl.queries import Queries
+from rhi.backends.gl.query_sets import GlQuerySet
+from rhi.backends.gl.samplers import Samplers
+from rhi.backends.gl.states import RenderStates
+from rhi.backends.gl.textures import Textures
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     Attachment,
@@ -57,7 +58,7 @@ __rhi_internal__ = True
 
 _QUADS: Final = Primitive.QUADS
 _TESTS_ALPHA: Final = AlphaTest.ON
-_MAX_LABELS: Final = 60  # open at a time; GL promises 64
+_MAX_LABELS: Final = 60  # open at a time; GL guarantees 64
 _MAX_LABEL_BYTES: Final = 255
 
 _current: GlBackend | None = None
@@ -65,11 +66,11 @@ _current: GlBackend | None = None
 
 
 class GlBackend:
-    """One GL context; see `rhi.contract.backend.Backend` for what the methods do.
+    """A backend on one GL context. `rhi.contract.backend.Backend` documents the methods.
 
     Attributes:
-        context: moderngl's context, for what only GL has; state left behind is the caller's to restore.
-        gl: GL's entry points.
+        context: moderngl's context, for features that only GL has. A caller that changes its state must restore it.
+        gl: the entry points of GL.
     """
 
     def __init__(self, context: moderngl.Context) -> None:
@@ -83,9 +84,9 @@ class GlBackend:
         if "llvmpipe" in self._capabilities.device:
             keep_freed_memory()
         gl.ClipControl(enums.LOWER_LEFT, enums.ZERO_TO_ONE)
-        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, in this window
+        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, since y is flipped
         gl.ProvokingVertex(enums.FIRST_VERTEX_CONVENTION)
-        gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl's, which restarts at 0xFFFFFFFF only
+        gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl enables it, and it restarts at 0xFFFFFFFF only
         gl.Enable(enums.PRIMITIVE_RESTART_FIXED_INDEX)
         gl.Enable(enums.PROGRAM_POINT_SIZE)
         gl.Enable(enums.FRAMEBUFFER_SRGB)
@@ -104,12 +105,12 @@ class GlBackend:
 
         self._interrupted: Callable[[], None] = lambda: None
         self._program: Id = 0
-        self._pipeline: Pipeline = None  # type: ignore[assignment]  # nothing draws before bind_program
+        self._bound_program: LinkedProgram = None  # type: ignore[assignment]  # nothing draws before bind_program
         self._tests_alpha = False
         self._pass = PassDescriptor((0, 0))
         self._condition: tuple[Id, bool] | None = None
         self._labels = 0
-        self._states = States(gl, self._capabilities.depth_bias_clamp, self._change_alpha_test)
+        self._states = RenderStates(gl, self._capabilities.depth_bias_clamp, self._change_alpha_test)
         self._bind_uniform = self._buffers.bind_uniform
         self._bind_storage = self._buffers.bind_storage
         self._bind_texture, self._texture_names = gl.BindTextureUnit, self._textures.names
@@ -130,7 +131,7 @@ class GlBackend:
         self._interrupted = call
 
     def activate(self) -> None:
-        """Make its context the current one."""
+        """Make this backend's context current."""
         if _current is not self:
             self._activate()
 
@@ -139,8 +140,8 @@ class GlBackend:
         if _current is not self:
             self._activate()
         self._queries.stop()
-        self.context.mglo.__exit__()  # a context that is current outlives its release
-        self.context.release()  # and with it all that was made in it
+        self.context.mglo.__exit__()  # a current context would survive its release
+        self.context.release()  # releases all its objects too
         _current = None
 
     # -- resources ---------------------------------------------------------------------------------------
@@ -300,7 +301,7 @@ class GlBackend:
 
     @contextmanager
     def _unmasked(self, color: bool, depth: bool, stencil: bool) -> Iterator[None]:
-        """Clears and blits of these buffers ignore scissor, write masks and conditional rendering."""
+        """Let clears and blits of these buffers ignore scissor, write masks and conditional rendering."""
         condition = self._condition
         if condition is not None:
             self.end_conditional()
@@ -324,7 +325,7 @@ class GlBackend:
         if self._tests_alpha:
             self._change_alpha_test()
         else:
-            self._pipeline = self._programs[program]
+            self._bound_program = self._programs[program]
 
     def _change_alpha_test(self) -> None:
         values = self._states.values
@@ -333,9 +334,9 @@ class GlBackend:
             return
         if self._tests_alpha:
             function, reference = values[AlphaFunction], values[AlphaReference].value
-            self._pipeline = self._programs.find_alpha_tested(self._program, function, reference)
+            self._bound_program = self._programs.find_alpha_tested(self._program, function, reference)
         else:
-            self._pipeline = self._programs[self._program]
+            self._bound_program = self._programs[self._program]
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
         if _current is not self:
@@ -356,9 +357,9 @@ class GlBackend:
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
         if _current is not self:
             self._activate()
-        made = self._textures[texture]
+        image = self._textures[texture]
         self.gl.BindImageTexture(
-            slot, made.name, level, layer < 0, max(layer, 0), enums.READ_WRITE, made.pixel.internal
+            slot, image.name, level, layer < 0, max(layer, 0), enums.READ_WRITE, image.pixel.internal
         )
 
     # -- work --------------------------------------------------------------------------------------------
@@ -371,10 +372,17 @@ class GlBackend:
             self._activate()
         if base_vertex or base_instance or primitive is _QUADS:
             self._draws.draw(
-                self._pipeline, vertex_array, primitive, first, count, instances, base_vertex, base_instance
+                self._bound_program,
+                vertex_array,
+                primitive,
+                first,
+                count,
+                instances,
+                base_vertex,
+                base_instance,
             )
         else:
-            self._pipeline[vertex_array](MODES[primitive], count, first, instances)
+            self._bound_program[vertex_array](MODES[primitive], count, first, instances)
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
         return self._bind_uniform[buffer]
@@ -393,13 +401,13 @@ class GlBackend:
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """See `rhi.contract.backend.PreparesQueries`."""
-        return QuerySet(self, self.gl, self._queries, queries)
+        return GlQuerySet(self, self.gl, self._queries, queries)
 
-    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> Calls:
-        """As `Draws.prepare_calls`, of the bound program."""
+    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> DrawCalls:
+        """Return `Draws.prepare_calls` for the bound program."""
         if _current is not self:
             self._activate()
-        return self._draws.prepare_calls(self._pipeline, vertex_array, primitive, draws)
+        return self._draws.prepare_calls(self._bound_program, vertex_array, primitive, draws)
 
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
@@ -408,26 +416,34 @@ class GlBackend:
         if _current is not self:
             self._activate()
         self._draws.draw_indirect(
-            self._pipeline, vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
+            self._bound_program,
+            vertex_array,
+            primitive,
+            buffer,
+            offset,
+            draws,
+            stride,
+            count_buffer,
+            count_offset,
         )
 
     def dispatch(self, x: int, y: int, z: int) -> None:
         if _current is not self:
             self._activate()
         if self._condition is None:
-            self._pipeline.dispatch(x, y, z)
-        else:  # a condition is for draws; OpenGL would drop this, too
+            self._bound_program.dispatch(x, y, z)
+        else:  # conditions apply to draws only, but OpenGL would drop the dispatch, too
             with self._unmasked(False, False, False):
-                self._pipeline.dispatch(x, y, z)
+                self._bound_program.dispatch(x, y, z)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
         if _current is not self:
             self._activate()
         if self._condition is None:
-            self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
+            self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
         else:
             with self._unmasked(False, False, False):
-                self._pipeline.dispatch_indirect(self._buffers.objects[buffer], offset)
+                self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
 
     # -- time --------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""What a context can do, asked of the context itself."""
+"""The capabilities of a context. Limits are queried; formats are tested by creating textures and framebuffers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PROBE_SIZE: Final = 4
 
 
 def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]) -> Capabilities:
-    """`version` as 450 for GL 4.5."""
+    """Return the capabilities of the current context; `version` is 450 for GL 4.5."""
 
     def has(extension: str) -> bool:
         return version >= 460 or extension in extensions
@@ -76,7 +76,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
 
 
 def _probe_formats(gl: EntryPoints) -> tuple[frozenset[Format], frozenset[Format]]:
-    """The formats that no texture can have, and the color formats that can't be drawn to: by trying."""
+    """Return the formats that textures can't have, and the formats that color targets can't have, by trying each."""
     unsupported, unrenderable = set(), set()
     framebuffer = gl.create(gl.CreateFramebuffers)
     for texel in Format:

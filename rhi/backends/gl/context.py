@@ -1,4 +1,4 @@
-"""Opening a GL context without a window."""
+"""Creates a GL context without a window, through EGL."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ __rhi_internal__ = True
 
 _CALL: Final = "rhi.create_device('gl')"
 _VERSION: Final = 450
-"""Direct state access, clip control and inverted conditional rendering are core from here on."""
+"""The first version in which direct state access, clip control and inverted conditional rendering are core."""
 
 _INSTALL_DRIVER: Final = "on Debian: apt install libegl1 libegl-mesa0 libgl1-mesa-dri"
 _INSTALL_MODERNGL: Final = "pip install moderngl"
 _EGL: Final = "libEGL.so.1"
 _MAX_EGL_DEVICES: Final = 16
-"""Tried in EGL's order, hardware before software: the first may be one that this user may not open."""
+"""Devices to try, in EGL's order, which has hardware before software. The user may lack the rights for the first."""
 _NO_SUCH_DEVICE: Final = "requested device index"
 
 
 def open_context() -> moderngl.Context:
-    """A new context, made current.
+    """Create a context and make it current.
 
     Raises:
-        DeviceError: `device-driver`, with what to install.
+        DeviceError: `device-driver`, with a tip that says what to install.
     """
     try:
         import moderngl
     except ImportError as error:
         raise DeviceError(DEVICE_DRIVER, _CALL, str(error), tip=_INSTALL_MODERNGL) from error
-    # EGL finds GL's functions itself, so there is no need for libGL and its X libraries. Named outright because
-    # glcontext would look for the libraries by running ldconfig and a compiler.
+    # EGL finds GL's functions itself, so libGL and its X libraries aren't needed. The names are given explicitly
+    # because glcontext would search for the libraries by running ldconfig and a compiler.
     settings: Any = {"backend": "egl", "libgl": _EGL, "libegl": _EGL}
     obstacles = []
     for device in range(_MAX_EGL_DEVICES):

@@ -1,10 +1,10 @@
 """Validation mode: the driver's own messages as exceptions.
 
-- GL reports through a callback, which an exception can't leave. So the callback collects, and a method of the
-  backend raises at its end what came in during it: the error names the call that caused it, since debug
-  output is synchronous.
-- A driver may stay silent without a debug context, which moderngl can't ask for (Mesa doesn't need it). Whether
-  it does is tried once; if so, `glGetError` is asked after each call instead.
+- GL reports errors through a callback, and an exception can't leave a callback. So the callback collects the
+  messages, and each method of the backend raises them at its end. Debug output is synchronous, so the error names the
+  call that caused it.
+- Some drivers report nothing without a debug context, which moderngl can't request (Mesa doesn't need one). This is
+  tested once. For such a driver `glGetError` is called after each method instead.
 """
 
 from __future__ import annotations
@@ -33,7 +33,11 @@ _FATAL: Final = (enums.DEBUG_TYPE_ERROR, enums.DEBUG_TYPE_UNDEFINED_BEHAVIOR)
 
 
 class DebugOutput:
-    """Collects the errors that a context reports."""
+    """A collector of the errors that a context reports.
+
+    Attributes:
+        is_silent: whether the driver reports nothing, so that `glGetError` must be called.
+    """
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
@@ -42,16 +46,17 @@ class DebugOutput:
         gl.Enable(enums.DEBUG_OUTPUT)
         gl.Enable(enums.DEBUG_OUTPUT_SYNCHRONOUS)
         gl.DebugMessageCallback(ctypes.cast(self._callback, ctypes.c_void_p), None)
-        gl.Enable(enums.NO_ERROR)  # no capability has this name, so this is an error
+        gl.Enable(enums.NO_ERROR)  # an error on purpose: no capability has this name
         self.is_silent = not self._messages
         self.clear()
 
     def clear(self) -> None:
+        """Discard all errors so far."""
         drain_errors(self._gl)
         self._messages.clear()
 
     def take(self) -> str:
-        """What was reported since the last look, one message a line; empty if nothing."""
+        """Return and discard the messages reported since the last call, one per line; empty if there are none."""
         code = self._gl.GetError() if self.is_silent else enums.NO_ERROR
         if not self._messages and code == enums.NO_ERROR:
             return ""
@@ -67,7 +72,7 @@ class DebugOutput:
 
 
 class DebugGlBackend(GlBackend):
-    """A `GlBackend` whose methods raise `DeviceError` (`device-debug`) for what the driver reports."""
+    """A `GlBackend` whose methods raise the errors that the driver reports as `DeviceError` (`device-debug`)."""
 
     def __init__(self, context: moderngl.Context) -> None:
         super().__init__(context)
@@ -88,7 +93,7 @@ class DebugGlBackend(GlBackend):
         return _CheckedQueries(super().prepare_queries(queries), self)
 
     def check(self, call: Callable[..., object], name: str, *arguments: object) -> Any:
-        """Call, and raise what the driver says about it."""
+        """Call a function and raise the errors that the driver reports during the call."""
         try:
             result = call(*arguments)
         except Exception:
@@ -102,7 +107,7 @@ class DebugGlBackend(GlBackend):
 
 
 class _CheckedQueries:
-    """Prepared queries, checked as the methods are."""
+    """Prepared queries that are checked like the backend's methods."""
 
     def __init__(self, queries: PreparedQueries, backend: DebugGlBackend) -> None:
         self._queries = queries

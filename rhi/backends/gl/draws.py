@@ -1,4 +1,4 @@
-"""Draws that moderngl's own can't do: base vertices and instances, quads, arguments in memory, whole arrays."""
+"""Draws that moderngl lacks: with base vertex or base instance, quads, indirect draws, and arrays of draws."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.gl import enums
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import INDEX_TYPES
-from rhi.backends.gl.programs import Pipeline, VertexArrays
+from rhi.backends.gl.programs import LinkedProgram, VertexArrays
 from rhi.backends.gl.quads import QuadIndices, expand_indices
-from rhi.backends.gl.resources import Buffers
-from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+from rhi.contract.descriptors import DRAW, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 
 __rhi_internal__ = True
@@ -30,14 +30,13 @@ MODES: Final = {
     Primitive.TRIANGLE_STRIP: enums.TRIANGLE_STRIP,
     Primitive.TRIANGLE_FAN: enums.TRIANGLE_FAN,
 }
-_COMMAND_BYTES: Final = 20
 
-Calls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
-"""A function, and its arguments for each draw."""
+DrawCalls: TypeAlias = tuple[Callable[..., object], Iterable[tuple[Any, ...]]]
+"""A function, and the arguments for each call of it."""
 
 
 class Draws:
-    """Of one context; each method is given the bound program."""
+    """Issues the draws of one context. Each method takes the bound program."""
 
     def __init__(
         self, context: moderngl.Context, gl: EntryPoints, arrays: VertexArrays, buffers: Buffers
@@ -49,12 +48,12 @@ class Draws:
         self._quads = QuadIndices(context)
 
     def draw(
-        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        """Quads, or with bases."""
+        """Draw quads, or draw with a base vertex or base instance."""
         gl, array = self._gl, self._arrays.descriptors[vertex_array]
-        name = pipeline.use(vertex_array)
+        name = linked.use(vertex_array)
         if primitive is Primitive.QUADS:
             self._draw_quads(name, array, first, count, instances, base_vertex, base_instance)
         elif array.index_buffer:
@@ -65,16 +64,17 @@ class Draws:
             )
         else:
             gl.DrawArraysInstancedBaseInstance(MODES[primitive], first, count, instances, base_instance)
-        if pipeline.writes_memory:
-            pipeline.memory_barrier()
+        if linked.writes_memory:
+            linked.memory_barrier()
 
     def _draw_quads(
         self, name: int, array: VertexArrayDescriptor, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        """As triangles. The indices of indexed quads are expanded by the CPU, which waits for them."""
+        """Draw quads as triangles. For indexed quads the CPU reads the indices back, waiting for the GPU, and expands
+        them."""
         gl, count = self._gl, count // 4 * 6
-        if not count:  # no indices to read
+        if not count:  # then there are no indices to read
             return
 
         def draw(index_format: IndexFormat, base: int) -> None:
@@ -96,13 +96,13 @@ class Draws:
         expanded.release()
 
     def draw_indirect(
-        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int,
+        self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int,
         stride: int, count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         gl, mode = self._gl, MODES[primitive]
         array = self._arrays.descriptors[vertex_array]
-        stride = stride or _COMMAND_BYTES
-        pipeline.use(vertex_array)
+        stride = stride or DRAW.itemsize
+        linked.use(vertex_array)
         gl.BindBuffer(enums.DRAW_INDIRECT_BUFFER, self._buffers.objects[buffer].glo)
         if count_buffer:
             gl.BindBuffer(enums.PARAMETER_BUFFER, self._buffers.objects[count_buffer].glo)
@@ -111,28 +111,28 @@ class Draws:
                 gl.MultiDrawElementsIndirectCountARB(mode, index_type, offset, count_offset, draws, stride)
             else:
                 gl.MultiDrawArraysIndirectCountARB(mode, offset, count_offset, draws, stride)
-            # Mesa takes the count from a bound parameter buffer in draws without a count, too.
+            # With a parameter buffer bound, Mesa reads the count from it even in draws that have no count.
             gl.BindBuffer(enums.PARAMETER_BUFFER, 0)
         elif array.index_buffer:
             gl.MultiDrawElementsIndirect(mode, INDEX_TYPES[array.index_format], offset, draws, stride)
         else:
             gl.MultiDrawArraysIndirect(mode, offset, draws, stride)
-        if pipeline.writes_memory:
-            pipeline.memory_barrier()
+        if linked.writes_memory:
+            linked.memory_barrier()
 
     def prepare_calls(
-        self, pipeline: Pipeline, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
-    ) -> Calls:
-        """What draws an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`: a function, and its arguments for each draw.
-        Not for QUADS. It holds until something else is bound or drawn."""
+        self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]
+    ) -> DrawCalls:
+        """Return the calls that draw an array of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`; not for QUADS. They are valid
+        until something else is bound or drawn."""
         array, mode = self._arrays.descriptors[vertex_array], repeat(MODES[primitive])
         indexed = bool(array.index_buffer)
         count, first, instances, base_instance = (
             draws[name].tolist() for name in ("count", "first", "instances", "base_instance")
         )
         if not draws["base_instance"].any() and not (indexed and draws["base_vertex"].any()):
-            return pipeline[vertex_array], zip(mode, count, first, instances, strict=False)
-        pipeline.use(vertex_array)
+            return linked[vertex_array], zip(mode, count, first, instances, strict=False)
+        linked.use(vertex_array)
         call: Callable[..., object]
         if indexed:
             call, form = self._gl.DrawElementsInstancedBaseVertexBaseInstance, array.index_format
@@ -145,4 +145,4 @@ class Draws:
         else:
             call = self._gl.DrawArraysInstancedBaseInstance
             arguments = zip(mode, first, count, instances, base_instance, strict=False)
-        return pipeline.then_memory_barrier(call) if pipeline.writes_memory else call, arguments
+        return linked.then_memory_barrier(call) if linked.writes_memory else call, arguments

@@ -1,4 +1,4 @@
-"""An OpenGL driver's log as a `ShaderError` that names the Python lines.
+"""Turns an OpenGL driver's log into a `ShaderError` that names the Python lines.
 
 Drivers differ in how they write a line number: Mesa `0:12(5): error: …`, NVIDIA `0(12) : error C1008: …`,
 others `ERROR: 0:12: …`.
@@ -22,7 +22,10 @@ _LINE: Final = re.compile(r"^(?:ERROR: |WARNING: )?\d+[:(](\d+)[):(]")
 def make_shader_error(
     descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: str
 ) -> ShaderError:
-    """The error for a program of which `stage` (None: linking) was refused; `source` is the stage's GLSL."""
+    """Return the error for a program whose `stage` the driver rejected (None: linking failed).
+
+    `source` is the GLSL of the stage.
+    """
     return make_driver_error(descriptor, stage, source, _messages(log), "GLSL")
 
 

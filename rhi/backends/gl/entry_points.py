@@ -1,12 +1,12 @@
-"""GL's entry points, called through ctypes: all that moderngl leaves out.
+"""GL's entry points, called through ctypes: all functions that moderngl doesn't offer.
 
-- A declaration in `EntryPoints` is the whole binding: mypy reads it as a callable, and the ctypes prototype
-  is made from the same annotation when a context is opened.
-- Entry points that take nothing but 32-bit integers and ctypes objects get no `argtypes`: ctypes then passes
-  each Python integer as a C int, for 55 ns a call instead of 115 (with five typed arguments: 470).
-- They hold the GIL, which saves 35 ns a call, but for those that may wait (`_WAITS`).
-- Mesa gives a non-null address for any name, so nothing here tells whether a function exists: GL 4.5 core is
-  required, and what comes later or from an extension is called only where a capability says so.
+- A declaration in `EntryPoints` is the whole binding. mypy reads it as a callable, and the ctypes prototype is
+  created from the same annotation when a context is opened.
+- Entry points that take only 32-bit integers and ctypes objects get no `argtypes`. ctypes then passes each Python
+  integer as a C int: 55 ns a call instead of 115 (with five typed arguments: 470).
+- They keep the GIL, which saves 35 ns a call, except those that may wait (`_WAITS`).
+- Mesa returns a non-null address for any name, so an address doesn't show whether a function exists. GL 4.5 core is
+  required. Functions of later versions or extensions are called only where a capability says so.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ DEBUG_CALLBACK: Final = ctypes.CFUNCTYPE(
 
 
 class EntryPoints:
-    """The functions of one context, named as in GL without the prefix."""
+    """The functions of one context, with their GL names without the prefix."""
 
     # context
     GetError: Callable[[], Int]
@@ -181,7 +181,7 @@ class EntryPoints:
             setattr(self, name, prototype(address_of("gl" + name)))
 
     def create(self, creator: Callable[..., None], *target: int) -> int:
-        """One new object: `gl.create(gl.CreateTextures, TEXTURE_2D)`."""
+        """Create one object and return its name: `gl.create(gl.CreateTextures, TEXTURE_2D)`."""
         name = ctypes.c_uint()
         creator(*target, 1, ctypes.byref(name))
         return name.value
@@ -203,15 +203,15 @@ class EntryPoints:
         return value.value
 
 
-_made: dict[str, Any] = {}
+_prototype_cache: dict[str, Any] = {}
 
 
 def _prototypes() -> dict[str, Any]:
-    """ctypes function types by name, from the annotations above; made once."""
-    if not _made:
+    """Return the ctypes function types of all entry points, by name. They are created once, from the annotations."""
+    if not _prototype_cache:
         hints = typing.get_type_hints(EntryPoints, include_extras=True)
-        _made.update((name, _make_prototype(hint)) for name, hint in hints.items())
-    return _made
+        _prototype_cache.update((name, _make_prototype(hint)) for name, hint in hints.items())
+    return _prototype_cache
 
 
 def _make_prototype(hint: Any) -> Any:

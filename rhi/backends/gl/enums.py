@@ -1,4 +1,4 @@
-"""The GL enumerants that this backend uses, under their own names without `GL_`."""
+"""The GL enumerants that this backend uses, with their GL names without `GL_`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""GL's error codes as `DeviceError`."""
+"""Turns GL's error codes into `DeviceError`s."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ NAMES: Final = {
 
 
 def drain_errors(gl: EntryPoints) -> None:
-    """Forget the errors of earlier commands."""
+    """Discard the errors of earlier commands."""
     while gl.GetError() not in (enums.NO_ERROR, enums.CONTEXT_LOST):
         pass
 
 
 def find_error(gl: EntryPoints, call: str) -> DeviceError | None:
-    """What went wrong since `drain_errors`, or None. Asked for creations only, not for commands."""
+    """Return the first error since `drain_errors`, or None. Used when resources are created, not for commands."""
     code = gl.GetError()
     if code == enums.NO_ERROR:
         return None

@@ -1,4 +1,4 @@
-"""GL's names for the texel and vertex formats."""
+"""GL's enumerants for texel, vertex and index formats."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __rhi_internal__ = True
 
 
 class PixelFormat(NamedTuple):
-    """How a texel is stored, and how it is handed over by the CPU."""
+    """The internal format of a texel, and the format and type in which the CPU transfers it."""
 
     internal: int
     format: int
@@ -78,7 +78,7 @@ def _describe(texel: Format) -> PixelFormat:
 
 
 PIXEL_FORMATS: Final = {texel: _describe(texel) for texel in Format}
-"""Depth formats are handed over as float depths; their stencil part is asked for as STENCIL_INDEX."""
+"""Formats for transfers. Depth formats are transferred as float depth; stencil is read as STENCIL_INDEX."""
 
 CLEAR_FORMATS: Final = PIXEL_FORMATS | {
     Format.D24S8: PixelFormat(enums.DEPTH24_STENCIL8, enums.DEPTH_STENCIL, enums.UNSIGNED_INT_24_8),
@@ -86,7 +86,7 @@ CLEAR_FORMATS: Final = PIXEL_FORMATS | {
         enums.DEPTH32F_STENCIL8, enums.DEPTH_STENCIL, enums.FLOAT_32_UNSIGNED_INT_24_8_REV
     ),
 }
-"""What a clear of all of a texel is described with."""
+"""Formats for clears, which include the stencil part."""
 
 VERTEX_TYPES: Final = {vertex: _TYPES[vertex.code] for vertex in VertexFormat}
 

@@ -1,4 +1,4 @@
-"""Framebuffers, made when a pass first asks for its set of attachments, dropped with any of their textures."""
+"""Framebuffers: created when a pass first uses a set of attachments, deleted with any of their textures."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final, TypeAlias
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
-from rhi.backends.gl.resources import Textures
+from rhi.backends.gl.textures import Textures
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, TextureKind
 from rhi.contract.formats import ChannelKind
 from rhi.errors import DeviceError
@@ -15,7 +15,7 @@ from rhi.errors.rules import DEVICE_DRIVER
 
 __rhi_internal__ = True
 
-Key: TypeAlias = tuple[object, ...]
+_AttachmentKey: TypeAlias = tuple[object, ...]
 
 _LAYERED: Final = (TextureKind.D2_ARRAY, TextureKind.D3, TextureKind.CUBE)
 
@@ -26,13 +26,13 @@ class Framebuffers:
     def __init__(self, gl: EntryPoints, textures: Textures) -> None:
         self._gl = gl
         self._textures = textures
-        self._names: dict[Key, int] = {}
-        self._keys: dict[Id, set[Key]] = {}  # by texture
+        self._names: dict[_AttachmentKey, int] = {}
+        self._keys: dict[Id, set[_AttachmentKey]] = {}  # by texture
 
     def find(self, descriptor: PassDescriptor) -> int:
-        """GL's name of the framebuffer with a pass's attachments."""
+        """Return GL's name of the framebuffer for a pass, creating it on first use."""
         colors, depth = descriptor.colors, descriptor.depth
-        key: Key = tuple((color.texture, color.level, color.layer) for color in colors)
+        key: _AttachmentKey = tuple((color.texture, color.level, color.layer) for color in colors)
         if depth is not None:
             key = (*key, "depth", depth.texture, depth.level, depth.layer)
         elif not colors:
@@ -40,19 +40,19 @@ class Framebuffers:
         return self._names.get(key) or self._create(key, descriptor)
 
     def find_color(self, texture: Id) -> int:
-        """One with level 0, layer 0 of `texture` alone, for a resolve."""
+        """Return GL's name of a framebuffer whose only attachment is level 0, layer 0 of `texture`, for resolves."""
         key = ((texture, 0, 0),)
         descriptor = PassDescriptor(self._textures[texture].descriptor.size, (Attachment(texture),))
         return self._names.get(key) or self._create(key, descriptor)
 
     def forget(self, texture: Id) -> None:
-        """Delete those that `texture` is part of."""
+        """Delete the framebuffers that have `texture` as an attachment."""
         for key in self._keys.pop(texture, ()):
-            name = self._names.pop(key, None)  # gone already when another of its textures was destroyed
+            name = self._names.pop(key, None)  # None if another of its textures was destroyed before
             if name is not None:
                 self._gl.delete(self._gl.DeleteFramebuffers, name)
 
-    def _create(self, key: Key, descriptor: PassDescriptor) -> int:
+    def _create(self, key: _AttachmentKey, descriptor: PassDescriptor) -> int:
         gl = self._gl
         name = gl.create(gl.CreateFramebuffers)
         for index, color in enumerate(descriptor.colors):

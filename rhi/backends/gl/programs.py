@@ -1,15 +1,14 @@
-"""Programs and vertex arrays: what a draw runs and what it reads.
+"""Programs and vertex arrays: the code that a draw executes and the inputs that it reads.
 
-- A `Pipeline` is one linked program with a table from vertex array to the C function that draws it. The
-  backend keeps the bound pipeline's table, so a draw is one look-up and one call; what is special about a
-  program (it writes memory, it does the alpha test) is in the functions of its table, and a program that
-  isn't special pays nothing.
-- moderngl ties a vertex array to one program, so a table makes its entries when they are first asked for.
-- A vertex stage gets an end that flips y: GL's window y runs up, ours down (`backend` says why it isn't left to
-  clip control).
-- GL's core profile has no alpha test: a program gets a variant per comparison whose fragment stage ends in the
-  test, compiled when it is first drawn with; the reference is a uniform.
-- Both are done by renaming `main` and calling it from another, which keeps the lines of the text.
+- A `LinkedProgram` is a program with a table from vertex array to the C function that draws it. The backend keeps the
+  table of the bound program, so a draw is one look-up and one call. Whatever is special about a program (it writes
+  memory, it has an alpha test) is in the functions of its table, so other programs pay nothing for it.
+- moderngl ties a vertex array to one program, so entries of a table are created on first use.
+- Each vertex stage ends by negating y, because GL's window y points up and ours down (`backend` says why clip control
+  doesn't do this).
+- GL's core profile has no alpha test. Instead, a program gets a variant for each comparison, compiled on first use,
+  whose fragment stage ends with the test. The reference is a uniform.
+- Both endings are added by renaming `main` and calling it from a new one, which keeps the line numbers of the source.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from typing import Final, TypeAlias
 import moderngl
 
 from rhi.backends.gl import enums
+from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import VERTEX_TYPES
-from rhi.backends.gl.resources import Buffers
 from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, VertexArrayDescriptor
 from rhi.contract.states import AlphaFunction
 
@@ -53,7 +52,7 @@ _TITLES: Final = {
 
 
 class VertexArrays:
-    """All vertex arrays of one context; GL's objects are made per pipeline."""
+    """All vertex arrays of one context. Their GL objects are created once for each linked program that uses them."""
 
     def __init__(self, context: moderngl.Context, gl: EntryPoints, buffers: Buffers) -> None:
         self._context = context
@@ -61,37 +60,37 @@ class VertexArrays:
         self._buffers = buffers
         self.descriptors: dict[Id, VertexArrayDescriptor] = {}
 
-    def make(self, vertex_array: Id, program: GlProgram) -> moderngl.VertexArray:
-        """moderngl's vertex array for a program of moderngl."""
+    def create(self, vertex_array: Id, program: GlProgram) -> moderngl.VertexArray:
+        """Create moderngl's vertex array for one of moderngl's programs."""
         gl, descriptor = self._gl, self.descriptors[vertex_array]
         objects = self._buffers.objects
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
-        made = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
+        array = self._context.vertex_array(program, [], indices, descriptor.index_format.size)
         for binding, stream in enumerate(descriptor.streams):
             gl.VertexArrayVertexBuffer(
-                made.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
+                array.glo, binding, objects[stream.buffer].glo, stream.offset, stream.stride
             )
-            gl.VertexArrayBindingDivisor(made.glo, binding, int(stream.per_instance))
+            gl.VertexArrayBindingDivisor(array.glo, binding, int(stream.per_instance))
             for attribute in stream.attributes:
                 texel, location = attribute.format, attribute.location
                 kind = VERTEX_TYPES[texel]
                 if texel.kind == "float":
                     gl.VertexArrayAttribFormat(
-                        made.glo, location, texel.components, kind, texel.normalized, attribute.offset
+                        array.glo, location, texel.components, kind, texel.normalized, attribute.offset
                     )
                 else:
-                    gl.VertexArrayAttribIFormat(made.glo, location, texel.components, kind, attribute.offset)
-                gl.VertexArrayAttribBinding(made.glo, location, binding)
-                gl.EnableVertexArrayAttrib(made.glo, location)
-        return made
+                    gl.VertexArrayAttribIFormat(array.glo, location, texel.components, kind, attribute.offset)
+                gl.VertexArrayAttribBinding(array.glo, location, binding)
+                gl.EnableVertexArrayAttrib(array.glo, location)
+        return array
 
 
-class Pipeline(dict[Id, Render]):
-    """A linked program, as the table of what draws each vertex array with it.
+class LinkedProgram(dict[Id, Render]):
+    """A linked program: a table from vertex array to the function that draws it with this program.
 
     Attributes:
         program: moderngl's program or compute shader.
-        writes_memory: whether what follows must be made to see what it wrote.
+        writes_memory: whether the program writes memory, so that a memory barrier follows each draw.
     """
 
     def __init__(
@@ -100,23 +99,23 @@ class Pipeline(dict[Id, Render]):
         super().__init__()
         self._gl = gl
         self._arrays = arrays
-        self._made: dict[Id, moderngl.VertexArray] = {}
+        self._vertex_arrays: dict[Id, moderngl.VertexArray] = {}
         self.program = program
         self.writes_memory = writes_memory
 
     def __missing__(self, vertex_array: Id) -> Render:
-        made = self._made[vertex_array] = self._arrays.make(vertex_array, self.program)
-        render: Render = made.mglo.render
+        array = self._vertex_arrays[vertex_array] = self._arrays.create(vertex_array, self.program)
+        render: Render = array.mglo.render
         self[vertex_array] = self.then_memory_barrier(render) if self.writes_memory else render
         return self[vertex_array]
 
     def prepare(self, vertex_array: Id) -> None:
-        """Make what a draw of `vertex_array` needs, if it isn't there."""
+        """Create the entry of `vertex_array` if it doesn't exist yet."""
         if vertex_array not in self:
             self.__missing__(vertex_array)
 
     def memory_barrier(self) -> None:
-        """Make what was written visible to all that follows, whatever reads it and how."""
+        """Make everything written so far visible to all later reads of any kind."""
         self._gl.MemoryBarrier(enums.ALL_BARRIER_BITS)
 
     def dispatch(self, x: int, y: int, z: int) -> None:
@@ -128,16 +127,16 @@ class Pipeline(dict[Id, Render]):
         self.memory_barrier()
 
     def use(self, vertex_array: Id) -> int:
-        """Make program and vertex array current for a draw through GL itself; the vertex array's name."""
+        """Bind the program and a vertex array, for a draw through an entry point. Return GL's name of the latter."""
         self.prepare(vertex_array)
-        name: int = self._made[vertex_array].glo
+        name: int = self._vertex_arrays[vertex_array].glo
         self._gl.UseProgram(self.program.glo)
         self._gl.BindVertexArray(name)
         return name
 
     def forget(self, vertex_array: Id) -> None:
         if self.pop(vertex_array, None) is not None:
-            self._made.pop(vertex_array).release()
+            self._vertex_arrays.pop(vertex_array).release()
 
     def release(self) -> None:
         for vertex_array in list(self):
@@ -145,7 +144,7 @@ class Pipeline(dict[Id, Render]):
         self.program.release()
 
     def then_memory_barrier(self, draw: Callable[..., object]) -> Callable[..., object]:
-        """A draw, and what it wrote made visible."""
+        """Return a function that calls `draw` and then issues a memory barrier."""
         memory_barrier = self.memory_barrier
 
         def draw_and_barrier(*arguments: object) -> None:
@@ -155,17 +154,21 @@ class Pipeline(dict[Id, Render]):
         return draw_and_barrier
 
 
-class _Program:
-    """A program's descriptor, its pipeline and the variants of that for the alpha test."""
+class _ProgramVariants:
+    """A program's descriptor, its linked program, and its variants with an alpha test.
 
-    def __init__(self, descriptor: ProgramDescriptor, pipeline: Pipeline) -> None:
+    Attributes:
+        variants: by comparison, the linked variant and the location of its reference uniform (-1: none).
+    """
+
+    def __init__(self, descriptor: ProgramDescriptor, linked: LinkedProgram) -> None:
         self.descriptor = descriptor
-        self.pipeline = pipeline
-        self.variants: dict[AlphaFunction, tuple[Pipeline, int]] = {}  # and the location of the reference
+        self.linked = linked
+        self.variants: dict[AlphaFunction, tuple[LinkedProgram, int]] = {}
 
     @property
-    def pipelines(self) -> list[Pipeline]:
-        return [self.pipeline, *(pipeline for pipeline, _ in self.variants.values())]
+    def all_linked(self) -> list[LinkedProgram]:
+        return [self.linked, *(linked for linked, _ in self.variants.values())]
 
 
 class Programs:
@@ -175,44 +178,46 @@ class Programs:
         self._context = context
         self._gl = gl
         self._arrays = arrays
-        self._programs: dict[Id, _Program] = {}
+        self._programs: dict[Id, _ProgramVariants] = {}
 
-    def __getitem__(self, program: Id) -> Pipeline:
-        return self._programs[program].pipeline
+    def __getitem__(self, program: Id) -> LinkedProgram:
+        return self._programs[program].linked
 
     def create(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
-        self._programs[program] = _Program(descriptor, self._link(descriptor, sources))
+        self._programs[program] = _ProgramVariants(descriptor, self._link(descriptor))
 
     def destroy(self, program: Id) -> None:
-        for pipeline in self._programs.pop(program).pipelines:
-            pipeline.release()
+        for linked in self._programs.pop(program).all_linked:
+            linked.release()
 
     def forget_vertex_array(self, vertex_array: Id) -> None:
         for program in self._programs.values():
-            for pipeline in program.pipelines:
-                pipeline.forget(vertex_array)
+            for linked in program.all_linked:
+                linked.forget(vertex_array)
 
-    def find_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> Pipeline:
-        """The pipeline that drops fragments unless `alpha function reference`."""
-        made = self._programs[program]
-        if function not in made.variants:
-            source = add_alpha_test(made.descriptor, function)
-            if source is None:
-                return made.pipeline
-            sources = {stage: made.descriptor.emit("glsl", stage) for stage in made.descriptor.stages}
-            pipeline = self._link(made.descriptor, sources | {Stage.FRAGMENT: source})
-            location = self._gl.GetUniformLocation(pipeline.program.glo, b"rhi_alpha_reference")
-            made.variants[function] = pipeline, location
-        pipeline, location = made.variants[function]
+    def find_alpha_tested(self, program: Id, function: AlphaFunction, reference: float) -> LinkedProgram:
+        """Return the variant that discards fragments unless `alpha function reference`, creating it on first use."""
+        known = self._programs[program]
+        if function not in known.variants:
+            fragment = add_alpha_test(known.descriptor, function)
+            if fragment is None:
+                return known.linked
+            linked = self._link(known.descriptor, fragment)
+            location = self._gl.GetUniformLocation(linked.program.glo, b"rhi_alpha_reference")
+            known.variants[function] = linked, location
+        linked, location = known.variants[function]
         if location >= 0:
-            self._gl.ProgramUniform1f(pipeline.program.glo, location, reference)
-        return pipeline
+            self._gl.ProgramUniform1f(linked.program.glo, location, reference)
+        return linked
 
-    def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> Pipeline:
+    def _link(self, descriptor: ProgramDescriptor, fragment: str | None = None) -> LinkedProgram:
+        """Compile and link a program. `fragment` replaces the source of its fragment stage."""
+        sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
+        if fragment is not None:
+            sources[Stage.FRAGMENT] = fragment
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
-        # Bytes, because moderngl strips and preprocesses text, which would move its lines.
+        # As bytes, because moderngl strips and preprocesses text, which would change its line numbers.
         encoded = {stage: source.encode() for stage, source in sources.items()}
         program: GlProgram
         try:
@@ -229,12 +234,14 @@ class Programs:
             raise make_shader_error(descriptor, log, stage, source) from None
         if descriptor.name:
             self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
-        return Pipeline(self._gl, self._arrays, program, descriptor.writes_memory)
+        return LinkedProgram(self._gl, self._arrays, program, descriptor.writes_memory)
 
 
 def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> str | None:
-    """The fragment stage's source ending in the test, or None where it tests nothing: with ALWAYS, and for
-    programs that give target 0 no alpha."""
+    """Return the source of the fragment stage with an alpha test at its end.
+
+    Returns None if there is nothing to test: for ALWAYS, and for programs that write no alpha to target 0.
+    """
     output = next((o for o in descriptor.outputs if o.location == 0), None)
     if function is AlphaFunction.ALWAYS or output is None or (output.kind, output.components) != ("float", 4):
         return None
@@ -248,12 +255,15 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> st
 
 
 def _extend_main(source: str, statement: str, declaration: str = "") -> str:
-    """`source` with `statement` at the end of its main function."""
+    """Return `source` with `statement` added at the end of its main function."""
     renamed = _MAIN.sub("void rhi_inner_main()", source)
     return f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
 
 
 def _split_message(message: str) -> tuple[str, str]:
-    """moderngl's message is what failed, an empty line, which stage, a line of `=`, and the driver's log."""
+    """Return the stage's title and the driver's log from a message of moderngl.
+
+    Its lines are: what failed, an empty line, the title of the stage, a line of `=`, and the log.
+    """
     parts = message.split("\n", 4)
     return (parts[2], parts[4]) if len(parts) == 5 else ("", message)

@@ -1,4 +1,4 @@
-"""Quads, which GL's core profile lacks: drawn as indexed triangles, 0 1 2 and 0 2 3 of each group of four."""
+"""Quads, which GL's core profile lacks. They are drawn as indexed triangles 0 1 2, 0 2 3 of each quad."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
 
 
 class QuadIndices:
-    """One index buffer for all quads drawn from consecutive vertices; the first vertex is the base vertex."""
+    """An index buffer shared by all quads without indices. A draw passes its first vertex as the base vertex."""
 
     def __init__(self, context: moderngl.Context) -> None:
         self._context = context
@@ -24,7 +24,7 @@ class QuadIndices:
         self._capacity = 0
 
     def reserve(self, quads: int) -> int:
-        """GL's name of a buffer of 32-bit indices for at least so many quads; it may change."""
+        """Return GL's name of a buffer with 32-bit indices for at least `quads` quads. Growth changes the name."""
         if self._buffer is None or quads > self._capacity:
             if self._buffer is not None:
                 self._buffer.release()
@@ -35,5 +35,5 @@ class QuadIndices:
 
 
 def expand_indices(indices: bytes, index_format: IndexFormat) -> NDArray[np.generic]:
-    """The triangles' indices of quads with indices of their own."""
+    """Return the triangle indices of indexed quads: an array (quads, 6)."""
     return np.ascontiguousarray(np.frombuffer(indices, index_format.dtype).reshape(-1, 4)[:, CORNERS])

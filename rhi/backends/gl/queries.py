@@ -1,12 +1,11 @@
-"""Queries and fences, none of which makes the CPU wait unless asked.
+"""Queries. None of them makes the CPU wait unless it is asked to.
 
-- Occlusion queries are GL's own, until the first COUNTER query exists. GL has no running samples-passed
-  counter, and allows one active samples-passed query at a time. So from then on a chain of such queries runs
-  all the time, cut wherever someone takes the count (`SampleCounter`); an occlusion query is then the
-  difference of two counts, which is the thesis's emulation (4.4.2).
-- llvmpipe adds what a query still counts to what it is begun with anew, so a query that is begun before its last
-  answer was there gets another name.
-- Fences are sync objects in a queue; only the oldest ones are looked at.
+- Occlusion queries are GL's own until the first COUNTER query exists. GL has no running samples-passed counter, and
+  allows only one active samples-passed query. So from then on a chain of such queries is always running, and a new
+  one begins wherever the count is taken (`SampleCounter`). An occlusion query is then the difference of two counts,
+  which is the thesis's emulation (4.4.2).
+- If a query begins again while llvmpipe is still counting for it, llvmpipe adds both counts. So a query that begins
+  before its last result is available gets another GL query.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import ctypes
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
@@ -23,75 +21,43 @@ from rhi.contract.descriptors import Id, QueryKind
 
 __rhi_internal__ = True
 
-_NANOSECONDS: Final = 1_000_000_000
-_SIGNALED: Final = (enums.ALREADY_SIGNALED, enums.CONDITION_SATISFIED)
-
-
-class Fence:
-    """The device's fence: a value that rises as the GPU gets done."""
-
-    def __init__(self, gl: EntryPoints) -> None:
-        self._gl = gl
-        self._pending: deque[tuple[int, int | None]] = deque()
-        self._value = 0
-
-    def signal(self, value: int) -> None:
-        self._pending.append((value, self._gl.FenceSync(enums.SYNC_GPU_COMMANDS_COMPLETE, 0)))
-        self._gl.Flush()
-
-    def poll(self) -> int:
-        """The value reached; doesn't wait."""
-        pending = self._pending
-        while pending and self._is_signaled(pending[0][1], 0):
-            self._value, sync = pending.popleft()
-            self._gl.DeleteSync(sync)
-        return self._value
-
-    def wait(self, value: int, seconds: float) -> bool:
-        """Until `value` is reached, for at most `seconds`."""
-        if self.poll() >= value:
-            return True
-        timeout = max(0, min(int(seconds * _NANOSECONDS), (1 << 63) - 1))
-        for signaled, sync in self._pending:
-            if signaled >= value:
-                return self._is_signaled(sync, timeout) and self.poll() >= value
-        return False  # nobody will ever signal it
-
-    def _is_signaled(self, sync: int | None, timeout: int) -> bool:
-        flags = enums.SYNC_FLUSH_COMMANDS_BIT if timeout else 0
-        return self._gl.ClientWaitSync(sync, flags, timeout) in _SIGNALED
-
 
 @dataclass(slots=True, eq=False)
-class Count:
-    """The running counter at one point of the stream; `value` is None until it is known."""
+class CounterValue:
+    """The value of the running counter at one point of the stream; None until its result is available."""
 
     value: int | None = None
 
 
 class SampleCounter:
-    """A running count of samples passed, made of consecutive GL queries.
+    """A running count of samples passed, made of consecutive GL queries, called segments.
 
-    `take` ends the segment that runs and begins the next; a count is the sum of all segments up to it. They
-    are added up in order as their results come in, so a sum never skips one. Outside `start` and `stop` no
-    query is active.
+    `take` ends the active segment and begins the next. A count is the sum of all segments before it. Segments are
+    added in order as their results become available, so a sum never omits one. No query is active outside `start`
+    and `stop`.
     """
 
     def __init__(self, begin: Callable[[], int], end: Callable[[], None], read: Callable[[int], int | None],
                  free: Callable[[int], None]) -> None:  # fmt: skip
-        """`begin` starts a query of GL and returns its name, `end` ends it, `read` gives the result of one
-        or None, `free` takes its name back."""
+        """Create a stopped counter at 0.
+
+        Args:
+            begin: begins a GL query and returns its name.
+            end: ends the active GL query.
+            read: returns the result of a GL query, None while it isn't available.
+            free: receives the names of queries that aren't used any more.
+        """
         self._begin, self._end, self._read, self._free = begin, end, read, free
         self._active = 0
-        self._closed: deque[tuple[int, list[Count]]] = deque()  # names, and the counts taken at their ends
+        self._closed: deque[tuple[int, list[CounterValue]]] = deque()  # (query, values taken at its end)
         self._total = 0
 
     @property
     def is_running(self) -> bool:
         return self._active != 0
 
-    def start(self, active: int = 0) -> Count:
-        """`active` is a query that runs already and becomes the first segment."""
+    def start(self, active: int = 0) -> CounterValue:
+        """Begin counting. `active` is a query that is active already; it becomes the first segment."""
         count = self._mark()
         self._active = active or self._begin()
         return count
@@ -102,8 +68,8 @@ class SampleCounter:
             self._closed.append((self._active, []))
             self._active = 0
 
-    def take(self) -> Count:
-        """The counter at this point of the stream."""
+    def take(self) -> CounterValue:
+        """Return the counter's value at this point of the stream."""
         self.stop()
         count = self._mark()
         self._active = self._begin()
@@ -111,7 +77,7 @@ class SampleCounter:
         return count
 
     def collect(self, read: Callable[[int], int | None] | None = None) -> None:
-        """Add up what has come in; waits only if `read` does."""
+        """Add the results that are available; waits only if `read` does."""
         closed, read = self._closed, read or self._read
         while closed:
             name, counts = closed[0]
@@ -124,26 +90,26 @@ class SampleCounter:
             for count in counts:
                 count.value = self._total
 
-    def _mark(self) -> Count:
+    def _mark(self) -> CounterValue:
         if not self._closed:
-            return Count(self._total)
-        count = Count()
+            return CounterValue(self._total)
+        count = CounterValue()
         self._closed[-1][1].append(count)
         return count
 
 
 @dataclass(slots=True)
-class Query:
-    """A query of the device."""
+class GlQuery:
+    """A query of the device, with the GL query or the counter values behind it."""
 
     kind: QueryKind
     name: int = 0
-    """GL's query, for occlusion and timestamps."""
-    begin: Count | None = None
-    """Set when the sample counter does the counting for an occlusion query."""
-    end: Count | None = None
+    """GL's name of the query, for occlusion and timestamps; 0 for counters."""
+    begin: CounterValue | None = None
+    """The counter's value at the begin of an occlusion query, if the sample counter counts for it."""
+    end: CounterValue | None = None
     is_pending: bool = False
-    """Whether GL's query was begun and not yet seen to be finished."""
+    """Whether GL's query began and isn't known to be finished."""
 
 
 class Queries:
@@ -151,80 +117,80 @@ class Queries:
 
     def __init__(self, gl: EntryPoints) -> None:
         self._gl = gl
-        self._queries: dict[Id, Query] = {}
+        self._queries: dict[Id, GlQuery] = {}
         self._result = ctypes.c_uint64()
         self._result_reference = ctypes.byref(self._result)
         self._spare: list[int] = []
-        self._left: deque[int] = deque()  # GL may still count for these
+        self._retired: deque[int] = deque()  # names of queries for which GL may still be counting
         self._counters = 0  # COUNTER queries that exist
         self._counter = SampleCounter(self._begin_segment, self._end_segment, self._poll, self._spare.append)
-        self._active: Query | None = None
-        self._no_samples = self._begin_segment()  # a query that counted none
+        self._active: GlQuery | None = None
+        self._no_samples = self._begin_segment()  # a query that counts no samples
         self._end_segment()
 
     @property
     def is_counting(self) -> bool:
-        """Whether the sample counter runs, so that occlusion queries are differences of it."""
+        """Whether the sample counter is running, so that occlusion queries are differences of it."""
         return self._counter.is_running
 
-    def __getitem__(self, query: Id) -> Query:
+    def __getitem__(self, query: Id) -> GlQuery:
         return self._queries[query]
 
     def create(self, query: Id, kind: QueryKind) -> None:
         if kind is QueryKind.COUNTER:
-            self._queries[query] = Query(kind)
+            self._queries[query] = GlQuery(kind)
             self._counters += 1
             if not self._counter.is_running:
                 self._start_counter()
             return
         target = enums.SAMPLES_PASSED if kind is QueryKind.OCCLUSION else enums.TIMESTAMP
-        self._queries[query] = Query(kind, self._gl.create(self._gl.CreateQueries, target))
+        self._queries[query] = GlQuery(kind, self._gl.create(self._gl.CreateQueries, target))
 
     def destroy(self, query: Id) -> None:
-        made = self._queries.pop(query)
-        if made.name:
-            self._gl.delete(self._gl.DeleteQueries, made.name)
-        if made.kind is QueryKind.COUNTER:
+        gl_query = self._queries.pop(query)
+        if gl_query.name:
+            self._gl.delete(self._gl.DeleteQueries, gl_query.name)
+        if gl_query.kind is QueryKind.COUNTER:
             self._counters -= 1
             self._stop_unused_counter()
 
     def begin(self, query: Id) -> None:
-        made = self._active = self._queries[query]
-        made.begin = made.end = None
+        gl_query = self._active = self._queries[query]
+        gl_query.begin = gl_query.end = None
         if self._counter.is_running:
-            made.begin = self._counter.take()
+            gl_query.begin = self._counter.take()
         else:
-            if made.is_pending:
-                self.renew(made)
-            made.is_pending = True
-            self._gl.BeginQuery(enums.SAMPLES_PASSED, made.name)
+            if gl_query.is_pending:
+                self.renew(gl_query)
+            gl_query.is_pending = True
+            self._gl.BeginQuery(enums.SAMPLES_PASSED, gl_query.name)
 
-    def renew(self, query: Query) -> None:
-        """Before a query is begun that was begun before: another name, if GL may still count for it."""
+    def renew(self, query: GlQuery) -> None:
+        """Give a query that begins again another GL query, if GL may still be counting for the old one."""
         if self._poll(query.name) is None:
             name = self._take_name()
-            self._left.append(query.name)
+            self._retired.append(query.name)
             query.name = name
 
     def _take_name(self) -> int:
-        """A query of GL that nobody uses."""
+        """Return the name of an unused samples-passed query."""
         if self._spare:
             return self._spare.pop()
-        if self._left and self._poll(self._left[0]) is not None:
-            return self._left.popleft()
+        if self._retired and self._poll(self._retired[0]) is not None:
+            return self._retired.popleft()
         return self._gl.create(self._gl.CreateQueries, enums.SAMPLES_PASSED)
 
     def end(self, query: Id) -> None:
-        made = self._queries[query]
+        gl_query = self._queries[query]
         self._active = None
-        if made.begin is None:
+        if gl_query.begin is None:
             self._gl.EndQuery(enums.SAMPLES_PASSED)
         else:
-            made.end = self._counter.take()
+            gl_query.end = self._counter.take()
             self._stop_unused_counter()
 
     def stop(self) -> None:
-        """End what counts: llvmpipe crashes if its context goes while a query is active."""
+        """End the active query: llvmpipe crashes if a context is destroyed while one is active."""
         if self._counter.is_running:
             self._counter.stop()
         elif self._active is not None:
@@ -232,28 +198,28 @@ class Queries:
         self._active = None
 
     def write(self, query: Id) -> None:
-        made = self._queries[query]
-        if made.kind is QueryKind.TIMESTAMP:
-            self._gl.QueryCounter(made.name, enums.TIMESTAMP)
+        gl_query = self._queries[query]
+        if gl_query.kind is QueryKind.TIMESTAMP:
+            self._gl.QueryCounter(gl_query.name, enums.TIMESTAMP)
         else:
-            made.end = self._counter.take()
+            gl_query.end = self._counter.take()
 
     def read(self, query: Id) -> int | None:
-        made = self._queries[query]
-        if made.end is None:
-            samples = self._poll(made.name)
-            made.is_pending = made.is_pending and samples is None
+        gl_query = self._queries[query]
+        if gl_query.end is None:
+            samples = self._poll(gl_query.name)
+            gl_query.is_pending = gl_query.is_pending and samples is None
             return samples
         self._counter.collect()
-        return _difference(made)
+        return _difference(gl_query)
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
-        """The GPU waits for a query of GL; for one that the counter counted, the CPU has to."""
-        gl, made = self._gl, self._queries[query]
-        name = made.name
-        if made.end is not None:
+        """Begin conditional rendering. The GPU waits for a GL query, the CPU for a difference of counts."""
+        gl, gl_query = self._gl, self._queries[query]
+        name = gl_query.name
+        if gl_query.end is not None:
             self._counter.collect(self._wait)
-            drops = (_difference(made) == 0) != inverted
+            drops = (_difference(gl_query) == 0) != inverted
             name, inverted = self._no_samples, not drops
         gl.BeginConditionalRender(name, enums.QUERY_WAIT_INVERTED if inverted else enums.QUERY_WAIT)
 
@@ -262,7 +228,7 @@ class Queries:
 
     def _start_counter(self) -> None:
         gl, active = self._gl, self._active
-        if active is not None:  # this native query runs, so it becomes the first segment
+        if active is not None:  # its GL query becomes the first segment
             active.begin = self._counter.start(active.name)
             active.name = gl.create(gl.CreateQueries, enums.SAMPLES_PASSED)
         else:
@@ -293,8 +259,11 @@ class Queries:
         return self._result.value
 
 
-def _difference(query: Query) -> int | None:
-    """Of the counts at a query's end and begin; the one at the begin is known first."""
+def _difference(query: GlQuery) -> int | None:
+    """Return the samples counted between a query's begin and end, None while the end's value is unknown.
+
+    The value at the begin is known first.
+    """
     assert query.end is not None
     if query.end.value is None or query.begin is None:
         return query.end.value

@@ -1,10 +1,10 @@
-"""Occlusion queries that are asked together: a loop of three calls of GL per query, and one per answer.
+"""Query sets: many occlusion queries in a loop of three GL calls per query, and one call per answer.
 
-- GL has a name for each query and nothing for many. So what is saved is Python: queries, and places in memory for the
-  answers, are looked up once per set, and the arguments of all draws come out of an array at once.
-- Answers come in order: where the last one is there, GL promises that those before it are.
-- While a COUNTER runs, only one query of GL at a time may count, and it does. Queries are then differences of it, taken
-  one by one; so are those of draws that need the CPU (QUADS).
+- GL names each query and has no calls for many. So this saves Python time: queries and the addresses of their answers
+  are looked up once per set, and the arguments of all draws are extracted from an array at once.
+- Answers become available in order: if the last one is, GL guarantees the ones before it.
+- While a COUNTER is running, GL's only active query belongs to it. Queries are then differences of it, made one by
+  one. The same goes for draws that need the CPU (QUADS).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.gl import enums
-from rhi.backends.gl.draws import Calls
+from rhi.backends.gl.draws import DrawCalls
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.queries import Queries
 from rhi.contract.backend import Backend
@@ -27,28 +27,30 @@ from rhi.contract.queries import PlainQueries
 __rhi_internal__ = True
 
 
-class Drawing(Backend, Protocol):
-    """The backend, as this module sees it."""
+class _DrawingBackend(Backend, Protocol):
+    """The methods of the backend that this module uses."""
 
     def activate(self) -> None:
-        """Make its context the current one."""
+        """Make the backend's context current."""
 
-    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> Calls:
-        """What draws an array of draws, with the bound program. Not for QUADS."""
+    def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> DrawCalls:
+        """Return the calls that draw an array of draws with the bound program; not for QUADS."""
 
 
-class QuerySet:
-    """See `rhi.contract.backend.PreparedQueries`."""
+class GlQuerySet:
+    """The queries of a set; see `rhi.contract.backend.PreparedQueries`."""
 
-    def __init__(self, backend: Drawing, gl: EntryPoints, queries: Queries, ids: Sequence[Id]) -> None:
+    def __init__(
+        self, backend: _DrawingBackend, gl: EntryPoints, queries: Queries, ids: Sequence[Id]
+    ) -> None:
         self._backend = backend
         self._gl = gl
         self._queries = queries
-        self._made = [queries[query] for query in ids]
+        self._gl_queries = [queries[query] for query in ids]
         self._answers = np.zeros(len(ids), np.uint64)
         start = self._answers.ctypes.data
-        self._places = [ctypes.c_void_p(start + 8 * place) for place in range(len(ids))]
-        self._there = ctypes.c_uint64()
+        self._addresses = [ctypes.c_void_p(start + 8 * row) for row in range(len(ids))]
+        self._available = ctypes.c_uint64()
         self._plain = PlainQueries(backend, ids)
         self._is_plain = False
 
@@ -63,10 +65,10 @@ class QuerySet:
             self._gl.BeginQuery, self._gl.EndQuery, enums.SAMPLES_PASSED, self._queries.renew,
         )  # fmt: skip
         call, arguments = self._backend.prepare_calls(vertex_array, primitive, draws)
-        made, current = self._made, None
+        gl_queries, current = self._gl_queries, None
         try:
             for row, draw in zip(rows.tolist(), arguments, strict=True):
-                query = made[row]
+                query = gl_queries[row]
                 if query is not current:
                     if current is not None:
                         end(samples_passed)
@@ -85,11 +87,11 @@ class QuerySet:
             return self._plain.read(rows)
         self._backend.activate()
         get, result = self._gl.GetQueryObjectui64v, enums.QUERY_RESULT
-        asked = [self._made[row] for row in rows.tolist()]
-        get(asked[-1].name, enums.QUERY_RESULT_AVAILABLE, ctypes.byref(self._there))
-        if not self._there.value:
+        asked = [self._gl_queries[row] for row in rows.tolist()]
+        get(asked[-1].name, enums.QUERY_RESULT_AVAILABLE, ctypes.byref(self._available))
+        if not self._available.value:
             return None
-        for query, place in zip(asked, self._places, strict=False):
-            get(query.name, result, place)
+        for query, address in zip(asked, self._addresses, strict=False):
+            get(query.name, result, address)
             query.is_pending = False
         return self._answers[: len(asked)].astype(np.int64)

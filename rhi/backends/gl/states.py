@@ -1,12 +1,12 @@
-"""Render states: a table from each state's type to what applies it.
+"""Render states: a table from each state's type to the function that applies it.
 
-- States that GL takes together (stencil function, reference and mask; bias and slope) find each other in
-  `values`, which holds what was told last. It serves passes too: clears have to ignore the write masks and the
-  scissor, which GL's clears obey, and a pass of another size moves `Viewport.TARGET`.
-- A depth test that is off lets all pass but must not stop depth writes; GL's disabled test does. So GL's test
-  is off only when writes are off too, and else compares with ALWAYS.
-- Window coordinates reach GL as they are, since y counts from the top in what programs give it. Integers are
-  converted, since users build states of NumPy scalars, and ctypes takes only its floats.
+- Some states go to GL together (stencil function, reference and mask; bias and slope). Each such function reads the
+  others from `values`, which holds the latest values. Passes use `values` too: clears have to ignore the write masks
+  and the scissor, which GL's clears obey, and a pass of another size changes `Viewport.TARGET`.
+- A depth test that is off lets all fragments pass but must not stop depth writes, as GL's disabled test does. So GL's
+  test is disabled only when writes are off too; otherwise it compares with ALWAYS.
+- Window coordinates are given to GL unchanged, since programs flip y. Integers are converted, since users create
+  states from NumPy scalars, of which ctypes accepts only floats.
 """
 
 from __future__ import annotations
@@ -96,21 +96,26 @@ _STENCIL_OPERATIONS: Final = {
     StencilOperation.DECREMENT_WRAP: enums.DECR_WRAP,
     StencilOperation.INVERT: enums.INVERT,
 }
-_SCISSOR_LIMIT: Final = 1 << 16  # beyond any target, and x + width stays far from overflow
+_SCISSOR_LIMIT: Final = 1 << 16  # larger than any target, and x + width can't overflow
 
 _ALL_COLORS: Final = (ColorWrite.ON,) * MAX_TARGETS
 _ALL_STENCIL: Final = StencilWriteMask()
 _TARGET: Final = Viewport.TARGET
 _UNCUT: Final = Scissor.OFF
-_TESTS_DEPTH: Final = DepthTest.ON  # an enum's member costs 80 ns to reach through its class in Python 3.11
+_TESTS_DEPTH: Final = DepthTest.ON  # looking up a member through its class costs 80 ns in Python 3.11
 _WRITES_DEPTH: Final = DepthWrite.ON
 
 
-class States:
-    """The states of one context; the defaults hold from its making."""
+class RenderStates:
+    """The render states of one context, initially the defaults.
+
+    Attributes:
+        values: the latest value of each state type.
+    """
 
     def __init__(self, gl: EntryPoints, has_offset_clamp: bool, alpha_changed: Callable[[], None]) -> None:
-        """`alpha_changed` is called when a state of the alpha test has: GL has none, programs do it."""
+        """Apply the defaults. `alpha_changed` is called when a state of the alpha test changes; programs do the
+        test."""
         self._gl = gl
         self._has_offset_clamp = has_offset_clamp
         self._size = (0, 0)
@@ -157,14 +162,14 @@ class States:
             apply[state](value)
 
     def set_target_size(self, size: tuple[int, int]) -> None:
-        """The size of the pass that begins, for `Viewport.TARGET`."""
+        """Set the size of the pass that begins, to which `Viewport.TARGET` refers."""
         if size != self._size:
             self._size = size
             if self.values[Viewport] == _TARGET:
                 self._viewport(_TARGET)
 
     def open_masks(self, color: bool, depth: bool, stencil: bool) -> None:
-        """Let the clears of these buffers through, whatever the states say; `close_masks` follows."""
+        """Let clears of these buffers ignore scissor and write masks, until `close_masks`."""
         gl, values = self._gl, self.values
         if values[Scissor] != _UNCUT:
             gl.Disable(enums.SCISSOR_TEST)
@@ -176,6 +181,7 @@ class States:
             self._stencil_write_mask(_ALL_STENCIL)
 
     def close_masks(self, color: bool, depth: bool, stencil: bool) -> None:
+        """Restore what `open_masks` changed; takes the same arguments."""
         gl, values = self._gl, self.values
         if values[Scissor] != _UNCUT:
             gl.Enable(enums.SCISSOR_TEST)

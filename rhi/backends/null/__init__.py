@@ -1,20 +1,19 @@
-"""The null backend: real memory, real time order, no GPU; draws are counted, not rasterised.
+"""The null backend: real memory and real execution order, but no GPU. Draws are counted, not rasterised.
 
-`create_backend()` gives the backend itself. A device made with `rhi.create_device("null")` always has a
+`create_backend()` returns the backend itself. A device created with `rhi.create_device("null")` always has a
 `rhi.commands.recorder.Recorder` in front of it. With `simulation=Simulation(…)` it has a GPU on a simulated clock.
 """
 
-from rhi.backends.null.backend import NullBackend, Statistics
+from rhi.backends.null.answers import AnswerLog, RecordedAnswers
+from rhi.backends.null.backend import ExecutionStatistics, NullBackend
+from rhi.backends.null.capabilities import PROFILES, find_profile
+from rhi.backends.null.draws import Draw, ExecutedIndirectDraws
 from rhi.backends.null.faults import FaultInjector, Faults
-from rhi.backends.null.profiles import PROFILES, find_profile
-from rhi.backends.null.queries import Draw
-from rhi.backends.null.resources import IndirectDraws
 from rhi.backends.null.shaders import StandIn
-from rhi.backends.null.simulation.activity import Activity, ActivityTimeline, Frame, Lane, Span
+from rhi.backends.null.simulation.activity import Activity, ActivityTimeline, FrameActivity, Lane, Span
 from rhi.backends.null.simulation.backend import SimulatedBackend, Simulation
-from rhi.backends.null.simulation.cost import CostModel, Work
+from rhi.backends.null.simulation.cost import CommandWork, CostModel
 from rhi.backends.null.simulation.hazards import Hazard, HazardKind
-from rhi.backends.null.visibility import AnswerLog, RecordedAnswers
 from rhi.contract.backend import Backend, Capabilities
 from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT
@@ -22,10 +21,28 @@ from rhi.errors.rules import DEVICE_ARGUMENT
 __rhi_internal__ = True
 
 __all__ = [
-    "PROFILES", "Activity", "ActivityTimeline", "AnswerLog", "CostModel", "Draw", "FaultInjector",
-    "Faults", "Frame", "Hazard",
-    "HazardKind", "IndirectDraws", "Lane", "NullBackend", "RecordedAnswers", "SimulatedBackend", "Simulation",
-    "Span", "StandIn", "Statistics", "Work", "create_backend",
+    "PROFILES",
+    "Activity",
+    "ActivityTimeline",
+    "AnswerLog",
+    "CommandWork",
+    "CostModel",
+    "Draw",
+    "ExecutedIndirectDraws",
+    "ExecutionStatistics",
+    "FaultInjector",
+    "Faults",
+    "FrameActivity",
+    "Hazard",
+    "HazardKind",
+    "Lane",
+    "NullBackend",
+    "RecordedAnswers",
+    "SimulatedBackend",
+    "Simulation",
+    "Span",
+    "StandIn",
+    "create_backend",
 ]  # fmt: skip
 
 
@@ -36,18 +53,19 @@ def create_backend(
     simulation: Simulation | None = None,
     faults: Faults | None = None,
 ) -> Backend:
-    """A new null backend. There is no driver whose messages `validation` could turn on.
+    """Create a null backend. `validation` has no effect, since there is no driver whose messages it could enable.
 
     Args:
-        profile: which device to pretend to be: a name of `PROFILES`, or capabilities of your own.
-        simulation: execute on a simulated clock (a `SimulatedBackend`); None: whenever something asks.
-        faults: what fails, and when (a `FaultInjector` in front).
+        profile: the capabilities to present: a name of `PROFILES`, or a `Capabilities`.
+        simulation: execute commands on a simulated clock (in a `SimulatedBackend`). None: execute them when something
+            depends on them.
+        faults: the faults to inject (by a `FaultInjector` in front of the backend).
 
     Raises:
         ValidationError: `device-argument` for an unknown profile, or an option of the wrong type.
     """
     for name, value, kind in (("simulation", simulation, Simulation), ("faults", faults, Faults)):
-        if not isinstance(value, (kind, type(None))):  # `rhi.create_device` passes on whatever it is given
+        if not isinstance(value, (kind, type(None))):  # `rhi.create_device` forwards any value
             refuse(DEVICE_ARGUMENT, f"{name}=", repr(value), f"a {kind.__name__}, or None")
     capabilities = find_profile(profile)
     backend = NullBackend(capabilities) if simulation is None else SimulatedBackend(simulation, capabilities)

@@ -1,13 +1,13 @@
-"""A queue of commands in front of memory that is real and a GPU that isn't.
+"""A queue of commands in front of real memory, without a GPU.
 
-- Calls are put into a queue, flat (`op, arguments…`, as in `rhi.commands.stream`); creation happens at once.
-- The queue is executed in order when something demands it: a signal, a wait, a read. Whatever is read when
-  executed (indirect arguments, copies, counters) is so by construction. `simulated` executes the same queue
-  on a clock of its own.
-- STREAM buffers are written at once, past the queue, as on hardware that maps them: memory overwritten too
-  early is seen to be overwritten.
-- Shaders run only when asked for, and only compute (`shaders`).
-- Time is simulated: every executed command takes `COMMAND_NANOSECONDS`.
+- Calls are appended to a flat queue (`op, arguments…`, as in `rhi.commands.stream`). Only creation is immediate.
+- The queue is executed in order when something depends on it: a signal, a wait, a read. So commands that read memory
+  (indirect arguments, copies, counters) see what it holds at their place in the stream. `simulation` executes the
+  same queue on its own clock.
+- STREAM buffers are written immediately, without the queue, as on hardware that maps them. So memory that is
+  overwritten too early shows the new contents.
+- Shaders are executed only on request, and only compute shaders (`shaders`).
+- Time is simulated: each executed command takes `COMMAND_NANOSECONDS`.
 """
 
 from __future__ import annotations
@@ -22,13 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.backends.null.answers import Answers
+from rhi.backends.null.buffers import Buffers
+from rhi.backends.null.capabilities import PROFILES
+from rhi.backends.null.draws import Draw, ExecutedIndirectDraws, read_indirect_draws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
-from rhi.backends.null.profiles import PROFILES
 from rhi.backends.null.programs import Programs
-from rhi.backends.null.queries import Draw, Queries
-from rhi.backends.null.resources import IndirectDraws, Resources
+from rhi.backends.null.queries import Queries
 from rhi.backends.null.shaders import Shaders, StandIn
-from rhi.backends.null.visibility import Answers
+from rhi.backends.null.textures import Textures
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.recorder import CommandMethods
 from rhi.contract.backend import Capabilities
@@ -50,14 +52,23 @@ __rhi_internal__ = True
 
 COMMAND_NANOSECONDS: Final = 1000
 QUEUED_BYTES: Final = 1 << 24
-"""Written memory that may lie in the queue."""
+"""Bytes of written data that the queue may hold before it is executed."""
 KEPT_INDIRECT: Final = 1024
+"""Executed indirect commands whose arguments are kept."""
 
 
 @dataclass(frozen=True, slots=True)
-class Statistics:
-    """What was executed since the start: commands, draws (those of indirect commands one by one), draws
-    dropped by conditional rendering, draws whose condition nobody knows, dispatches, simulated time."""
+class ExecutionStatistics:
+    """Counts of what was executed since the device was created.
+
+    Attributes:
+        commands: executed commands.
+        draws: executed draws; an indirect command counts each of its draws.
+        dropped_draws: draws dropped by conditional rendering.
+        undecided_draws: draws under a condition that is unknown.
+        dispatches: executed dispatches.
+        nanoseconds: simulated time.
+    """
 
     commands: int
     draws: int
@@ -68,7 +79,7 @@ class Statistics:
 
 
 class NullBackend(CommandMethods):
-    """Keeps memory, counts draws; see the module."""
+    """A backend that keeps memory and counts draws, without a GPU."""
 
     METHOD = "    self._enqueue(({op}, {arguments}))"
 
@@ -81,72 +92,81 @@ class NullBackend(CommandMethods):
         self._executed = 0
         self._draws = dict.fromkeys(DrawOutcome, 0)
         self._dispatches = 0
-        self._resources = Resources()
+        self._buffers = Buffers()
+        self._textures = Textures()
         self._programs = Programs()
         self._queries = Queries()
         self._state = ExecutionState()
-        self._shaders = Shaders(self._resources, self._programs, self._state)
+        self._shaders = Shaders(self._buffers, self._textures, self._programs, self._state)
         self._streams: set[Id] = set()
-        self._indirect_draws: deque[IndirectDraws] = deque(maxlen=KEPT_INDIRECT)
+        self._indirect_draws: deque[ExecutedIndirectDraws] = deque(maxlen=KEPT_INDIRECT)
         self._indirect_dispatches: deque[tuple[int, int, int]] = deque(maxlen=KEPT_INDIRECT)
         self._execute = self._find_executors()
 
     def close(self) -> None:
         self._queue.clear()
-        self._resources.clear()
+        self._buffers.clear()
+        self._textures.clear()
 
     # -- for tests ---------------------------------------------------------------------------------------
 
     def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
-        """From the next command on, `samples(draw)` says how many samples a draw passes, None if it is not
-        known. It is called in the order of execution."""
+        """Set the function that says how many samples a draw passes, from the next command on.
+
+        `samples(draw)` is called in the order of execution, and returns None where the number is unknown.
+        """
         self._run()
         self._queries.count_samples(samples)
 
     def answer_queries(self, answers: Answers) -> None:
-        """What occlusion and counter queries answer: a number for all of them, a script in the order in which
-        queries end, a mapping by query id, a function of the id, or what they answered on another backend
-        (`AnswerLog`). It goes before what `count_samples` counts; where it doesn't say, it leaves it to that."""
+        """Set the answers of occlusion and counter queries.
+
+        They are a number for all queries, a script in the order in which queries end, a mapping by query id, a
+        function of the id, or answers recorded on another backend (`AnswerLog`). They take precedence over
+        `count_samples`, which is used where they are unknown.
+        """
         self._queries.answer(answers)
 
     def run_shaders(self, stand_ins: Mapping[Id, StandIn] = MappingProxyType({})) -> None:
-        """From the next command on, run each dispatch, on NumPy. `stand_ins`, by a program's id, are called in place of
-        their programs, at dispatches and at draws, indirect ones one by one: see `shaders.StandIn`. No other draw runs
-        anything."""
+        """Execute each dispatch on NumPy, from the next command on.
+
+        `stand_ins`, by a program's id, are called in place of their programs, for each dispatch and each draw (for
+        each draw of an indirect command): see `shaders.StandIn`. Draws without a stand-in execute no shader.
+        """
         self._run()
         self._shaders.run(stand_ins)
 
     @property
-    def statistics(self) -> Statistics:
+    def statistics(self) -> ExecutionStatistics:
         self._run()
-        executed, dropped, undecided = (self._draws[fate] for fate in DrawOutcome)
+        executed, dropped, undecided = (self._draws[outcome] for outcome in DrawOutcome)
         time = self._executed * COMMAND_NANOSECONDS
-        return Statistics(self._executed, executed, dropped, undecided, self._dispatches, time)
+        return ExecutionStatistics(self._executed, executed, dropped, undecided, self._dispatches, time)
 
     @property
-    def indirect_draws(self) -> tuple[IndirectDraws, ...]:
-        """What each `draw_indirect` came to, in order: the last 1,024."""
+    def indirect_draws(self) -> tuple[ExecutedIndirectDraws, ...]:
+        """The last 1,024 `draw_indirect` commands with the arguments that they read, in order of execution."""
         self._run()
         return tuple(self._indirect_draws)
 
     @property
     def indirect_dispatches(self) -> tuple[tuple[int, int, int], ...]:
-        """The work-groups of each `dispatch_indirect`, in order: the last 1,024."""
+        """The work-groups of the last 1,024 `dispatch_indirect` commands, in order of execution."""
         self._run()
         return tuple(self._indirect_dispatches)
 
-    # -- calls that happen at once -------------------------------------------------------------------------
+    # -- immediate calls -----------------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        self._resources.create_buffer(buffer, descriptor)
+        self._buffers.create_buffer(buffer, descriptor)
         if descriptor.usage is BufferUsage.STREAM:
             self._streams.add(buffer)
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        self._resources.create_texture(texture, descriptor)
+        self._textures.create_texture(texture, descriptor)
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self._programs.create_sampler(sampler, descriptor)
+        self._textures.create_sampler(sampler, descriptor)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self._programs.create_program(program, descriptor)
@@ -159,7 +179,7 @@ class NullBackend(CommandMethods):
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if buffer in self._streams:
-            self._resources.write_buffer(buffer, offset, bytes(data))
+            self._buffers.write_buffer(buffer, offset, bytes(data))
         else:
             self._enqueue_bytes(Op.WRITE_BUFFER, (buffer, offset), bytes(data))
 
@@ -172,15 +192,15 @@ class NullBackend(CommandMethods):
         if self._queued_bytes > QUEUED_BYTES:
             self._run()
 
-    # -- calls that demand execution -----------------------------------------------------------------------
+    # -- calls that execute the queue ----------------------------------------------------------------------
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._run()
-        return self._resources.read_buffer(buffer, offset, size)
+        return self._buffers.read_buffer(buffer, offset, size)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._run()
-        return self._resources.read_texture(texture, level, region, stencil)
+        return self._textures.read_texture(texture, level, region, stencil)
 
     def signal(self, value: int) -> None:
         self._enqueue((Op.SIGNAL, value))
@@ -201,7 +221,7 @@ class NullBackend(CommandMethods):
     # -- execution ---------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Execute the queue. A command that raises is taken out; those after it stay."""
+        """Execute the queue. A command that raises is removed; the commands after it stay in the queue."""
         queue = self._queue
         if not queue:
             return
@@ -213,7 +233,7 @@ class NullBackend(CommandMethods):
         try:
             while place < end:
                 op = entries[place]
-                start, place = place + 1, place + WIDTHS[op] - 2  # no call site here
+                start, place = place + 1, place + WIDTHS[op] - 2  # entries have no call site here
                 self._executed += 1
                 executor = execute[op]
                 if executor is not None:
@@ -222,7 +242,7 @@ class NullBackend(CommandMethods):
             queue[:0] = entries[place:]
 
     def _find_executors(self) -> tuple[Callable[..., None] | None, ...]:
-        """By op, what executes a command; None where there is nothing to do."""
+        """Return the function that executes each op, None where there is nothing to do."""
         executors: dict[Op, Callable[..., None]] = {
             Op.DESTROY: self._destroy,
             Op.BEGIN_PASS: self._begin_pass,
@@ -236,9 +256,9 @@ class NullBackend(CommandMethods):
             Op.BEGIN_CONDITIONAL: self._begin_conditional,
         }
         parts: dict[object, tuple[Op, ...]] = {
-            self._resources: (
-                Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER, Op.WRITE_TEXTURE, Op.COPY_TEXTURE,
-                Op.RESOLVE_TEXTURE, Op.GENERATE_MIPMAPS,
+            self._buffers: (Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER),
+            self._textures: (
+                Op.WRITE_TEXTURE, Op.COPY_TEXTURE, Op.RESOLVE_TEXTURE, Op.GENERATE_MIPMAPS,
             ),
             self._state: (
                 Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE,
@@ -251,19 +271,20 @@ class NullBackend(CommandMethods):
         return tuple(executors.get(op) for op in Op)
 
     def _destroy(self, resource: Id) -> None:
-        self._resources.destroy(resource)
+        self._buffers.destroy(resource)
+        self._textures.destroy(resource)
         self._programs.destroy(resource)
         self._queries.destroy(resource)
         self._streams.discard(resource)
 
     def _begin_pass(self, descriptor: PassDescriptor) -> None:
         self._state.begin_pass(descriptor)
-        self._resources.begin_pass(descriptor)
+        self._textures.begin_pass(descriptor)
 
     def _end_pass(self) -> None:
         descriptor = self._state.render_pass
         if descriptor is not None:
-            self._resources.end_pass(descriptor)
+            self._textures.end_pass(descriptor)
         self._state.end_pass()
 
     def _signal(self, value: int) -> None:
@@ -282,30 +303,33 @@ class NullBackend(CommandMethods):
         if self._follows_draws:
             self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
         else:
-            self._count_unseen(1, count > 0 and instances > 0)
+            self._count_unfollowed(1, count > 0 and instances > 0)
 
     def _draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         indexed = self._programs.is_indexed(vertex_array)
-        resolved = self._resources.indirect_draws(
-            buffer, offset, draws, stride, count_buffer, count_offset, indexed
+        resolved = read_indirect_draws(
+            self._buffers, buffer, offset, draws, stride, count_buffer, count_offset, indexed
         )
         if self._follows_draws:
             for count, instances, first, base_vertex, base_instance in resolved.tolist():
-                self._follow_draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+                self._follow_draw(
+                    vertex_array, primitive, first, count, instances, base_vertex, base_instance
+                )
         else:
-            something = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
-            self._count_unseen(len(resolved), bool(something))
-        kept = resolved[:0] if self._state.fate is DrawOutcome.DROPPED else resolved
-        self._indirect_draws.append(IndirectDraws(vertex_array, primitive, kept))
+            draws_vertices = np.any((resolved["count"] > 0) & (resolved["instances"] > 0))
+            self._count_unfollowed(len(resolved), bool(draws_vertices))
+        kept = resolved[:0] if self._state.outcome is DrawOutcome.DROPPED else resolved
+        self._indirect_draws.append(ExecutedIndirectDraws(vertex_array, primitive, kept))
 
     @property
     def _follows_draws(self) -> bool:
-        """Whether somebody wants to know each of the present draws."""
+        """Whether each draw must be processed individually: its samples are counted, or its program has a
+        stand-in."""
         state = self._state
-        return state.fate is DrawOutcome.EXECUTED and (
+        return state.outcome is DrawOutcome.EXECUTED and (
             self._queries.counts or state.program in self._shaders.stand_ins
         )
 
@@ -313,7 +337,7 @@ class NullBackend(CommandMethods):
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        """An executed draw whose samples are counted, or whose program has a stand-in."""
+        """Process an executed draw whose samples are counted, or whose program has a stand-in."""
         self._draws[DrawOutcome.EXECUTED] += 1
         if count and instances:
             state = self._state
@@ -323,11 +347,11 @@ class NullBackend(CommandMethods):
             if state.program in self._shaders.stand_ins:
                 self._shaders.draw(draw)
 
-    def _count_unseen(self, draws: int, something: bool) -> None:
-        """Draws whose samples nobody counts; `something`: any of them has vertices."""
-        fate = self._state.fate
-        self._draws[fate] += draws
-        if something and fate is not DrawOutcome.DROPPED:
+    def _count_unfollowed(self, draws: int, draws_vertices: bool) -> None:
+        """Count draws whose samples aren't counted. `draws_vertices` says whether any of them has vertices."""
+        outcome = self._state.outcome
+        self._draws[outcome] += draws
+        if draws_vertices and outcome is not DrawOutcome.DROPPED:
             self._queries.add_unknown()
 
     def _dispatch(self, x: int, y: int, z: int) -> None:
@@ -335,6 +359,6 @@ class NullBackend(CommandMethods):
         self._shaders.dispatch((x, y, z))
 
     def _dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        groups = self._resources.indirect_groups(buffer, offset)
-        self._indirect_dispatches.append(groups)
-        self._dispatch(*groups)
+        x, y, z = self._buffers.words(buffer, offset, 3).tolist()
+        self._indirect_dispatches.append((x, y, z))
+        self._dispatch(x, y, z)

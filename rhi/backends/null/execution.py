@@ -1,8 +1,7 @@
-"""What holds while commands are executed: states, program, pass and labels as anywhere (`StreamContext`), and
-whether conditional rendering lets draws through.
+"""The state while commands are executed: that of a `StreamContext`, and whether conditional rendering drops draws.
 
-A condition can't be known when nobody has said what is seen. Its draws are then neither executed nor dropped
-but *undecided*: they count as such, and make sample counts that include them unknown.
+The condition is unknown if the samples of its query are. Its draws are then neither executed nor dropped but
+*undecided*: they are counted as such, and sample counts that include them become unknown.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ __rhi_internal__ = True
 
 
 class DrawOutcome(enum.Enum):
-    """What becomes of a draw."""
+    """The outcome of a draw under conditional rendering."""
 
     EXECUTED = "executed"
     DROPPED = "dropped"
@@ -25,20 +24,24 @@ class DrawOutcome(enum.Enum):
 
 
 class ExecutionState(StreamContext):
-    """The context of the command that is being executed."""
+    """The state at the command that is being executed.
 
-    __slots__ = ("fate",)
+    Attributes:
+        outcome: the outcome of draws at this point.
+    """
+
+    __slots__ = ("outcome",)
 
     def __init__(self) -> None:
         super().__init__()
-        self.fate = DrawOutcome.EXECUTED
+        self.outcome = DrawOutcome.EXECUTED
 
     def begin_conditional(self, samples: int | None, inverted: bool) -> None:
-        """`samples` is the query's answer, None if it is not known."""
+        """Begin conditional rendering on a query that counted `samples`, None if unknown."""
         if samples is None:
-            self.fate = DrawOutcome.UNDECIDED
+            self.outcome = DrawOutcome.UNDECIDED
         else:
-            self.fate = DrawOutcome.DROPPED if (samples == 0) != inverted else DrawOutcome.EXECUTED
+            self.outcome = DrawOutcome.DROPPED if (samples == 0) != inverted else DrawOutcome.EXECUTED
 
     def end_conditional(self) -> None:
-        self.fate = DrawOutcome.EXECUTED
+        self.outcome = DrawOutcome.EXECUTED

@@ -1,9 +1,9 @@
-"""Faults: a Backend in front of the null one that fails as real devices do, at a chosen place.
+"""Fault injection: a backend in front of the null one that fails as real devices do, at chosen places.
 
-- One `Faults` says what fails when; `Faults.from_seed` draws one fault for a program from a clean run of it.
-- A failed creation or compilation is refused before the backend hears of it, as the contract wants it. A lost
-  device stays lost: every further call but `close` fails.
-- Counts are from 0, in the order of the calls.
+- A `Faults` says what fails, and when. `Faults.from_seed` chooses one fault for a program from a clean run of it.
+- A creation or compilation that fails never reaches the backend behind, as the contract requires. A lost device stays
+  lost: every further call except `close` fails.
+- Counts start at 0 and follow the order of the calls.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from types import CodeType
 from typing import Any
 
 from rhi.commands.ops import Op
-from rhi.commands.recorder import CommandMethods, pass_on
+from rhi.commands.recorder import ForwardingBackend, pass_on
 from rhi.commands.stream import CommandStream
-from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id, ProgramDescriptor, QueryKind
 from rhi.errors import DeviceError, ShaderError
 from rhi.errors.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
@@ -25,20 +25,20 @@ from rhi.errors.rules import DEVICE_LOST, DEVICE_MEMORY, SHADER_DRIVER
 __rhi_internal__ = True
 
 FRAME_SECONDS = 1 / 60
-"""How long a wait for a fence that is a frame late takes."""
+"""Seconds that a wait takes for each frame by which a fence is late."""
 _CREATIONS = frozenset(op for op in Op if op.method.startswith("create_"))
 
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """What fails; None and 0: nothing.
+    """The faults to inject. With None and 0 nothing fails.
 
     Attributes:
-        memory: the creation (of anything) that finds no memory left, `device-out-of-memory`.
-        compilation: the program that the driver refuses, `shader-driver`.
-        loss: the command at which the device is lost, `device-lost`.
-        late_frames: how many frames (`present`) after its signal the fence is seen to be reached.
-        silent_query: the query, in the order of creation, that never answers.
+        memory: the number of the creation (of any resource) that runs out of memory: `device-out-of-memory`.
+        compilation: the number of the program that the driver rejects: `shader-driver`.
+        loss: the number of the command at which the device is lost: `device-lost`.
+        late_frames: how many frames (`present` calls) after its signal the fence appears to be reached.
+        silent_query: the number of the query, in order of creation, that never answers.
     """
 
     memory: int | None = None
@@ -49,7 +49,7 @@ class Faults:
 
     @classmethod
     def from_seed(cls, seed: int, stream: CommandStream) -> Faults:
-        """One fault somewhere in a program of which `stream` is a clean run; equal seeds, equal faults."""
+        """Choose one fault in the program whose clean run is `stream`. Equal seeds give equal faults."""
         ops = Counter(command.op for command in stream)
         creations = sum(ops[op] for op in _CREATIONS)
         generator = random.Random(seed)
@@ -68,8 +68,8 @@ class Faults:
         return cls(**{kind: generator.randrange(places[kind])})
 
 
-class FaultInjector(CommandMethods):
-    """A Backend that fails as its `faults` say, and else passes calls on."""
+class FaultInjector(ForwardingBackend):
+    """A backend that forwards calls to another, and fails where its `faults` say so."""
 
     METHOD = """\
     self._enter({op})
@@ -77,7 +77,7 @@ class FaultInjector(CommandMethods):
 """
 
     def __init__(self, backend: Backend, faults: Faults) -> None:
-        self.backend = backend
+        super().__init__(backend)
         self.faults = faults
         self._commands = 0
         self._creations = 0
@@ -85,26 +85,21 @@ class FaultInjector(CommandMethods):
         self._queries = 0
         self._lost = False
         self._presented = 0
-        self._signalled: dict[int, int] = {}  # by fence value not seen yet, the frames presented before
+        self._signalled: dict[
+            int, int
+        ] = {}  # by fence value not yet seen, the number of frames presented before
         self._seen = 0
         self._silent: Id = 0
 
-    @property
-    def capabilities(self) -> Capabilities:
-        return self.backend.capabilities
-
-    def close(self) -> None:
-        self.backend.close()
-
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """A command of a command buffer, with the line that recorded it; none of those that have methods here."""
+        """Forward a command of a command buffer with its call site; never one that this class defines."""
         self._enter(op)
         pass_on(self.backend, op, arguments, code, offset)
 
     # -- faults ------------------------------------------------------------------------------------------
 
     def _enter(self, op: int) -> None:
-        """Count a command; fail if it is its turn."""
+        """Count a command, and fail if a fault is due."""
         name = Op(op).method
         number, self._commands = self._commands, self._commands + 1
         self._lost = self._lost or number == self.faults.loss

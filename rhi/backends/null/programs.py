@@ -1,19 +1,18 @@
-"""Programs, vertex arrays and samplers: nothing is compiled, so their descriptions are all there is of them."""
+"""Programs and vertex arrays. Nothing is compiled: only their descriptors are kept."""
 
 from __future__ import annotations
 
-from rhi.contract.descriptors import Id, ProgramDescriptor, SamplerDescriptor, VertexArrayDescriptor
+from rhi.contract.descriptors import Id, ProgramDescriptor, VertexArrayDescriptor
 
 __rhi_internal__ = True
 
 
 class Programs:
-    """All programs, vertex arrays and samplers of a device, by id."""
+    """All programs and vertex arrays of a device, by id."""
 
     def __init__(self) -> None:
         self.programs: dict[Id, ProgramDescriptor] = {}
         self.vertex_arrays: dict[Id, VertexArrayDescriptor] = {}
-        self.samplers: dict[Id, SamplerDescriptor] = {}
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         self.programs[program] = descriptor
@@ -21,14 +20,10 @@ class Programs:
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self.vertex_arrays[vertex_array] = descriptor
 
-    def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        self.samplers[sampler] = descriptor
-
     def is_indexed(self, vertex_array: Id) -> bool:
-        """Whether draws take their vertices through an index buffer."""
+        """Return whether draws of a vertex array use an index buffer."""
         return self.vertex_arrays[vertex_array].index_buffer != 0
 
     def destroy(self, resource: Id) -> None:
         self.programs.pop(resource, None)
         self.vertex_arrays.pop(resource, None)
-        self.samplers.pop(resource, None)

@@ -1,69 +1,56 @@
-"""Queries and the fence, on a device that rasterises nothing: who knows what is seen has to say so.
+"""Queries, on a device that rasterises nothing. The numbers of samples must be given.
 
-- `count_samples(f)`: `f(draw)` gives the samples that a draw passes. It feeds the running counter (COUNTER
-  queries) and the counts of OCCLUSION queries, so emulated queries work as on hardware.
-- `answer_queries(a)`: the answers themselves, in place of a count (`visibility`).
-- What neither knows is refused when it is read (`null-samples`); it is never zero. Zero is known without
-  help where no draw was executed.
-- A counter that has passed an unknown draw stays unknown: the difference of two values would be wrong.
+- `count_samples(f)`: `f(draw)` returns the samples that a draw passes. They are added to the running counter (COUNTER
+  queries) and to OCCLUSION queries, so emulated queries work as on hardware.
+- `answer_queries(a)`: gives the answers themselves (`answers`).
+- Reading an answer that is still unknown is refused (`null-samples`); it is never zero. It is known to be zero where
+  no draw was executed.
+- A counter that has passed a draw with unknown samples stays unknown: differences of its values would be wrong.
 """
 
 from __future__ import annotations
 
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
-from rhi.backends.null.visibility import Answers, Oracle, RecordedAnswers, make_oracle
-from rhi.contract.descriptors import Id, Primitive, QueryKind
+from rhi.backends.null.answers import AnswerFunction, Answers, RecordedAnswers, make_answer_function
+from rhi.backends.null.draws import Draw
+from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import refuse
 from rhi.errors.rules import NULL_ANSWER, NULL_SAMPLES
 
 __rhi_internal__ = True
 
 
-@dataclass(frozen=True, slots=True)
-class Draw:
-    """An executed draw, indirect ones one by one. `labels` are those it lies in, outermost first."""
+class _QueryState:
+    """A query: its kind, its value, and how often it was used."""
 
-    program: Id
-    vertex_array: Id
-    primitive: Primitive
-    first: int
-    count: int
-    instances: int
-    base_vertex: int
-    base_instance: int
-    labels: tuple[str, ...]
-
-
-class _Query:
     __slots__ = ("finished", "kind", "place", "use", "value")
 
     def __init__(self, kind: QueryKind) -> None:
         self.kind = kind
         self.finished = False
-        self.value: int | None = None  # None: not known
-        self.use = -1  # how often it was begun or written, less one
-        self.place = -1  # of its latest end among all ends of OCCLUSION queries
+        self.value: int | None = None  # None if unknown
+        self.use = -1  # number of the latest begin or write
+        self.place = -1  # number of the latest end among the ends of all OCCLUSION queries
 
 
 class Queries:
     """All queries of a device, by id.
 
     Attributes:
-        passed: all samples known to have passed.
-        unknown: draws of which nobody could say what they passed.
+        passed: the number of samples that are known to have passed.
+        unknown: the number of draws with unknown samples.
     """
 
     def __init__(self) -> None:
         self.passed = 0
         self.unknown = 0
-        self._queries: dict[Id, _Query] = {}
-        self._open: _Query | None = None
+        self._queries: dict[Id, _QueryState] = {}
+        self._open: _QueryState | None = None
         self._counter: int | None = 0
         self._samples: Callable[[Draw], int | None] | None = None
-        self._oracle: Oracle = lambda query, use, place: None
+        self._answers: AnswerFunction = lambda query, use, place: None
         self._ended = 0
 
     def count_samples(self, samples: Callable[[Draw], int | None] | None) -> None:
@@ -72,7 +59,7 @@ class Queries:
     def answer(self, answers: Answers) -> None:
         if not (callable(answers) or isinstance(answers, (Mapping, Sequence, RecordedAnswers))):
             _check_samples("answer_queries", answers)
-        self._oracle = make_oracle(answers)
+        self._answers = make_answer_function(answers)
 
     @property
     def counts(self) -> bool:
@@ -81,7 +68,7 @@ class Queries:
 
     @property
     def counter(self) -> int | None:
-        """The running counter of samples, None since it passed a draw that nobody knows."""
+        """The running counter of samples; None after a draw with unknown samples."""
         return self._counter
 
     def kind(self, query: Id) -> QueryKind:
@@ -90,7 +77,7 @@ class Queries:
     # -- commands ----------------------------------------------------------------------------------------
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        self._queries[query] = _Query(kind)
+        self._queries[query] = _QueryState(kind)
 
     def destroy(self, resource: Id) -> None:
         self._queries.pop(resource, None)
@@ -108,20 +95,20 @@ class Queries:
         self._open = None
 
     def write_query(self, query: Id, nanoseconds: int) -> None:
-        """Take the counter, or the time, which is `nanoseconds`."""
+        """Write the counter's value, or for a TIMESTAMP the time in `nanoseconds`."""
         written = self._queries[query]
         written.finished = True
         written.use += 1
         written.value = nanoseconds if written.kind is QueryKind.TIMESTAMP else self._counter
 
-    def expect(self, query: Id) -> None:
-        """A counter that will be taken later."""
+    def begin_write(self, query: Id) -> None:
+        """Mark a COUNTER as written, with a value that `finish_write` sets later."""
         written = self._queries[query]
         written.finished = False
         written.use += 1
 
-    def take(self, query: Id, counter: int | None) -> None:
-        """What the counter was when it was taken, None if nobody knows."""
+    def finish_write(self, query: Id, counter: int | None) -> None:
+        """Set the value of a COUNTER that `begin_write` marked; None if unknown."""
         taken = self._queries[query]
         taken.finished, taken.value = True, counter
 
@@ -131,7 +118,7 @@ class Queries:
         try:
             if self._samples is not None:
                 samples = _check_samples("count_samples", self._samples(draw))
-        finally:  # also when that raised: the count would miss a draw from here on
+        finally:  # also if that raised: from here on the count lacks a draw
             if samples is None:
                 self.add_unknown()
         if samples is None:
@@ -143,7 +130,7 @@ class Queries:
             self._open.value += samples
 
     def add_unknown(self) -> None:
-        """A draw of which nobody can say what it passed."""
+        """Count a draw with unknown samples."""
         self.unknown += 1
         self._counter = None
         if self._open is not None:
@@ -152,23 +139,27 @@ class Queries:
     # -- answers -----------------------------------------------------------------------------------------
 
     def samples(self, query: Id) -> int | None:
-        """The samples a query counted, None if nobody knows (or it is unfinished)."""
-        asked = self._queries[query]
-        if not asked.finished:
+        """Return the samples that a query counted, None if they are unknown or the query is unfinished."""
+        state = self._queries[query]
+        if not state.finished:
             return None
-        given = _check_samples("answer_queries", self._oracle(query, asked.use, asked.place))
-        return asked.value if given is None else given
+        given = _check_samples("answer_queries", self._answers(query, state.use, state.place))
+        return state.value if given is None else given
 
     def read(self, query: Id) -> int | None:
-        """The answer, None while it isn't there; `null-samples` if it is there but not known."""
-        asked = self._queries[query]
-        if not asked.finished:
+        """Return the answer of a query, None while it is unfinished.
+
+        Raises:
+            ValidationError: `null-samples` if the query is finished but its answer is unknown.
+        """
+        state = self._queries[query]
+        if not state.finished:
             return None
-        if asked.kind is QueryKind.TIMESTAMP:
-            return asked.value
+        if state.kind is QueryKind.TIMESTAMP:
+            return state.value
         samples = self.samples(query)
         if samples is None:
-            refuse(NULL_SAMPLES, f"the answer of {asked.kind.value} query {query}")
+            refuse(NULL_SAMPLES, f"the answer of {state.kind.value} query {query}")
         return samples
 
 
@@ -180,5 +171,5 @@ def _check_samples(call: str, samples: object) -> int | None:
     except TypeError:
         count = -1
     if count < 0:
-        refuse(NULL_ANSWER, call, samples, "an integer of 0 or more, or None for what is not known")
+        refuse(NULL_ANSWER, call, samples, "an integer of 0 or more, or None if unknown")
     return count

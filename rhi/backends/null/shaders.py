@@ -1,8 +1,10 @@
-"""Shaders that run after all: dispatches on NumPy, and what stands in for a program.
+"""Executes shaders on request: compute shaders on NumPy, and stand-ins for programs.
 
-- A compute stage's NumPy text (`ProgramDescriptor.emit`) runs on the memory that is bound, in the order of execution.
-- Nothing is rasterised, so no fragment runs. What fragments write to memory only somebody can say who knows what is
-  seen: a *stand-in*, which is called at each draw or dispatch of its program, in place of it.
+- The NumPy source of a compute stage (`ProgramDescriptor.emit`) is executed on the bound memory, in the order of the
+  commands.
+- Nothing is rasterised, so fragment stages never run. What fragments write to memory depends on what is visible, and
+  only the caller knows that. So the caller provides a *stand-in*: a function that is called in place of a program,
+  for each of its draws and dispatches.
 """
 
 from __future__ import annotations
@@ -13,45 +15,51 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.backends.null.buffers import Buffers
+from rhi.backends.null.draws import Draw
 from rhi.backends.null.execution import ExecutionState
 from rhi.backends.null.programs import Programs
-from rhi.backends.null.queries import Draw
-from rhi.backends.null.resources import Resources
+from rhi.backends.null.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
 from rhi.contract.layout import Layout, dtype_of, element_dtype
 
 __rhi_internal__ = True
 
 StandIn: TypeAlias = Callable[[Mapping[str, Any], Draw | None], object]
-"""Given what is bound, by name, and the draw, None for a dispatch. Storage is an array of its elements (n,), a uniform
-one of one element; both are the memory itself, to be read and written. Textures and images are `HostTexture`s."""
+"""A function called in place of a program, with the bound resources by name, and the draw (None for a dispatch).
+Storage is an array of its elements (n,), a uniform an array of one element. Both are the memory itself, to be read
+and written. Textures and images are `HostTexture`s."""
 
 
 class Shaders:
-    """What runs of a device's programs: nothing, until `run` is called.
+    """Executes the shaders of a device: none, until `run` is called.
 
     Attributes:
-        stand_ins: by program.
+        stand_ins: the stand-ins, by program.
     """
 
-    def __init__(self, resources: Resources, programs: Programs, state: ExecutionState) -> None:
+    def __init__(
+        self, buffers: Buffers, textures: Textures, programs: Programs, state: ExecutionState
+    ) -> None:
         self.stand_ins: Mapping[Id, StandIn] = {}
         self._runs = False
-        self._resources = resources
+        self._buffers = buffers
+        self._textures = textures
         self._programs = programs
         self._state = state
         self._kernels: dict[ProgramDescriptor, Any] = {}
 
     def run(self, stand_ins: Mapping[Id, StandIn]) -> None:
+        """Execute dispatches from now on, with these stand-ins."""
         self._runs = True
         self.stand_ins = dict(stand_ins)
 
     def draw(self, draw: Draw) -> None:
-        """An executed draw of a program that has a stand-in."""
+        """Call the stand-in of the draw's program, which must have one."""
         self.stand_ins[draw.program](self._bound(draw.program), draw)
 
     def dispatch(self, groups: tuple[int, int, int]) -> None:
-        """Run work-groups of the program that is bound."""
+        """Execute work-groups of the bound program, or call its stand-in."""
         program = self._state.program
         if program in self.stand_ins:
             self.stand_ins[program](self._bound(program), None)
@@ -81,28 +89,31 @@ class Shaders:
         if binding.kind is BindingKind.IMAGE:
             return self._image(binding, name, *place)
         offset, size = place
-        return _view(self._resources.buffers[name][offset : offset + size], binding)
+        return _view(self._buffers.memory[name][offset : offset + size], binding)
 
     def _texture(self, binding: Binding, name: Id, sampler: Id) -> Any:
         from rhi.shading.numpy.textures import HostTexture
 
-        texture = self._resources.textures[name]
+        texture = self._textures.textures[name]
         return HostTexture(
-            texture.levels, texture.descriptor.format, texture.descriptor.kind, self._programs.samplers.get(sampler)
+            texture.levels,
+            texture.descriptor.format,
+            texture.descriptor.kind,
+            self._textures.samplers.get(sampler),
         )
 
     def _image(self, binding: Binding, name: Id, level: int, layer: int) -> Any:
         from rhi.shading.numpy.textures import HostTexture
 
-        texture = self._resources.textures[name]
+        texture = self._textures.textures[name]
         texels = texture.levels[level]
         bound = HostTexture(texels[:0], texture.descriptor.format, texture.descriptor.kind)
-        bound.levels = [texels if layer < 0 else texels[layer : layer + 1]]  # itself: shaders write into it
+        bound.levels = [texels if layer < 0 else texels[layer : layer + 1]]  # no copy: shaders write into it
         return bound
 
 
 def _view(memory: NDArray[np.uint8], binding: Binding) -> NDArray[Any]:
-    """A buffer's part as elements of a binding."""
+    """Return a range of a buffer as an array of a binding's elements."""
     from rhi.shading.language.annotations import value_type_of
 
     type = value_type_of(binding.type)

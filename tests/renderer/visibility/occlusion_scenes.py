@@ -22,8 +22,7 @@ from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes,
 from renderer.visibility.gpu.reprojection import WriteDepth
 from renderer.visibility.queries.box_queries import BoxShader
 from rhi import OcclusionQuery
-from rhi.backends.null import NullBackend
-from rhi.backends.null.queries import Draw
+from rhi.backends.null import Draw, NullBackend
 
 WAITING = ("stop_and_wait", "chc", "chc_plus_plus")
 """The algorithms that wait for answers, if they must."""

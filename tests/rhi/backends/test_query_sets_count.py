@@ -14,7 +14,7 @@ import rhi
 from rhi import Device, Format, Mesh, QuerySet
 from rhi.backends.cl.backend import ClBackend
 from rhi.backends.gl.backend import GlBackend
-from rhi.backends.gl.query_sets import QuerySet as GlQuerySet
+from rhi.backends.gl.query_sets import GlQuerySet
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import texel_rectangle
 from rhi.contract.descriptors import QueryKind

@@ -3,6 +3,7 @@
 import gc
 import sys
 import traceback
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -293,3 +294,23 @@ def test_recording_makes_no_objects_that_the_garbage_collector_must_visit():
     for index in range(1000):
         recorder.draw(1, Primitive.TRIANGLES, 0, index, 1, 0, 0)
     assert len(gc.get_objects()) - before < 20
+
+
+class Counting(Listener):
+    """A backend whose methods use a global name of their own."""
+
+    METHOD = "    self.calls.append(count_of({arguments}))"
+    GLOBALS: ClassVar = {"count_of": lambda *arguments: len(arguments)}
+
+
+class Inheriting(Counting):
+    pass
+
+
+@pytest.mark.parametrize("kind", [Counting, Inheriting])
+def test_generated_methods_see_the_names_that_their_class_declares_and_no_others(kind):
+    backend = kind()
+    backend.dispatch(1, 2, 3)
+    assert backend.calls == [3]
+    assert set(kind.dispatch.__globals__) == {"__name__", "__builtins__", "count_of"}
+    assert kind.dispatch.__module__ == __name__

@@ -180,7 +180,7 @@ def test_after_a_call_that_failed_the_device_and_the_buffer_go_on(
         device.submit(commands)
         assert null.statistics.draws == draws + 2 + 3 + 2
         arena = commands._arena
-        assert bytes(null._resources.buffers[arena.buffer]) == bytes(arena.data)
+        assert bytes(null._buffers.memory[arena.buffer]) == bytes(arena.data)
         state = null._state
         assert state.labels == ()
         assert state.render_pass is None

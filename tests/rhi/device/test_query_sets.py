@@ -9,7 +9,7 @@ from null_kit import Kit
 import rhi
 from rhi import Op
 from rhi.backends.null import NullBackend
-from rhi.backends.null.visibility import AnswerLog
+from rhi.backends.null.answers import AnswerLog
 
 ROWS = [2, 0, 0, 3]
 

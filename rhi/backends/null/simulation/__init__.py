@@ -1,1 +1,1 @@
-"""A GPU on a simulated clock: what commands cost, when they finish, and which accesses collide."""
+"""A GPU on a simulated clock: the cost of commands, when they finish, and which accesses conflict."""

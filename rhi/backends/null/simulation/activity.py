@@ -1,9 +1,9 @@
-"""What CPU and GPU did when: the timeline of a simulated run (thesis Figures 4.1 and 6.2).
+"""The activity of CPU and GPU over time: the timeline of a simulated run (thesis Figures 4.1 and 6.2).
 
-- An `ActivityTimeline` is spans on two lanes. The CPU is busy or stalled (it waits for the GPU); the GPU is
-  busy, starved (it has nothing to do) or halted (an interrupt is being handled, thesis 4.4.2).
-- Times are integers, nanoseconds since the device was made. The same calls give the same timeline.
-- It prints as text, draws itself with matplotlib, and saves itself as a trace for Chrome and Perfetto.
+- An `ActivityTimeline` has spans on two lanes. The CPU is busy or stalled (waiting for the GPU). The GPU is busy,
+  starved (without work) or halted (while an interrupt is handled, thesis 4.4.2).
+- Times are integers: nanoseconds since the device was created. The same calls give the same timeline.
+- A timeline can be printed as text, plotted with matplotlib, and saved as a trace for Chrome and Perfetto.
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ __rhi_internal__ = True
 
 
 class Lane(enum.Enum):
+    """A row of the timeline: one of the two processors."""
+
     CPU = "CPU"
     GPU = "GPU"
 
 
 class Activity(enum.Enum):
-    """What a lane does; the values are its character as text and its color in a picture."""
+    """What a processor does. A value is its character in text and its color in a plot."""
 
     BUSY = ("█", "#3b76af")
     STALLED = ("░", "#d1605e")
@@ -44,7 +46,8 @@ class Activity(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """From `start` to `end` in nanoseconds; `name` says why, or what of."""
+    """An activity of one lane from `start` to `end`, in nanoseconds. `name` is its reason, or the label it
+    measures."""
 
     lane: Lane
     activity: Activity
@@ -54,17 +57,18 @@ class Span:
 
     @property
     def nanoseconds(self) -> int:
+        """The length of the span."""
         return self.end - self.start
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
-    """One frame: what the CPU did between two `present`s, and when the GPU was done with it.
+class FrameActivity:
+    """One frame, from one `present` to the next. Times are in nanoseconds.
 
     Attributes:
-        start, presented: of the CPU.
-        done: when the GPU got to the end of the frame; None if it hasn't yet.
-        in_flight: frames presented and not done, this one included, as it was presented.
+        start, presented: when the CPU began the frame, and when it presented it.
+        done: when the GPU reached the end of the frame, None if it hasn't yet.
+        in_flight: frames presented but not done when this one was presented, including it.
     """
 
     start: int
@@ -74,11 +78,11 @@ class Frame:
 
     @property
     def latency(self) -> int | None:
-        """From the CPU's start on the frame to the GPU's end of it."""
+        """Nanoseconds from the CPU's start of the frame to the GPU's end of it, None if the GPU isn't done."""
         return None if self.done is None else self.done - self.start
 
 
-_OF_LANE: Final = {Lane.CPU: (Activity.BUSY, Activity.STALLED), Lane.GPU: tuple(Activity)}
+_ACTIVITIES: Final = {Lane.CPU: (Activity.BUSY, Activity.STALLED), Lane.GPU: tuple(Activity)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,23 +90,23 @@ class ActivityTimeline:
     """A simulated run up to now.
 
     Attributes:
-        spans: of each lane in order, without gaps from 0 to `end`.
-        labels: GPU time inside of labels and passes that have ended, by name; they nest.
-        frames: those that were presented.
-        end: now, by the CPU's clock.
+        spans: the spans of each lane in order, without gaps from 0 to `end`.
+        labels: GPU time inside labels and passes that have ended, with their names; they nest.
+        frames: the presented frames.
+        end: the present time on the CPU's clock.
     """
 
     spans: tuple[Span, ...]
     labels: tuple[Span, ...]
-    frames: tuple[Frame, ...]
+    frames: tuple[FrameActivity, ...]
     end: int
 
     def lane(self, lane: Lane) -> list[Span]:
-        """The spans of one lane, in order."""
+        """Return the spans of one lane, in order."""
         return [span for span in self.spans if span.lane is lane]
 
     def total(self, lane: Lane, activity: Activity, start: int = 0, end: int | None = None) -> int:
-        """Nanoseconds that a lane did this, between `start` and `end`."""
+        """Return the nanoseconds of an activity on a lane, between `start` and `end`."""
         end = self.end if end is None else end
         return sum(
             max(0, min(span.end, end) - max(span.start, start))
@@ -111,13 +115,13 @@ class ActivityTimeline:
         )
 
     def format(self, width: int = 72) -> str:
-        """The two lanes as bars of `width` characters with totals, and a row for each frame."""
-        lines = [f"{'':4}0 {_shown(self.end):>{max(1, width - 1)}}"]
+        """Return the two lanes as bars of `width` characters with totals, and a row for each frame."""
+        lines = [f"{'':4}0 {_format_time(self.end):>{max(1, width - 1)}}"]
         for lane in Lane:
             bar = _bar(self.lane(lane), self.end, width)
             parts = [
-                f"{activity.character} {activity.name.lower()} {_shown(time)}"
-                for activity in _OF_LANE[lane]
+                f"{activity.character} {activity.name.lower()} {_format_time(time)}"
+                for activity in _ACTIVITIES[lane]
                 if (time := self.total(lane, activity)) or activity is not Activity.HALTED
                 if lane is Lane.CPU or activity is not Activity.STALLED
             ]
@@ -126,13 +130,13 @@ class ActivityTimeline:
             lines.append("frame   cpu busy  cpu stalled     gpu busy  gpu starved      latency  in flight")
         for number, frame in enumerate(self.frames):
             times = [
-                _shown(self.total(lane, activity, frame.start, frame.presented))
+                _format_time(self.total(lane, activity, frame.start, frame.presented))
                 for lane, activity in (
                     (Lane.CPU, Activity.BUSY), (Lane.CPU, Activity.STALLED),
                     (Lane.GPU, Activity.BUSY), (Lane.GPU, Activity.STARVED),
                 )
             ]  # fmt: skip
-            latency = "not done" if frame.latency is None else _shown(frame.latency)
+            latency = "not done" if frame.latency is None else _format_time(frame.latency)
             lines.append(f"{number:>5} {times[0]:>10} {times[1]:>12} {times[2]:>12} {times[3]:>12} {latency:>12} "
                          f"{frame.in_flight:>10}")  # fmt: skip
         return "\n".join(lines)
@@ -141,11 +145,11 @@ class ActivityTimeline:
         return self.format()
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """The timeline as a picture, saved to `path` if one is given. Needs matplotlib."""
+        """Plot the timeline, and save the picture to `path` if given. Needs matplotlib."""
         from matplotlib.figure import Figure
         from matplotlib.patches import Patch
 
-        scale, unit = _unit(self.end)
+        scale, unit = _find_unit(self.end)
         figure = Figure(figsize=(10, 2.6), layout="constrained")
         axes = figure.add_subplot()
         rows = {Lane.CPU: 1.0, Lane.GPU: 0.0}
@@ -160,7 +164,7 @@ class ActivityTimeline:
             top = -0.55 - 0.3 * depth
             bar = (span.start / scale, span.nanoseconds / scale)
             axes.broken_barh([bar], (top - 0.22, 0.22), facecolors="#cccccc", edgecolors="white")
-            if span.nanoseconds > self.end / 25:  # else the text would run into the next
+            if span.nanoseconds > self.end / 25:  # else the text would overlap the next
                 style: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 7, "clip_on": True}
                 axes.text(sum(bar) - bar[1] / 2, top - 0.11, span.name, **style)
         for frame in self.frames:
@@ -178,7 +182,7 @@ class ActivityTimeline:
         return figure
 
     def save(self, path: str | Path) -> None:
-        """A trace in the JSON format of Chrome (`chrome://tracing`), which Perfetto reads too."""
+        """Save a trace in the JSON format of Chrome (`chrome://tracing`), which Perfetto reads too."""
         threads = {"CPU": 1, "GPU": 2, "GPU labels": 3}
         events: list[dict[str, Any]] = [
             {"ph": "M", "name": "thread_name", "pid": 1, "tid": tid, "args": {"name": name}}
@@ -186,10 +190,19 @@ class ActivityTimeline:
         ]
         for span in self.spans:
             name = span.activity.name.lower()
-            events.append(_slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name))
+            events.append(
+                _slice(span, threads[span.lane.value], f"{name}: {span.name}" if span.name else name)
+            )
         events += [_slice(span, threads["GPU labels"], span.name) for span in self.labels]
         events += [
-            {"ph": "i", "s": "g", "name": f"frame {number} presented", "pid": 1, "tid": 1, "ts": frame.presented / 1e3}
+            {
+                "ph": "i",
+                "s": "g",
+                "name": f"frame {number} presented",
+                "pid": 1,
+                "tid": 1,
+                "ts": frame.presented / 1e3,
+            }
             for number, frame in enumerate(self.frames)
         ]
         document = {"displayTimeUnit": "ns", "traceEvents": events}
@@ -197,11 +210,12 @@ class ActivityTimeline:
 
 
 class ActivityLog:
-    """What the simulation notes down; `timeline` makes spans of it.
+    """The log of a simulation, from which `timeline` creates spans.
 
     Attributes:
-        stalls, idle: what the CPU and the GPU did besides being busy, in order.
-        presented: (when, frames in flight); done: when the GPU got to the same ends of frames.
+        stalls, idle: the spans in which the CPU and the GPU weren't busy, in order.
+        presented: (time, frames in flight) of each `present`.
+        done: when the GPU reached the ends of these frames.
     """
 
     def __init__(self) -> None:
@@ -209,16 +223,16 @@ class ActivityLog:
         self.idle: list[Span] = []
         self.presented: list[tuple[int, int]] = []
         self.done: list[int] = []
-        self._labels: list[Span | None] = []  # in the order of their beginnings; None while open
+        self._labels: list[Span | None] = []  # in the order in which they begin; None while open
         self._open: list[tuple[int, int, str]] = []
 
-    def stall(self, start: int, end: int, why: str) -> None:
-        """The CPU waits."""
+    def add_stall(self, start: int, end: int, why: str) -> None:
+        """Log that the CPU waits."""
         if end > start:
             self.stalls.append(Span(Lane.CPU, Activity.STALLED, start, end, why))
 
-    def rest(self, activity: Activity, start: int, end: int, why: str = "") -> None:
-        """The GPU is starved or halted."""
+    def add_idle(self, activity: Activity, start: int, end: int, why: str = "") -> None:
+        """Log that the GPU is starved or halted."""
         if end > start:
             self.idle.append(Span(Lane.GPU, activity, start, end, why))
 
@@ -235,21 +249,22 @@ class ActivityLog:
         self.presented.append((time, len(self.presented) + 1 - len(self.done)))
 
     def timeline(self, now: int, idle_since: int | None) -> ActivityTimeline:
-        """Up to `now`, the CPU's clock; since when the GPU has nothing to do, None if it has."""
-        rests = self.idle.copy()
+        """Return the timeline up to `now` on the CPU's clock. The GPU has been idle since `idle_since`; None: it is
+        busy."""
+        idle = self.idle.copy()
         if idle_since is not None and idle_since < now:
-            rests.append(Span(Lane.GPU, Activity.STARVED, idle_since, now))
-        spans = (*_fill(Lane.CPU, self.stalls, now), *_fill(Lane.GPU, rests, now))
+            idle.append(Span(Lane.GPU, Activity.STARVED, idle_since, now))
+        spans = (*_fill(Lane.CPU, self.stalls, now), *_fill(Lane.GPU, idle, now))
         starts = [0, *(time for time, _ in self.presented)]
         frames = [
-            Frame(starts[i], time, self.done[i] if i < len(self.done) else None, in_flight)
+            FrameActivity(starts[i], time, self.done[i] if i < len(self.done) else None, in_flight)
             for i, (time, in_flight) in enumerate(self.presented)
         ]
         return ActivityTimeline(spans, tuple(label for label in self._labels if label), tuple(frames), now)
 
 
 def _fill(lane: Lane, others: Sequence[Span], end: int) -> Iterable[Span]:
-    """`others` up to `end`, with busy spans between them."""
+    """Yield `others` up to `end`, with busy spans between them."""
     place = 0
     for span in others:
         if span.start >= end:
@@ -263,7 +278,7 @@ def _fill(lane: Lane, others: Sequence[Span], end: int) -> Iterable[Span]:
 
 
 def _bar(spans: Sequence[Span], end: int, width: int) -> str:
-    """One character for each part of the time: what was done most in it."""
+    """Return `width` characters, each for the longest activity in its part of the time."""
     shares = [dict.fromkeys(Activity, 0.0) for _ in range(width)]
     for span in spans:
         first, last = span.start * width / max(end, 1), span.end * width / max(end, 1)
@@ -273,7 +288,7 @@ def _bar(spans: Sequence[Span], end: int, width: int) -> str:
 
 
 def _depths(labels: Sequence[Span]) -> list[int]:
-    """How many labels each lies in; they come in the order of their beginnings."""
+    """Return the number of labels around each label. They are in the order in which they begin."""
     depths: list[int] = []
     around: list[Span] = []
     for label in labels:
@@ -289,10 +304,10 @@ def _slice(span: Span, thread: int, name: str) -> dict[str, Any]:
     return {"ph": "X", "name": name, "cat": span.lane.value, "pid": 1, "tid": thread, **times}
 
 
-def _unit(nanoseconds: int) -> tuple[float, str]:
+def _find_unit(nanoseconds: int) -> tuple[float, str]:
     return (1e6, "ms") if nanoseconds >= 1e6 else (1e3, "µs")
 
 
-def _shown(nanoseconds: int) -> str:
-    scale, unit = _unit(nanoseconds)
+def _format_time(nanoseconds: int) -> str:
+    scale, unit = _find_unit(nanoseconds)
     return f"{nanoseconds / scale:.3f} {unit}"

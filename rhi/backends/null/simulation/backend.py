@@ -1,13 +1,13 @@
-"""The null device with a GPU on a simulated clock.
+"""The null backend with a GPU on a simulated clock.
 
-- Two clocks, in integer nanoseconds. The CPU's goes on with every call by a fixed time; by waits to when they
-  end; and by `spend`, for the work that the program would do. The GPU's goes on with what it executes, by a
+- There are two clocks, in integer nanoseconds. The CPU's advances by a fixed time with every call, to the end of each
+  wait, and by `spend`, for the program's own work. The GPU's advances with the commands it executes, by a
   `CostModel`.
-- Calls gather in the queue. They are submitted by a signal, a wait, a read or the end of a frame, or when
-  `batch` of them have gathered; the GPU sees them `submission_latency` later and executes them in order.
-- The GPU is let run, up to the CPU's present time, whenever the CPU could see a difference. A command's
-  effects appear when it starts, which for fences and queries is when all before it has ended.
-- A place in the queue has its call site, as in a `CommandStream`, so that hazards (`hazards`) name lines.
+- Calls gather in the queue. They are submitted by a signal, a wait, a read or the end of a frame, or when `batch`
+  calls have gathered. They reach the GPU `submission_latency` later, and it executes them in order.
+- The GPU is advanced to the CPU's present time whenever the CPU could see a difference. A command's effects appear
+  when it starts; for fences and queries that is when everything before them has ended.
+- Each entry of the queue has its call site, as in a `CommandStream`, so that hazards (`hazards`) name lines.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from textwrap import indent
 from types import CodeType
 from typing import Any, TypeAlias
 
@@ -23,14 +24,14 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.backends.null.backend import QUEUED_BYTES, NullBackend, Statistics
+from rhi.backends.null.backend import QUEUED_BYTES, ExecutionStatistics, NullBackend
 from rhi.backends.null.simulation.activity import Activity, ActivityLog, ActivityTimeline
-from rhi.backends.null.simulation.cost import CostModel, Work
+from rhi.backends.null.simulation.cost import CommandWork, CostModel
 from rhi.backends.null.simulation.hazards import Hazard, HazardTracker
-from rhi.backends.null.simulation.streams import Use
+from rhi.backends.null.simulation.streams import CommandUse
 from rhi.backends.null.simulation.work import WorkMeter
 from rhi.commands.ops import WIDTHS, Op
-from rhi.commands.recorder import _get_frame, _nowhere  # noqa: F401 (the generated methods use them)
+from rhi.commands.recorder import FIND_CALLER, FIND_CALLER_GLOBALS
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import (
     BufferDescriptor,
@@ -49,27 +50,27 @@ from rhi.errors.rules import DEVICE_ARGUMENT
 __rhi_internal__ = True
 
 Site: TypeAlias = tuple[CodeType | None, int]
-"""A call site: code and instruction offset."""
+"""A call site: a code object and an instruction offset."""
 
 
 @dataclass(frozen=True)
 class Simulation:
-    """How the simulated GPU and the way to it behave. Times are in nanoseconds.
+    """The parameters of a simulated GPU and its driver. Times are in nanoseconds.
 
     Attributes:
-        cost: what commands take on the GPU.
-        call: what each call of the interface takes on the CPU.
-        submission_latency: from a submission to its first command's start on an idle GPU.
-        wake_latency: from what the CPU waits for to its going on.
-        batch: calls after which they are submitted though nothing asks for it.
-        interrupt_latency: on a GPU whose sample counter only the CPU can read, how long it takes from an event in
-            the stream until an interrupt handler has read it (thesis 4.4.2); None: a command takes the counter.
-        halts_at_events: whether such a GPU stops until the handler is done. If it runs on, the counter has moved
-            on by the time that it is read.
+        cost: the cost of commands on the GPU.
+        call: the CPU time of each call of the interface.
+        submission_latency: the time from a submission until an idle GPU starts its first command.
+        wake_latency: the time from the event that the CPU waits for until the CPU continues.
+        batch: the number of calls after which they are submitted without a request.
+        interrupt_latency: for a GPU whose sample counter only the CPU can read: the time from an event in the stream
+            until an interrupt handler has read the counter (thesis 4.4.2). None: a command reads the counter.
+        halts_at_events: whether such a GPU stops until the handler is done. If it continues, the counter has
+            advanced by the time it is read.
 
     Raises:
-        ValidationError: `device-argument` for times below 0, and for calls that take none: a program that asks
-            until the GPU is done would ask forever.
+        ValidationError: `device-argument` for times below 0, and for a `call` of 0: a program that polls until the
+            GPU is done would poll forever.
     """
 
     cost: CostModel = field(default_factory=CostModel)
@@ -88,8 +89,14 @@ class Simulation:
                 refuse(DEVICE_ARGUMENT, f"Simulation({name}={value})", value, f"{smallest} or more")
 
 
-class _Batch:
-    """Submitted commands: a flat list, where the GPU is in it, and when it may start."""
+class _Submission:
+    """Submitted commands.
+
+    Attributes:
+        entries: the commands, as a flat list.
+        place: the GPU's position in `entries`.
+        ready: when the GPU may start with them.
+    """
 
     __slots__ = ("entries", "place", "ready")
 
@@ -100,38 +107,37 @@ class _Batch:
 
 
 class SimulatedBackend(NullBackend):
-    """The null backend on a simulated clock; see the module."""
+    """A null backend whose commands are executed on a simulated clock."""
 
-    METHOD = """\
+    METHOD = f"""\
     if self._site is None:
-        frame = _get_frame(1)
-        while "__rhi_internal__" in frame.f_globals:
-            frame = frame.f_back or _nowhere
-        self._enqueue(({op}, {arguments}frame.f_code, frame.f_lasti))
+{indent(FIND_CALLER, "    ")}\
+        self._enqueue(({{op}}, {{arguments}}frame.f_code, frame.f_lasti))
     else:
-        self._enqueue(({op}, {arguments}*self._site))
+        self._enqueue(({{op}}, {{arguments}}*self._site))
 """
+    GLOBALS = FIND_CALLER_GLOBALS
 
     def __init__(self, simulation: Simulation, capabilities: Capabilities | None = None) -> None:
         super().__init__(capabilities)
         self.simulation = simulation
-        self._site: Site | None = None  # of a call that was passed on
+        self._site: Site | None = None  # of a call that was forwarded by `pass_on`
         self._now = 0
         self._gpu = 0
         self._fence_time = 0
-        self._followed = 0  # place in the queue up to which the CPU's clock has followed the calls
-        self._called = 0  # commands called, as far as followed
-        self._submitted = 0  # commands submitted
-        self._batches: deque[_Batch] = deque()
-        self._interrupts: deque[tuple[int, Id]] = deque()  # when a handler reads the counter, for which query
-        self._read_at: dict[Id, int] = {}  # when it did
+        self._followed = 0  # position in the queue up to which the CPU's clock has advanced
+        self._called = 0  # number of commands called, up to `_followed`
+        self._submitted = 0  # number of commands submitted
+        self._submissions: deque[_Submission] = deque()
+        self._interrupts: deque[tuple[int, Id]] = deque()  # (when the handler reads the counter, query)
+        self._read_at: dict[Id, int] = {}  # by query, when the handler read the counter
         self._log = ActivityLog()
-        self._hazards = HazardTracker(self._resources, self._is_done)
-        self._meter = WorkMeter(simulation.cost, self._resources, self._programs, self._state)
+        self._hazards = HazardTracker(self._buffers, self._textures, self._is_done)
+        self._meter = WorkMeter(simulation.cost, self._textures, self._programs, self._state)
         self._meter.indirect_draws = self._indirect_draws
         self._meter.indirect_dispatches = self._indirect_dispatches
         self._measure = self._meter.meters()
-        self._fixed = tuple(simulation.cost.nanoseconds(Work(op)) for op in Op)
+        self._fixed = tuple(simulation.cost.nanoseconds(CommandWork(op)) for op in Op)
         self._marks: dict[int, Callable[..., None]] = {
             Op.PUSH_LABEL: lambda text: self._log.begin_label(self._gpu, text),
             Op.POP_LABEL: lambda: self._log.end_label(self._gpu),
@@ -142,45 +148,45 @@ class SimulatedBackend(NullBackend):
         self._follow = self._hazards.followers()
 
     def close(self) -> None:
-        self._follow_calls()  # what was called counts for the hazards, executed or not
+        self._follow_calls()  # hazards depend on all calls, executed or not
         super().close()
-        self._batches.clear()
+        self._submissions.clear()
         self._followed = 0
 
     # -- for tests ---------------------------------------------------------------------------------------
 
     @property
     def now(self) -> int:
-        """The CPU's clock: nanoseconds since the device was made."""
+        """The CPU's clock: nanoseconds since the device was created."""
         self._follow_calls()
         return self._now
 
     @property
     def timeline(self) -> ActivityTimeline:
-        """What CPU and GPU did up to now."""
+        """The activity of CPU and GPU so far."""
         self._run()
-        idle = not self._batches or self._batches[0].ready > self._now
+        idle = not self._submissions or self._submissions[0].ready > self._now
         return self._log.timeline(self._now, self._gpu if idle else None)
 
     @property
     def hazards(self) -> tuple[Hazard, ...]:
-        """What was found up to now."""
+        """The hazards found so far."""
         self._run()
         return tuple(self._hazards.hazards)
 
     def spend(self, nanoseconds: int) -> None:
-        """The program works for so long on something else."""
+        """Advance the CPU's clock by the time of the program's own work."""
         self._follow_calls()
         self._now += nanoseconds
 
     @property
-    def statistics(self) -> Statistics:
+    def statistics(self) -> ExecutionStatistics:
         return replace(super().statistics, nanoseconds=self._gpu)
 
     # -- the CPU's side ------------------------------------------------------------------------------------
 
-    def _note(self, op: Op, *arguments: Any) -> None:
-        """Put a call into the queue, with its site."""
+    def _enqueue_call(self, op: Op, *arguments: Any) -> None:
+        """Append a call to the queue, with its site."""
         self._enqueue((op, *arguments, *self._find_site()))
 
     def _find_site(self) -> Site:
@@ -188,7 +194,7 @@ class SimulatedBackend(NullBackend):
         return self._site or ((None, -1) if frame is None else (frame.f_code, frame.f_lasti))
 
     def pass_on(self, op: Op, arguments: tuple[Any, ...], code: CodeType | None, offset: int) -> None:
-        """A command that was called elsewhere; as `Recorder.pass_on`."""
+        """Append a command that was called elsewhere, with its own call site, as in `Recorder.pass_on`."""
         self._site = code, offset
         try:
             getattr(self, op.method)(*arguments)
@@ -196,7 +202,7 @@ class SimulatedBackend(NullBackend):
             self._site = None
 
     def _follow_calls(self) -> None:
-        """Let the CPU's clock follow the calls in the queue; full batches are submitted on the way."""
+        """Advance the CPU's clock over the calls in the queue, and submit each full batch."""
         queue, call, follow, batch = self._queue, self.simulation.call, self._follow, self.simulation.batch
         place, start, end = self._followed, 0, len(queue)
         try:
@@ -223,7 +229,7 @@ class SimulatedBackend(NullBackend):
             self._followed = place - start
 
     def _submit(self) -> None:
-        """Send what is in the queue on its way to the GPU."""
+        """Submit all calls in the queue to the GPU."""
         self._follow_calls()
         if self._queue:
             self._send(self._queue.copy())
@@ -231,7 +237,7 @@ class SimulatedBackend(NullBackend):
             self._followed = 0
 
     def _send(self, entries: list[Any]) -> None:
-        self._batches.append(_Batch(entries, self._now + self.simulation.submission_latency))
+        self._submissions.append(_Submission(entries, self._now + self.simulation.submission_latency))
         self._submitted = self._called
         self._queued_bytes = 0
 
@@ -242,23 +248,23 @@ class SimulatedBackend(NullBackend):
     def _stall(self, until: int, why: str) -> None:
         if until > self._now:
             until += self.simulation.wake_latency
-            self._log.stall(self._now, until, why)
+            self._log.add_stall(self._now, until, why)
             self._now = until
 
     def _drain(self, why: str) -> None:
-        """Wait for everything."""
+        """Let the CPU wait until the GPU has executed everything."""
         self._submit()
         self._advance(math.inf)
         self._stall(self._gpu, why)
         self._hazards.learn(self._called)
 
     def _is_done(self, serial: int) -> bool:
-        """Whether the GPU is done with a command by now."""
+        """Return whether the GPU has completed a command by now."""
         self._advance(self._now)
         return serial <= self._executed - (self._gpu > self._now)
 
-    def _make_use(self) -> Use:
-        """The present call of the CPU, which isn't a command of the GPU, as hazards see it."""
+    def _make_use(self) -> CommandUse:
+        """Return the use of the current call, which the CPU executes immediately, for a hazard."""
         return self._called, *self._find_site(), Op.WRITE_BUFFER
 
     # -- calls -------------------------------------------------------------------------------------------
@@ -295,16 +301,16 @@ class SimulatedBackend(NullBackend):
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if buffer in self._streams:
             self._spend_call()
-            self._advance(self._now)  # what the GPU has read by now, it has read as it was
+            self._advance(self._now)  # reads of the GPU up to now see the old contents
             end = offset + memoryview(data).nbytes
             self._hazards.write_stream(self._make_use, buffer, offset, end)
-            self._resources.write_buffer(buffer, offset, bytes(data))
+            self._buffers.write_buffer(buffer, offset, bytes(data))
         else:
-            self._note(Op.WRITE_BUFFER, buffer, offset, bytes(data))
+            self._enqueue_call(Op.WRITE_BUFFER, buffer, offset, bytes(data))
             self._count_queued(memoryview(data).nbytes)
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        self._note(Op.WRITE_TEXTURE, texture, level, region, bytes(data))
+        self._enqueue_call(Op.WRITE_TEXTURE, texture, level, region, bytes(data))
         self._count_queued(memoryview(data).nbytes)
 
     def _count_queued(self, size: int) -> None:
@@ -314,17 +320,17 @@ class SimulatedBackend(NullBackend):
             self._advance(self._now)
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        self._note(Op.READ_BUFFER, buffer, offset, size)
+        self._enqueue_call(Op.READ_BUFFER, buffer, offset, size)
         self._drain("read_buffer")
-        return self._resources.read_buffer(buffer, offset, size)
+        return self._buffers.read_buffer(buffer, offset, size)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        self._note(Op.READ_TEXTURE, texture, level, region, stencil)
+        self._enqueue_call(Op.READ_TEXTURE, texture, level, region, stencil)
         self._drain("read_texture")
-        return self._resources.read_texture(texture, level, region, stencil)
+        return self._textures.read_texture(texture, level, region, stencil)
 
     def signal(self, value: int) -> None:
-        self._note(Op.SIGNAL, value)
+        self._enqueue_call(Op.SIGNAL, value)
         self._submit()
 
     def completed(self) -> int:
@@ -352,9 +358,9 @@ class SimulatedBackend(NullBackend):
         self._submit()
         self._advance(self._now)
         self._hazards.read_query(self._make_use, query)
-        asked = self._hazards.asked.get(query, 0)
+        asked = self._hazards.latest_uses.get(query, 0)
         if asked > self._executed or self._read_at.get(query, 0) > self._now:
-            return None  # an earlier answer may be there, but a new one was asked for
+            return None  # there may be an earlier answer, but the query was used again
         answer = self._queries.read(query)
         if answer is not None:
             self._hazards.learn(asked)
@@ -363,33 +369,35 @@ class SimulatedBackend(NullBackend):
     # -- the GPU's side ------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Let the GPU come up to the CPU's clock."""
+        """Advance the GPU to the CPU's clock."""
         self._follow_calls()
         self._advance(self._now)
 
     def _advance(self, until: float, fence: int | None = None) -> None:
-        """Let the GPU run: execute what starts by `until`, up to the signal of `fence`."""
-        batches = self._batches
-        if batches and batches[0].ready <= until:
-            self._execute_batches(until, fence)
+        """Execute the commands that start by `until`, up to the signal of `fence`."""
+        submissions = self._submissions
+        if submissions and submissions[0].ready <= until:
+            self._execute_submissions(until, fence)
         if self._interrupts:
-            idle = not batches or batches[0].ready > until
-            self._handle_interrupts(until if idle else min(until, self._gpu), self._gpu, self._queries.counter)
+            idle = not submissions or submissions[0].ready > until
+            self._handle_interrupts(
+                until if idle else min(until, self._gpu), self._gpu, self._queries.counter
+            )
 
-    def _execute_batches(self, until: float, fence: int | None) -> None:
-        """A command that raises is taken out."""
-        batches = self._batches
+    def _execute_submissions(self, until: float, fence: int | None) -> None:
+        """Execute submitted commands, as in `_advance`. A command that raises is removed."""
+        submissions = self._submissions
         execute, measure, fixed, marks = self._execute, self._measure, self._fixed, self._marks
         queries, meter, nanoseconds = self._queries, self._meter, self.simulation.cost.nanoseconds
         hazards = self._hazards
-        while batches and (fence is None or self._fence < fence):
-            batch = batches[0]
-            if batch.ready > until:
+        while submissions and (fence is None or self._fence < fence):
+            submission = submissions[0]
+            if submission.ready > until:
                 return
-            if self._gpu < batch.ready:
-                self._log.rest(Activity.STARVED, self._gpu, batch.ready)
-                self._gpu = batch.ready
-            entries, place, end = batch.entries, batch.place, len(batch.entries)
+            if self._gpu < submission.ready:
+                self._log.add_idle(Activity.STARVED, self._gpu, submission.ready)
+                self._gpu = submission.ready
+            entries, place, end = submission.entries, submission.place, len(submission.entries)
             try:
                 while place < end:
                     if self._gpu > until or (fence is not None and self._fence >= fence):
@@ -411,14 +419,14 @@ class SimulatedBackend(NullBackend):
                     if executor is not None:
                         executor(*arguments)
                     meter.samples = queries.passed - passed if queries.unknown == unknown else None
-                    while 0 < hazards.waits_for <= self._executed:
-                        hazards.executed(self._executed, self._indirect_draws)
+                    while 0 < hazards.next_deferred <= self._executed:
+                        hazards.execute_deferred(self._executed, self._indirect_draws)
                     self._gpu += nanoseconds(measured(*arguments))
                     if self._interrupts:
                         self._handle_interrupts(self._gpu, start, counter)
             finally:
-                batch.place = place
-            batches.popleft()
+                submission.place = place
+            submissions.popleft()
 
     def _mark_pass(self, descriptor: PassDescriptor) -> None:
         self._log.begin_label(self._gpu, descriptor.label or "pass")
@@ -432,20 +440,23 @@ class SimulatedBackend(NullBackend):
         if latency is None or self._queries.kind(query) is not QueryKind.COUNTER:
             self._queries.write_query(query, self._gpu)
             return
-        self._queries.expect(query)
+        self._queries.begin_write(query)
         self._interrupts.append((self._gpu + latency, query))
         if self.simulation.halts_at_events:
-            self._log.rest(Activity.HALTED, self._gpu, self._gpu + latency, "sample counter")
+            self._log.add_idle(Activity.HALTED, self._gpu, self._gpu + latency, "sample counter")
             self._gpu += latency
 
     def _handle_interrupts(self, until: float, start: int, before: int | None) -> None:
-        """Read the counter for the interrupts up to `until`; at `start`, when the GPU began with what it does, it
-        was `before`. A draw passes its samples evenly over its time."""
+        """Read the counter for the interrupts up to `until`.
+
+        The counter was `before` at `start`, when the GPU began its present command. A draw is assumed to pass its
+        samples evenly over its time.
+        """
         while self._interrupts and self._interrupts[0][0] <= until:
             time, query = self._interrupts.popleft()
             value = after = self._queries.counter
             if before is not None and after is not None and start < self._gpu:
                 share = max(0, min(time, self._gpu) - start)
                 value = before + (after - before) * share // (self._gpu - start)
-            self._queries.take(query, value)
+            self._queries.finish_write(query, value)
             self._read_at[query] = time

@@ -1,8 +1,8 @@
-"""What commands cost the simulated GPU: a small model of the work in them.
+"""The cost of commands on the simulated GPU: a small model of the work in them.
 
-- A command comes down to a `Work`: vertices, covered pixels, bytes, state changes, invocations.
-- `CostModel.nanoseconds` turns that into time. It is linear; replace it by a subclass. Nothing measured stands
-  behind the numbers: they are of the order of a small GPU's, so that a timeline shows what waits for what.
+- A command is reduced to a `CommandWork`: vertices, covered pixels, bytes, state changes, invocations.
+- `CostModel.nanoseconds` turns that into time. It is linear; a subclass can replace it. The numbers aren't measured.
+  They have the order of magnitude of a small GPU, so that a timeline shows what waits for what.
 """
 
 from __future__ import annotations
@@ -16,27 +16,27 @@ from rhi.contract.descriptors import Primitive
 __rhi_internal__ = True
 
 
-class Work(NamedTuple):
-    """What one command makes the GPU do."""
+class CommandWork(NamedTuple):
+    """The work of the GPU for one command."""
 
     op: Op
     vertices: int = 0
     pixels: float = 0.0
-    """Covered by primitives or cleared."""
+    """Pixels covered by primitives, or cleared."""
     bytes: int = 0
-    """Moved by writes, copies, resolves and mip levels."""
+    """Bytes moved by writes, copies, resolves and mip level generation."""
     state_changes: int = 0
     invocations: int = 0
-    """Of a compute stage."""
+    """Invocations of a compute stage."""
 
 
 @dataclass(frozen=True)
 class CostModel:
-    """Nanoseconds for one of each. Deterministic: equal work, equal time.
+    """The cost of each unit of work, in nanoseconds. Equal work takes equal time.
 
     Attributes:
-        command: for each command, whatever it does.
-        primitive_pixels: how many pixels a primitive covers where nobody counts samples.
+        command: the cost of each command, in addition to its work.
+        primitive_pixels: the number of pixels that a primitive is assumed to cover if its samples aren't counted.
     """
 
     command: float = 20.0
@@ -47,8 +47,8 @@ class CostModel:
     invocation: float = 0.1
     primitive_pixels: float = 32.0
 
-    def nanoseconds(self, work: Work) -> int:
-        """How long the GPU takes. For commands that have no work of their own it is asked once per op."""
+    def nanoseconds(self, work: CommandWork) -> int:
+        """Return how long the GPU takes. For commands without work of their own this is called once per op."""
         return round(
             self.command
             + self.vertex * work.vertices
@@ -59,7 +59,8 @@ class CostModel:
         )
 
     def covered_pixels(self, primitives: int, area: int) -> float:
-        """An estimate for a draw of so many primitives into `area` pixels (the viewport within the scissor)."""
+        """Estimate the pixels covered by a draw of `primitives` into `area` pixels (viewport and scissor
+        intersected)."""
         return min(float(area), primitives * self.primitive_pixels)
 
 
@@ -67,10 +68,10 @@ _VERTICES_EACH = {
     Primitive.POINTS: (1, 0), Primitive.LINES: (2, 0), Primitive.LINE_STRIP: (1, 1), Primitive.TRIANGLES: (3, 0),
     Primitive.TRIANGLE_STRIP: (1, 2), Primitive.TRIANGLE_FAN: (1, 2), Primitive.QUADS: (4, 0),
 }  # fmt: skip
-"""Vertices for each primitive, and those that only open a strip."""
+"""Vertices per primitive, and additional vertices at the start of a strip."""
 
 
 def count_primitives(primitive: Primitive, vertices: int) -> int:
-    """Points, lines, triangles or quads that so many vertices make."""
+    """Return the number of points, lines, triangles or quads that `vertices` vertices form."""
     each, opening = _VERTICES_EACH[primitive]
     return max(0, vertices - opening) // each

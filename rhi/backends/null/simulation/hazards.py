@@ -1,13 +1,13 @@
-"""Hazards: what the CPU does without knowing that the GPU is done, and passes that read what they write.
+"""Hazards: accesses of the CPU that aren't synchronised with the GPU, and passes that read what they write.
 
-- The GPU executes in order, so all that the CPU can know is one number: up to which command everything is
-  done. It learns it from a fence it asked or waited for, from a query's answer, from a read that waited.
-- Whatever touches memory or a resource in use by a command beyond that number is a hazard: on some GPU, slow
-  enough, it goes wrong. `happened` says whether it did in this run, by the simulated clock.
-- So what is found depends on what the CPU was told, not on costs or luck: a program that asks nothing has the
-  same hazards at every latency. What isn't found can't go wrong on any GPU that executes in order.
-- Ranges are exact, in bytes. Which vertices an indexed or indirect draw reads is known when it is executed;
-  until then writes to its buffers wait as suspects.
+- The GPU executes in order. So all that the CPU can know is one number: up to which command everything is done. It
+  learns it from a fence that it polls or waits for, from a query's answer, and from a read that waits.
+- Accessing memory or a resource that a command beyond that number uses is a hazard: it fails on some GPU that is slow
+  enough. `happened` says whether it failed in this run, by the simulated clock.
+- The hazards found therefore depend on what the CPU was told, not on costs or luck. A program that never asks has the
+  same hazards at every latency. A program without hazards is correct on any GPU that executes in order.
+- Ranges are exact, in bytes. The vertices that an indexed or indirect draw reads are known only when it is executed.
+  Until then, writes to its buffers are kept as suspects.
 """
 
 from __future__ import annotations
@@ -18,12 +18,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from rhi.backends.null.resources import IndirectDraws, Resources
-from rhi.backends.null.simulation.streams import StreamMemory, Use, vertex_ranges
+from rhi.backends.null.buffers import Buffers
+from rhi.backends.null.draws import ExecutedIndirectDraws
+from rhi.backends.null.simulation.streams import CommandUse, StreamMemory, vertex_ranges
+from rhi.backends.null.textures import Textures
 from rhi.commands.context import StreamContext
 from rhi.commands.ops import Op
 from rhi.commands.stream import find_site
 from rhi.contract.descriptors import (
+    DRAW,
     Attachment,
     BindingKind,
     BufferDescriptor,
@@ -41,10 +44,10 @@ __rhi_internal__ = True
 
 
 class HazardKind(enum.Enum):
-    """What went wrong; the value is a sentence."""
+    """The kind of a hazard; the value describes it in a sentence."""
 
     WRITE_IN_USE = "the CPU writes memory that the GPU may still use"
-    RING_OVERTAKEN = "a ring comes round to memory that the GPU may still use"
+    RING_OVERTAKEN = "a ring wraps around to memory that the GPU may still use"
     QUERY_UNFINISHED = "a query is read that isn't finished"
     DESTROYED_IN_USE = "a resource is destroyed while the GPU may still use it"
     USED_DESTROYED = "a command uses a destroyed resource"
@@ -53,15 +56,15 @@ class HazardKind(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class Hazard:
-    """Two calls that must not meet.
+    """Two calls that access a resource without the synchronisation they need.
 
     Attributes:
-        resource: its id in the command stream.
-        first, second: the calls' sites, in the order in which they were made; None if outside user code, or
-            where there was no first call (a query that was never begun).
+        resource: the id of the resource in the command stream.
+        first, second: the sites of the calls, in the order of the calls. None outside user code, or where there was
+            no first call (a query that never began).
         calls: the names of the two calls.
-        happened: whether in this run the GPU was really not done. If not, it was only fast enough.
-        bytes: the first and the one past the last that both touch; (0, 0) where it isn't about bytes.
+        happened: whether the GPU was still using the resource in this run. If not, it just was fast enough.
+        bytes: the first byte and one past the last byte that both access; (0, 0) if bytes don't matter.
     """
 
     kind: HazardKind
@@ -81,87 +84,91 @@ class Hazard:
         return "\n".join(lines)
 
 
-class _Deferred:
-    """A draw whose vertices are known when it is executed, and writes until then to buffers it reads."""
+class _DeferredDraw:
+    """A draw whose vertices are known only when it is executed, and the writes to its buffers until then."""
 
     __slots__ = ("arguments", "array", "buffers", "suspects", "use")
 
-    def __init__(self, use: Use, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()) -> None:
+    def __init__(
+        self, use: CommandUse, array: VertexArrayDescriptor, arguments: tuple[Any, ...] = ()
+    ) -> None:
         self.use = use
         self.array = array
         self.buffers = {array.index_buffer, *(stream.buffer for stream in array.streams)}
         self.arguments = arguments
-        self.suspects: list[tuple[Id, int, int, Use, HazardKind]] = []
+        self.suspects: list[tuple[Id, int, int, CommandUse, HazardKind]] = []
 
 
 _Slots = tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...], tuple[int, ...]]
 _NO_SLOTS: _Slots = ((), (), (), ())
+_DRAW_BYTES = DRAW.itemsize
 _BINDING = frozenset(
     {Op.SET_STATES, Op.BIND_PROGRAM, Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE}
 )
-"""What is bound isn't used before something is drawn or dispatched."""
+"""Commands that only bind. What is bound is used when something is drawn or dispatched."""
 
 
 class HazardTracker:
-    """One device's. The methods named as commands follow the calls in the order in which they are made.
+    """Finds the hazards of one device. The methods named like commands are called in the order of the calls.
 
     Attributes:
-        hazards: what was found, in order.
-        asked: by query, the number of the command that last began, ended or wrote it.
-        known: the number of the command up to which the CPU knows that all is done.
+        hazards: the hazards found, in order.
+        latest_uses: by query, the number of the command that last began, ended or wrote it.
+        known: the number of the command up to which the CPU knows that everything is done.
     """
 
-    def __init__(self, resources: Resources, is_done: Callable[[int], bool]) -> None:
-        """`is_done(serial)` says whether the GPU is in truth done with a command."""
-        self._resources = resources
+    def __init__(self, buffers: Buffers, textures: Textures, is_done: Callable[[int], bool]) -> None:
+        """Start without uses. `is_done(serial)` says whether the simulated GPU has completed a command."""
+        self._buffers = buffers
+        self._textures = textures
         self._is_done = is_done
         self.hazards: list[Hazard] = []
-        self.asked: dict[Id, int] = {}
+        self.latest_uses: dict[Id, int] = {}
         self.known = 0
-        self._fences: deque[tuple[int, int]] = deque()  # (value, serial) of signals not known to be reached
-        self._uses: dict[Id, Use] = {}  # by resource, the latest
-        self._destroyed: dict[Id, Use] = {}
+        self._fences: deque[tuple[int, int]] = deque()  # (value, command) of signals not known to be reached
+        self._uses: dict[Id, CommandUse] = {}  # the latest use of each resource
+        self._destroyed: dict[Id, CommandUse] = {}
         self._streams: dict[Id, StreamMemory] = {}
-        self._deferred: deque[_Deferred] = deque()
+        self._deferred: deque[_DeferredDraw] = deque()
         self._slots: dict[Id, _Slots] = {}
-        # By vertex array: its descriptor, all that its draws use, whether any of that is a stream buffer.
+        # By vertex array: its descriptor, the resources that its draws use, whether any of them is a STREAM buffer.
         self._arrays: dict[Id, tuple[VertexArrayDescriptor, tuple[Id, ...], bool]] = {}
         self._program: Id = 0
-        self._uniforms: dict[int, tuple[Id, int, int]] = {}
-        self._storages: dict[int, tuple[Id, int, int]] = {}
-        self._textures: dict[int, Id] = {}
-        self._images: dict[int, tuple[Id, int, int]] = {}
-        self._pass: tuple[PassDescriptor, Use] | None = None
+        self._bound_uniforms: dict[int, tuple[Id, int, int]] = {}
+        self._bound_storages: dict[int, tuple[Id, int, int]] = {}
+        self._bound_textures: dict[int, Id] = {}
+        self._bound_images: dict[int, tuple[Id, int, int]] = {}
+        self._pass: tuple[PassDescriptor, CommandUse] | None = None
         self._targets: frozenset[Id] = frozenset()
         self._states = StreamContext().states
-        self._unfinished: dict[Id, Use | None] = {}  # queries begun or only created
+        self._unfinished: dict[Id, CommandUse | None] = {}  # queries that began, or were only created (None)
 
     def followers(self) -> tuple[tuple[Callable[..., None] | None, bool], ...]:
-        """By op, what follows a call, and whether it takes the call's `Use` before the call's arguments."""
+        """Return for each op the method that follows a call, and whether it takes the call's `CommandUse` first."""
         followers: list[tuple[Callable[..., None] | None, bool]] = []
         for op in Op:
             follower = None if op.method.startswith("create_") else getattr(self, op.method, None)
             followers.append((follower, op not in _BINDING))
         return tuple(followers)
 
-    # -- what the CPU knows --------------------------------------------------------------------------------
+    # -- the CPU's knowledge -------------------------------------------------------------------------------
 
-    def signal(self, use: Use, value: int) -> None:
+    def signal(self, use: CommandUse, value: int) -> None:
         self._fences.append((value, use[0]))
 
     def learn_fence(self, value: int) -> None:
-        """The CPU has seen the fence at `value`."""
+        """Note that the CPU has seen the fence at `value`."""
         while self._fences and self._fences[0][0] <= value:
             self.learn(self._fences.popleft()[1])
 
     def learn(self, serial: int) -> None:
-        """The CPU has seen that everything up to this command is done."""
+        """Note that the CPU knows that everything up to this command is done."""
         self.known = max(self.known, serial)
 
     # -- creation ------------------------------------------------------------------------------------------
 
     def create_stream(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        """A buffer that is written unordered."""
+        """Add a STREAM buffer, which the CPU writes without order."""
         self._streams[buffer] = StreamMemory(descriptor.size)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
@@ -184,44 +191,47 @@ class HazardTracker:
     def create_query(self, query: Id) -> None:
         self._unfinished[query] = None
 
-    # -- what the CPU does at once -------------------------------------------------------------------------
+    # -- immediate calls -----------------------------------------------------------------------------------
 
-    def write_stream(self, make_use: Callable[[], Use], buffer: Id, begin: int, end: int) -> None:
-        """The CPU writes memory past the queue; that is no use of the GPU's. `make_use` finds the call."""
+    def write_stream(self, make_use: Callable[[], CommandUse], buffer: Id, begin: int, end: int) -> None:
+        """Check an immediate write by the CPU. It is no use by the GPU, so `make_use` creates its use only for a
+        hazard."""
         memory = self._streams.get(buffer)
         if memory is None:
-            self._report(HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True)
+            self._report(
+                HazardKind.USED_DESTROYED, buffer, self._destroyed[buffer], make_use(), happened=True
+            )
             return
         if end <= begin:
             return
         in_place = begin < memory.written[1] and memory.written[0] < end
         kind = HazardKind.WRITE_IN_USE if in_place else HazardKind.RING_OVERTAKEN
         memory.written = (begin, end)
-        met = memory.find(begin, end, self.known)
-        if met is not None:
-            self._report(kind, buffer, met[2], make_use(), (max(begin, met[0]), min(end, met[1])))
+        used = memory.find(begin, end, self.known)
+        if used is not None:
+            self._report(kind, buffer, used[2], make_use(), (max(begin, used[0]), min(end, used[1])))
         for deferred in self._deferred:
             if buffer in deferred.buffers:
                 deferred.suspects.append((buffer, begin, end, make_use(), kind))
 
-    def read_query(self, make_use: Callable[[], Use], query: Id) -> None:
-        """The CPU asks for an answer."""
+    def read_query(self, make_use: Callable[[], CommandUse], query: Id) -> None:
+        """Check a read of a query's answer."""
         if query in self._unfinished:
             begun = self._unfinished[query]
             hazard = Hazard(HazardKind.QUERY_UNFINISHED, query, _site(begun), _site(make_use()),
                             ("begin_query" if begun else "", "read_query"), True)  # fmt: skip
             self.hazards.append(hazard)
 
-    def destroy(self, use: Use, resource: Id) -> None:
+    def destroy(self, use: CommandUse, resource: Id) -> None:
         last = self._uses.pop(resource, None)
         if last is not None and last[0] > self.known:
             self._report(HazardKind.DESTROYED_IN_USE, resource, last, use)
         self._destroyed[resource] = use
         self._streams.pop(resource, None)
         self._slots.pop(resource, None)
-        # Of a vertex array what it was is kept: a draw may still name it.
+        # The descriptor of a vertex array is kept: a draw may still refer to it.
         self._unfinished.pop(resource, None)
-        self.asked.pop(resource, None)
+        self.latest_uses.pop(resource, None)
 
     # -- binding -------------------------------------------------------------------------------------------
 
@@ -232,45 +242,45 @@ class HazardTracker:
         self._program = program
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._uniforms[slot] = (buffer, offset, size)
+        self._bound_uniforms[slot] = (buffer, offset, size)
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        self._storages[slot] = (buffer, offset, size)
+        self._bound_storages[slot] = (buffer, offset, size)
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        self._textures[slot] = texture
+        self._bound_textures[slot] = texture
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        self._images[slot] = (texture, level, layer)
+        self._bound_images[slot] = (texture, level, layer)
 
-    def begin_pass(self, use: Use, descriptor: PassDescriptor) -> None:
+    def begin_pass(self, use: CommandUse, descriptor: PassDescriptor) -> None:
         self._pass = (descriptor, use)
-        self._touch_targets(use, descriptor)
+        self._use_targets(use, descriptor)
         depth = {descriptor.depth.texture} if descriptor.depth is not None else set()
         self._targets = frozenset({attachment.texture for attachment in descriptor.colors} | depth)
 
-    def end_pass(self, use: Use) -> None:
+    def end_pass(self, use: CommandUse) -> None:
         if self._pass is not None:
-            self._touch_targets(use, self._pass[0])
+            self._use_targets(use, self._pass[0])
         self._pass, self._targets = None, frozenset()
 
-    def _touch_targets(self, use: Use, descriptor: PassDescriptor) -> None:
+    def _use_targets(self, use: CommandUse, descriptor: PassDescriptor) -> None:
         for attachment in descriptor.colors:
-            self._touch(use, attachment.texture)
+            self._use(use, attachment.texture)
             if attachment.resolve:
-                self._touch(use, attachment.resolve)
+                self._use(use, attachment.resolve)
         if descriptor.depth is not None:
-            self._touch(use, descriptor.depth.texture)
+            self._use(use, descriptor.depth.texture)
 
     # -- work ----------------------------------------------------------------------------------------------
 
     def draw(
-        self, use: Use, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
+        self, use: CommandUse, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
         base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
-        if array is None or not count or not instances:  # most draws read nothing that is written unordered
+        if array is None or not count or not instances:  # most draws read no STREAM buffers
             return
         streams = self._streams
         index = array.index_buffer
@@ -281,103 +291,103 @@ class HazardTracker:
             return
         arguments = (primitive, [(count, instances, first, base_vertex, base_instance)])
         if index and index not in streams:
-            self._deferred.append(_Deferred(use, array, arguments))
+            self._deferred.append(_DeferredDraw(use, array, arguments))
         else:
-            for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._resources.buffers):
+            for buffer, begin, end in vertex_ranges(array, *arguments, streams, self._buffers.memory):
                 streams[buffer].use(begin, end, use, self.known)
 
     def draw_indirect(
-        self, use: Use, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        self, use: CommandUse, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         self._use_program(use)
         array = self._use_vertex_array(use, vertex_array)
         for index in range(draws):
-            self._use_bytes(use, buffer, offset + index * stride, offset + index * stride + 20)
+            self._use_bytes(use, buffer, offset + index * stride, offset + index * stride + _DRAW_BYTES)
         if count_buffer:
             self._use_bytes(use, count_buffer, count_offset, count_offset + 4)
         if array is not None:
-            self._deferred.append(_Deferred(use, array))
+            self._deferred.append(_DeferredDraw(use, array))
 
-    def dispatch(self, use: Use, x: int, y: int, z: int) -> None:
+    def dispatch(self, use: CommandUse, x: int, y: int, z: int) -> None:
         self._use_program(use)
 
-    def dispatch_indirect(self, use: Use, buffer: Id, offset: int) -> None:
+    def dispatch_indirect(self, use: CommandUse, buffer: Id, offset: int) -> None:
         self._use_program(use)
         self._use_bytes(use, buffer, offset, offset + 12)
 
-    def write_buffer(self, use: Use, buffer: Id, offset: int, data: bytes) -> None:
-        self._touch(use, buffer)
+    def write_buffer(self, use: CommandUse, buffer: Id, offset: int, data: bytes) -> None:
+        self._use(use, buffer)
 
-    def read_buffer(self, use: Use, buffer: Id, offset: int, size: int) -> None:
-        self._touch(use, buffer)
+    def read_buffer(self, use: CommandUse, buffer: Id, offset: int, size: int) -> None:
+        self._use(use, buffer)
 
     def copy_buffer(
-        self, use: Use, source: Id, source_offset: int, target: Id, target_offset: int, size: int
+        self, use: CommandUse, source: Id, source_offset: int, target: Id, target_offset: int, size: int
     ) -> None:
         self._use_bytes(use, source, source_offset, source_offset + size)
         self._use_bytes(use, target, target_offset, target_offset + size)
 
-    def clear_buffer(self, use: Use, buffer: Id, offset: int, size: int, value: int) -> None:
+    def clear_buffer(self, use: CommandUse, buffer: Id, offset: int, size: int, value: int) -> None:
         self._use_bytes(use, buffer, offset, offset + size)
 
-    def write_texture(self, use: Use, texture: Id, level: int, region: Region, data: bytes) -> None:
-        self._touch(use, texture)
+    def write_texture(self, use: CommandUse, texture: Id, level: int, region: Region, data: bytes) -> None:
+        self._use(use, texture)
 
-    def read_texture(self, use: Use, texture: Id, level: int, region: Region, stencil: bool) -> None:
-        self._touch(use, texture)
+    def read_texture(self, use: CommandUse, texture: Id, level: int, region: Region, stencil: bool) -> None:
+        self._use(use, texture)
 
     def copy_texture(
-        self, use: Use, source: Id, source_level: int, source_region: Region, target: Id, *place: int
+        self, use: CommandUse, source: Id, source_level: int, source_region: Region, target: Id, *place: int
     ) -> None:
-        self._touch(use, source)
-        self._touch(use, target)
+        self._use(use, source)
+        self._use(use, target)
 
-    def resolve_texture(self, use: Use, source: Id, target: Id) -> None:
-        self._touch(use, source)
-        self._touch(use, target)
+    def resolve_texture(self, use: CommandUse, source: Id, target: Id) -> None:
+        self._use(use, source)
+        self._use(use, target)
 
-    def generate_mipmaps(self, use: Use, texture: Id) -> None:
-        self._touch(use, texture)
+    def generate_mipmaps(self, use: CommandUse, texture: Id) -> None:
+        self._use(use, texture)
 
-    def present(self, use: Use, texture: Id) -> None:
+    def present(self, use: CommandUse, texture: Id) -> None:
         if texture:
-            self._touch(use, texture)
+            self._use(use, texture)
 
-    def begin_query(self, use: Use, query: Id) -> None:
-        self._touch(use, query)
-        self.asked[query] = use[0]
+    def begin_query(self, use: CommandUse, query: Id) -> None:
+        self._use(use, query)
+        self.latest_uses[query] = use[0]
         self._unfinished[query] = use
 
-    def end_query(self, use: Use, query: Id) -> None:
+    def end_query(self, use: CommandUse, query: Id) -> None:
         self.write_query(use, query)
 
-    def write_query(self, use: Use, query: Id) -> None:
-        self._touch(use, query)
-        self.asked[query] = use[0]
+    def write_query(self, use: CommandUse, query: Id) -> None:
+        self._use(use, query)
+        self.latest_uses[query] = use[0]
         self._unfinished.pop(query, None)
 
-    def begin_conditional(self, use: Use, query: Id, inverted: bool) -> None:
-        self._touch(use, query)
+    def begin_conditional(self, use: CommandUse, query: Id, inverted: bool) -> None:
+        self._use(use, query)
 
-    # -- what only execution tells -------------------------------------------------------------------------
+    # -- known only when executed --------------------------------------------------------------------------
 
     @property
-    def waits_for(self) -> int:
-        """The number of the next command that `executed` must be told of, 0 if none."""
+    def next_deferred(self) -> int:
+        """The number of the next command for which `execute_deferred` must be called, 0 if none."""
         return self._deferred[0].use[0] if self._deferred else 0
 
-    def executed(self, serial: int, indirect: Sequence[IndirectDraws]) -> None:
-        """The GPU is at that draw: its vertices are known, and what was written before it came to them."""
+    def execute_deferred(self, serial: int, indirect: Sequence[ExecutedIndirectDraws]) -> None:
+        """Check a deferred draw as the GPU executes it: its vertices are known now, and so are the writes to them."""
         deferred = self._deferred.popleft()
-        if deferred.use[0] != serial:  # it failed when it was executed
+        if deferred.use[0] != serial:  # that draw failed when it was executed
             return
         array = deferred.array
         if deferred.arguments:
             primitive, draws = deferred.arguments
         else:
             primitive, draws = indirect[-1].primitive, indirect[-1].draws.tolist()
-        ranges = vertex_ranges(array, primitive, draws, self._streams, self._resources.buffers)
+        ranges = vertex_ranges(array, primitive, draws, self._streams, self._buffers.memory)
         if not deferred.arguments and array.index_buffer in self._streams:
             size = array.index_format.size
             ranges += [(array.index_buffer, first * size, (first + count) * size)
@@ -390,24 +400,25 @@ class HazardTracker:
             if buffer in self._streams:
                 self._streams[buffer].use(begin, end, deferred.use, self.known)
 
-    # -- inside --------------------------------------------------------------------------------------------
+    # -- helpers -------------------------------------------------------------------------------------------
 
-    def _touch(self, use: Use, resource: Id) -> None:
-        """A command uses a resource."""
+    def _use(self, use: CommandUse, resource: Id) -> None:
+        """Record that a command uses a resource."""
         if resource in self._destroyed:
             self._report(HazardKind.USED_DESTROYED, resource, self._destroyed[resource], use, happened=True)
         self._uses[resource] = use
 
-    def _use_bytes(self, use: Use, buffer: Id, begin: int, end: int) -> None:
+    def _use_bytes(self, use: CommandUse, buffer: Id, begin: int, end: int) -> None:
         if buffer in self._destroyed:
-            self._touch(use, buffer)
+            self._use(use, buffer)
         self._uses[buffer] = use
         memory = self._streams.get(buffer)
         if memory is not None:
             memory.use(begin, end, use, self.known)
 
-    def _use_vertex_array(self, use: Use, vertex_array: Id) -> VertexArrayDescriptor | None:
-        """What a draw reads its vertices through; None if none of it is written unordered."""
+    def _use_vertex_array(self, use: CommandUse, vertex_array: Id) -> VertexArrayDescriptor | None:
+        """Record the use of a vertex array and its buffers. Return its descriptor if any of them is a STREAM
+        buffer."""
         known = self._arrays.get(vertex_array)
         if known is None:
             return None
@@ -415,37 +426,37 @@ class HazardTracker:
         uses, destroyed = self._uses, self._destroyed
         for resource in resources:
             if resource in destroyed:
-                self._touch(use, resource)
+                self._use(use, resource)
             uses[resource] = use
         return array if streamed else None
 
-    def _use_program(self, use: Use) -> None:
-        """The bound program and what is bound to the slots it reads."""
+    def _use_program(self, use: CommandUse) -> None:
+        """Record the use of the bound program, and of the resources bound to the slots it reads."""
         program = self._program
         if not program:
             return
-        self._touch(use, program)
+        self._use(use, program)
         uniforms, storages, textures, images = self._slots.get(program, _NO_SLOTS)
-        for slots, bound in ((uniforms, self._uniforms), (storages, self._storages)):
+        for slots, bound in ((uniforms, self._bound_uniforms), (storages, self._bound_storages)):
             for slot in slots:
                 if slot in bound:
                     buffer, offset, size = bound[slot]
                     self._use_bytes(use, buffer, offset, offset + size)
         for slot in textures:
-            if slot in self._textures:
-                texture = self._textures[slot]
-                self._touch(use, texture)
+            if slot in self._bound_textures:
+                texture = self._bound_textures[slot]
+                self._use(use, texture)
                 if texture in self._targets:
                     self._check_feedback(use, texture, None, -1)
         for slot in images:
-            if slot in self._images:
-                texture, level, layer = self._images[slot]
-                self._touch(use, texture)
+            if slot in self._bound_images:
+                texture, level, layer = self._bound_images[slot]
+                self._use(use, texture)
                 if texture in self._targets:
                     self._check_feedback(use, texture, level, layer)
 
-    def _check_feedback(self, use: Use, texture: Id, level: int | None, layer: int) -> None:
-        """Whether the part of a texture that is read (None: all levels; −1: all layers) is written."""
+    def _check_feedback(self, use: CommandUse, texture: Id, level: int | None, layer: int) -> None:
+        """Report a hazard if the pass writes what is read of a texture: a level (None: all) and a layer (−1: all)."""
         if self._pass is None:
             return
         descriptor, begun = self._pass
@@ -470,11 +481,11 @@ class HazardTracker:
                 return
 
     def _has_stencil(self, texture: Id) -> bool:
-        made = self._resources.textures.get(texture)
+        made = self._textures.textures.get(texture)
         return made is not None and made.descriptor.format.has_stencil
 
     def _report(
-        self, kind: HazardKind, resource: Id, first: Use, second: Use, bytes: tuple[int, int] = (0, 0),
+        self, kind: HazardKind, resource: Id, first: CommandUse, second: CommandUse, bytes: tuple[int, int] = (0, 0),
         happened: bool | None = None,
     ) -> None:  # fmt: skip
         happened = not self._is_done(first[0]) if happened is None else happened
@@ -482,5 +493,5 @@ class HazardTracker:
         self.hazards.append(Hazard(kind, resource, _site(first), _site(second), calls, happened, bytes))
 
 
-def _site(use: Use | None) -> CallSite | None:
+def _site(use: CommandUse | None) -> CallSite | None:
     return find_site(use[1], use[2]) if use is not None else None

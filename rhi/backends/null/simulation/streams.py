@@ -1,4 +1,5 @@
-"""STREAM buffers, which the CPU writes unordered: who uses which bytes of them, and which vertices draws read there."""
+"""STREAM buffers, which the CPU writes without order: the uses of their bytes, and the vertices that draws read
+there."""
 
 from __future__ import annotations
 
@@ -13,27 +14,28 @@ from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
 
 __rhi_internal__ = True
 
-Use: TypeAlias = tuple[int, CodeType | None, int, int]
-"""A call as seen by hazards: its number in the order of the calls, its site (code and instruction offset) and
-its op. A plain tuple, for one is made for each draw."""
+CommandUse: TypeAlias = tuple[int, CodeType | None, int, int]
+"""A call that uses resources, for hazards: its number in the order of the calls, its site (code and instruction
+offset) and its op. It is a plain tuple because one is created for each draw."""
 
 
 class StreamMemory:
-    """The uses of a buffer that the CPU writes unordered, sorted into pages so that a write looks at few.
+    """The uses of a buffer that the CPU writes without order. They are sorted into pages, so that a write checks
+    only few.
 
     Attributes:
-        written: (begin, end) of the latest write.
+        written: (begin, end) of the latest write, in bytes.
     """
 
     __slots__ = ("_pages", "_shift", "written")
 
     def __init__(self, size: int) -> None:
-        self._pages: dict[int, list[tuple[int, int, Use]]] = {}
+        self._pages: dict[int, list[tuple[int, int, CommandUse]]] = {}
         self._shift = max(8, size.bit_length() - 10)
         self.written = (0, 0)
 
-    def use(self, begin: int, end: int, use: Use, known: int) -> None:
-        """A command uses these bytes; of what came before, uses up to the one numbered `known` are done."""
+    def use(self, begin: int, end: int, use: CommandUse, known: int) -> None:
+        """Add a use of these bytes. Earlier uses by commands up to number `known` are done and may be dropped."""
         for page in range(begin >> self._shift, (max(end, begin + 1) - 1 >> self._shift) + 1):
             uses = self._pages.setdefault(page, [])
             if uses and uses[-1][0] == begin and uses[-1][1] == end:
@@ -43,9 +45,9 @@ class StreamMemory:
                 uses[:] = [each for each in uses if each[2][0] > known]
             uses.append((begin, end, use))
 
-    def find(self, begin: int, end: int, known: int) -> tuple[int, int, Use] | None:
-        """The latest use after the one numbered `known` that a write of these bytes meets."""
-        found: tuple[int, int, Use] | None = None
+    def find(self, begin: int, end: int, known: int) -> tuple[int, int, CommandUse] | None:
+        """Return the latest use of any of these bytes by a command after number `known`, None if there is none."""
+        found: tuple[int, int, CommandUse] | None = None
         for page in range(begin >> self._shift, (end - 1 >> self._shift) + 1):
             for each in self._pages.get(page, ()):
                 meets = each[0] < end and begin < each[1] and each[2][0] > known
@@ -61,12 +63,12 @@ def vertex_ranges(
     array: VertexArrayDescriptor, primitive: Primitive, draws: Sequence[tuple[int, ...]], streamed: Collection[Id],
     memory: Mapping[Id, NDArray[np.uint8]],
 ) -> list[tuple[Id, int, int]]:  # fmt: skip
-    """What draws read of vertices.
+    """Return the ranges of vertex memory that draws read.
 
     Args:
-        draws: (count, instances, first, base vertex, base instance) of each.
-        streamed: the buffers that count.
-        memory: what buffers hold now, for indices.
+        draws: (count, instances, first, base vertex, base instance) of each draw.
+        streamed: the buffers to consider.
+        memory: the present contents of the buffers, for indices.
 
     Returns:
         (buffer, begin, end) in bytes, for each draw and vertex stream.
@@ -78,7 +80,7 @@ def vertex_ranges(
             continue
         vertices: tuple[int, int] | None = (first, first + count)
         if array.index_buffer and any(not stream.per_instance for stream in streams):
-            vertices = _find_named(array, primitive, first, count, base_vertex, memory)
+            vertices = _find_indexed(array, primitive, first, count, base_vertex, memory)
         for stream in streams:
             span = (base_instance, base_instance + instances) if stream.per_instance else vertices
             if span is not None:
@@ -87,13 +89,13 @@ def vertex_ranges(
     return ranges
 
 
-def _find_named(
+def _find_indexed(
     array: VertexArrayDescriptor, primitive: Primitive, first: int, count: int, base: int,
     memory: Mapping[Id, NDArray[np.uint8]],
 ) -> tuple[int, int] | None:  # fmt: skip
-    """The first and one past the last vertex that indices name; None if they only restart strips."""
+    """Return the first and one past the last vertex that indices refer to, None if they only restart strips."""
     form, held = array.index_format, memory.get(array.index_buffer)
-    if held is None:  # destroyed, which is a hazard of its own
+    if held is None:  # destroyed, which is reported as another hazard
         return None
     indices = held[first * form.size : (first + count) * form.size].view(form.dtype).astype(np.int64)
     if primitive in _STRIPS:

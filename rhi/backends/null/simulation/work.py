@@ -1,7 +1,7 @@
-"""How much work is in a command: what the cost model is asked with.
+"""Measures the work in a command, for the cost model.
 
-Measured right after the command was executed, from its arguments and what holds then. Covered pixels are the
-samples that someone counted (`NullBackend.count_samples`), else the model's estimate for the draw's viewport.
+Work is measured right after the command was executed, from its arguments and the state at that point. Covered pixels
+are the counted samples (`NullBackend.count_samples`); without a count, the model's estimate for the draw's viewport.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 from typing_extensions import Buffer as BytesLike
 
+from rhi.backends.null.draws import ExecutedIndirectDraws
 from rhi.backends.null.execution import DrawOutcome, ExecutionState
 from rhi.backends.null.programs import Programs
-from rhi.backends.null.resources import IndirectDraws, Resources
-from rhi.backends.null.simulation.cost import CostModel, Work, count_primitives
+from rhi.backends.null.simulation.cost import CommandWork, CostModel, count_primitives
+from rhi.backends.null.textures import Textures
 from rhi.commands.ops import Op
 from rhi.contract.descriptors import Attachment, DepthAttachment, Id, PassDescriptor, Primitive, Region
 from rhi.contract.states import Scissor, StateChange, Viewport
@@ -24,109 +25,115 @@ __rhi_internal__ = True
 
 
 class WorkMeter:
-    """One device's. Its methods are the commands that have work of their own, by their names in `Backend`.
+    """Measures the commands of one device. Its methods are the commands with work of their own, named as in
+    `Backend`.
 
     Attributes:
-        samples: that the command just executed passed, None if nobody knows.
-        indirect_draws, indirect_dispatches: what indirect commands came to, the latest last.
+        samples: the samples that the command just executed passed, None if unknown.
+        indirect_draws, indirect_dispatches: the executed indirect commands with their arguments, the latest last.
     """
 
     def __init__(
-        self, cost: CostModel, resources: Resources, programs: Programs, state: ExecutionState
+        self, cost: CostModel, textures: Textures, programs: Programs, state: ExecutionState
     ) -> None:
         self._cost = cost
-        self._resources = resources
+        self._textures = textures
         self._programs = programs
         self._state = state
         self._begun: PassDescriptor | None = None
         self._known_area: tuple[tuple[object, object, object], int] = ((None, None, None), 0)
         self.samples: int | None = None
-        self.indirect_draws: Sequence[IndirectDraws] = ()
+        self.indirect_draws: Sequence[ExecutedIndirectDraws] = ()
         self.indirect_dispatches: Sequence[tuple[int, int, int]] = ()
 
-    def set_states(self, changes: Sequence[StateChange]) -> Work:
-        return Work(Op.SET_STATES, state_changes=len(changes))
+    def set_states(self, changes: Sequence[StateChange]) -> CommandWork:
+        return CommandWork(Op.SET_STATES, state_changes=len(changes))
 
-    def bind_program(self, program: Id) -> Work:
-        return Work(Op.BIND_PROGRAM, state_changes=1)
+    def bind_program(self, program: Id) -> CommandWork:
+        return CommandWork(Op.BIND_PROGRAM, state_changes=1)
 
-    def begin_pass(self, descriptor: PassDescriptor) -> Work:
-        """The clears."""
+    def begin_pass(self, descriptor: PassDescriptor) -> CommandWork:
+        """Measure the clears."""
         self._begun = descriptor
         width, height = descriptor.size
         targets: list[Attachment | DepthAttachment] = [*descriptor.colors]
         if descriptor.depth is not None:
             targets.append(descriptor.depth)
         cleared = sum(target.clear is not None for target in targets)
-        return Work(Op.BEGIN_PASS, pixels=width * height * descriptor.samples * cleared)
+        return CommandWork(Op.BEGIN_PASS, pixels=width * height * descriptor.samples * cleared)
 
-    def end_pass(self) -> Work:
-        """The resolves: all samples are read."""
+    def end_pass(self) -> CommandWork:
+        """Measure the resolves, which read all samples."""
         begun = self._begun
         if begun is None:
-            return Work(Op.END_PASS)
+            return CommandWork(Op.END_PASS)
         resolved = [attachment.resolve for attachment in begun.colors if attachment.resolve]
         bytes = sum(self._level_bytes(texture) * (begun.samples + 1) for texture in resolved)
-        return Work(Op.END_PASS, bytes=bytes)
+        return CommandWork(Op.END_PASS, bytes=bytes)
 
     def draw(
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
-    ) -> Work:  # fmt: skip
-        if self._state.fate is DrawOutcome.DROPPED:
-            return Work(Op.DRAW)
+    ) -> CommandWork:  # fmt: skip
+        if self._state.outcome is DrawOutcome.DROPPED:
+            return CommandWork(Op.DRAW)
         pixels = self._pixels(count_primitives(primitive, count) * instances)
-        return Work(Op.DRAW, count * instances, pixels)
+        return CommandWork(Op.DRAW, count * instances, pixels)
 
-    def draw_indirect(self, vertex_array: Id, primitive: Primitive, *others: int) -> Work:
+    def draw_indirect(self, vertex_array: Id, primitive: Primitive, *others: int) -> CommandWork:
         draws = self.indirect_draws[-1].draws
         vertices = int((draws["count"].astype(np.int64) * draws["instances"]).sum())
-        return Work(Op.DRAW_INDIRECT, vertices, self._pixels(count_primitives(primitive, vertices)), 20 * len(draws))
+        pixels = self._pixels(count_primitives(primitive, vertices))
+        return CommandWork(Op.DRAW_INDIRECT, vertices, pixels, draws.nbytes)
 
-    def dispatch(self, x: int, y: int, z: int) -> Work:
-        return Work(Op.DISPATCH, invocations=x * y * z * self._work_group())
+    def dispatch(self, x: int, y: int, z: int) -> CommandWork:
+        return CommandWork(Op.DISPATCH, invocations=x * y * z * self._work_group())
 
-    def dispatch_indirect(self, buffer: Id, offset: int) -> Work:
+    def dispatch_indirect(self, buffer: Id, offset: int) -> CommandWork:
         x, y, z = self.indirect_dispatches[-1]
-        return Work(Op.DISPATCH_INDIRECT, bytes=12, invocations=x * y * z * self._work_group())
+        return CommandWork(Op.DISPATCH_INDIRECT, bytes=12, invocations=x * y * z * self._work_group())
 
-    def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> Work:
-        return Work(Op.WRITE_BUFFER, bytes=memoryview(data).nbytes)
+    def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> CommandWork:
+        return CommandWork(Op.WRITE_BUFFER, bytes=memoryview(data).nbytes)
 
-    def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> Work:
-        return Work(Op.COPY_BUFFER, bytes=2 * size)
+    def copy_buffer(
+        self, source: Id, source_offset: int, target: Id, target_offset: int, size: int
+    ) -> CommandWork:
+        return CommandWork(Op.COPY_BUFFER, bytes=2 * size)
 
-    def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> Work:
-        return Work(Op.CLEAR_BUFFER, bytes=size)
+    def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> CommandWork:
+        return CommandWork(Op.CLEAR_BUFFER, bytes=size)
 
-    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> Work:
-        return Work(Op.WRITE_TEXTURE, bytes=memoryview(data).nbytes)
+    def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> CommandWork:
+        return CommandWork(Op.WRITE_TEXTURE, bytes=memoryview(data).nbytes)
 
     def copy_texture(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
-    ) -> Work:  # fmt: skip
+    ) -> CommandWork:  # fmt: skip
         region = source_region
-        texel = self._resources.textures[source].descriptor.format.texel_bytes
-        return Work(Op.COPY_TEXTURE, bytes=2 * region.width * region.height * region.layers * texel)
+        texel = self._textures.textures[source].descriptor.format.texel_bytes
+        return CommandWork(Op.COPY_TEXTURE, bytes=2 * region.width * region.height * region.layers * texel)
 
-    def resolve_texture(self, source: Id, target: Id) -> Work:
-        samples = self._resources.textures[source].descriptor.samples
-        return Work(Op.RESOLVE_TEXTURE, bytes=self._level_bytes(target) * (samples + 1))
+    def resolve_texture(self, source: Id, target: Id) -> CommandWork:
+        samples = self._textures.textures[source].descriptor.samples
+        return CommandWork(Op.RESOLVE_TEXTURE, bytes=self._level_bytes(target) * (samples + 1))
 
-    def generate_mipmaps(self, texture: Id) -> Work:
-        levels = len(self._resources.textures[texture].levels)
+    def generate_mipmaps(self, texture: Id) -> CommandWork:
+        levels = len(self._textures.textures[texture].levels)
         written = sum(self._level_bytes(texture, level) for level in range(1, levels))
-        return Work(Op.GENERATE_MIPMAPS, bytes=5 * written)  # four texels are read for each
+        return CommandWork(
+            Op.GENERATE_MIPMAPS, bytes=5 * written
+        )  # each texel written needs four texels read
 
-    def meters(self) -> tuple[Callable[..., Work] | None, ...]:
-        """By op, what measures it; None where there is no work but the command itself."""
+    def meters(self) -> tuple[Callable[..., CommandWork] | None, ...]:
+        """Return the function that measures each op, None where the command has no work of its own."""
         return tuple(getattr(self, op.method, None) for op in Op)
 
-    # -- inside ------------------------------------------------------------------------------------------
+    # -- helpers -----------------------------------------------------------------------------------------
 
     def _level_bytes(self, texture: Id, level: int = 0) -> int:
-        descriptor = self._resources.textures[texture].descriptor
+        descriptor = self._textures.textures[texture].descriptor
         width, height = descriptor.level_size(level)
         return width * height * descriptor.level_layers(level) * descriptor.format.texel_bytes
 
@@ -141,7 +148,7 @@ class WorkMeter:
         return self._cost.covered_pixels(primitives, self._area())
 
     def _area(self) -> int:
-        """Pixels that a draw can reach: the target, the viewport and the scissor in common."""
+        """Return the number of pixels that a draw can reach: the intersection of target, viewport and scissor."""
         state = self._state
         parts = (state.render_pass, state.states[Viewport], state.states[Scissor])
         known, area = self._known_area

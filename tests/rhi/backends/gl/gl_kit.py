@@ -58,7 +58,7 @@ def describe_program(vertex: str = VERTEX, fragment: str = FRAGMENT, **parts: ob
 
 
 class GlKit:
-    """A backend with the ids handed out, and the few steps that most tests share."""
+    """A backend that also assigns ids, with the few steps that most tests share."""
 
     def __init__(self, backend: GlBackend) -> None:
         self.backend = backend

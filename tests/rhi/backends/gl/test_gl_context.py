@@ -1,4 +1,4 @@
-"""Opening contexts: what is missing is named, and several live side by side."""
+"""Contexts: a missing library is named, and several contexts can coexist."""
 
 from __future__ import annotations
 

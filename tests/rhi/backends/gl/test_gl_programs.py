@@ -1,4 +1,4 @@
-"""Programs: drivers' messages lead to Python lines, and main gets its additions without moving a line."""
+"""Programs: drivers' messages lead to Python lines, and additions to main keep the line numbers."""
 
 from __future__ import annotations
 

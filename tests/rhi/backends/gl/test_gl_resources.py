@@ -1,4 +1,4 @@
-"""Buffers, textures and framebuffers: what the backend's own structure could get wrong."""
+"""Buffers, textures, framebuffers, quads and the fence: cases that depend on the backend's structure."""
 
 from __future__ import annotations
 

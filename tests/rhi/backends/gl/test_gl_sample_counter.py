@@ -14,7 +14,7 @@ from rhi.contract.states import CullMode
 
 
 class FakeQueries:
-    """GL's queries, whose results come in when told to."""
+    """Fake GL queries, whose results become available when a test says so."""
 
     def __init__(self) -> None:
         self.samples: dict[int, int] = {}
@@ -179,7 +179,7 @@ def test_a_counted_query_drops_draws_like_one_of_gl(gl_kit: GlKit) -> None:
 
 @pytest.mark.parametrize("kind", [QueryKind.OCCLUSION, QueryKind.COUNTER])
 def test_no_query_is_active_when_the_context_goes(kind: QueryKind, monkeypatch: pytest.MonkeyPatch) -> None:
-    """llvmpipe would crash, more often than not."""
+    """Otherwise llvmpipe crashes more often than not."""
     kit, active = GlKit(create_backend()), []
     gl = kit.backend.gl
     begin, end = gl.BeginQuery, gl.EndQuery

@@ -1,4 +1,4 @@
-"""States: what GL couples and the contract doesn't."""
+"""States that GL couples and the contract doesn't."""
 
 from __future__ import annotations
 

@@ -19,12 +19,12 @@ from rhi.contract.descriptors import (
 PLAIN, STATIC, STREAM = 100, 200, 201
 
 ROUND = CostModel(command=0, vertex=0, pixel=1, byte=0, state_change=0, invocation=0)
-"""A draw takes a nanosecond for each sample that someone counts; everything else takes nothing."""
+"""A cost model in which a draw takes a nanosecond for each counted sample, and everything else takes nothing."""
 
 
 def make_backend(cost: CostModel = ROUND, **times: Any) -> SimulatedBackend:
-    """A call takes 10 ns, a submission 100, a wake-up 7, unless said otherwise. A draw passes 1,000 samples
-    for each of its instances."""
+    """Create a backend on which a call takes 10 ns, a submission 100, and a wake-up 7, by default. A draw passes
+    1,000 samples per instance."""
     simulation = Simulation(cost, **({"call": 10, "submission_latency": 100, "wake_latency": 7} | times))
     backend = SimulatedBackend(simulation)
     backend.create_vertex_array(PLAIN, VertexArrayDescriptor(1, (VertexStream(STATIC, 0, 8, False, ()),)))
@@ -35,7 +35,7 @@ def make_backend(cost: CostModel = ROUND, **times: Any) -> SimulatedBackend:
 
 
 def draw(backend: SimulatedBackend, instances: int = 1) -> None:
-    """One that takes the GPU 1 µs an instance."""
+    """Draw; it takes the GPU 1 µs per instance."""
     backend.draw(PLAIN, Primitive.TRIANGLES, 0, 3, instances, 0, 0)
 
 

@@ -1,19 +1,19 @@
-"""A timeline as text, as a picture and as a trace."""
+"""Timelines as text, as pictures and as traces."""
 
 import json
 
 import pytest
 
-from rhi.backends.null import Activity, ActivityTimeline, Frame, Lane, Span
+from rhi.backends.null import Activity, ActivityTimeline, FrameActivity, Lane, Span
 from rhi.backends.null.simulation.activity import ActivityLog
 
 
 @pytest.fixture
 def timeline():
     log = ActivityLog()
-    log.stall(400, 800, "wait(1)")
-    log.rest(Activity.STARVED, 0, 200)
-    log.rest(Activity.HALTED, 500, 600, "counter")
+    log.add_stall(400, 800, "wait(1)")
+    log.add_idle(Activity.STARVED, 0, 200)
+    log.add_idle(Activity.HALTED, 500, 600, "counter")
     log.begin_label(200, "frame")
     log.begin_label(300, "shadows")
     log.end_label(400)
@@ -33,7 +33,7 @@ def test_busy_is_what_lies_between(timeline):
 
 
 def test_frames_know_when_they_were_done(timeline):
-    assert timeline.frames == (Frame(0, 350, 800, 1), Frame(350, 900, None, 1))
+    assert timeline.frames == (FrameActivity(0, 350, 800, 1), FrameActivity(350, 900, None, 1))
     assert [frame.latency for frame in timeline.frames] == [800, None]
 
 

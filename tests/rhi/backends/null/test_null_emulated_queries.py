@@ -57,7 +57,7 @@ def test_a_gpu_that_runs_on_has_moved_on_when_the_counter_is_read(latency, sampl
 
 
 def test_running_on_gives_wrong_counts_and_halting_right_ones_at_the_price_of_a_stop():
-    """The end of the query is followed by unrelated draws, its beginning by nothing: too many are counted."""
+    """Unrelated draws follow the end of the query, and none its begin: too many samples are counted."""
 
     def run(halts):
         backend = make_backend(interrupt_latency=2000, halts_at_events=halts, submission_latency=0)

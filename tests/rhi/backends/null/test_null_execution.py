@@ -1,9 +1,9 @@
-"""The queue on the null backend: what is read when executed, queries, fences, time."""
+"""The queue of the null backend: memory read when executed, queries, fences, time."""
 
 import numpy as np
 import pytest
 
-from rhi.backends.null import Draw, NullBackend, Statistics, create_backend
+from rhi.backends.null import Draw, ExecutionStatistics, NullBackend, create_backend
 from rhi.backends.null.backend import COMMAND_NANOSECONDS, KEPT_INDIRECT
 from rhi.commands.ops import Op as OpInOps
 from rhi.commands.recorder import Recorder
@@ -202,7 +202,7 @@ def test_statistics_count_what_was_executed(backend):
     draw_indirect(backend, draws=2)
     backend.end_pass()
     backend.dispatch(1, 1, 1)
-    assert backend.statistics == Statistics(6, 3, 0, 0, 1, 6 * COMMAND_NANOSECONDS)
+    assert backend.statistics == ExecutionStatistics(6, 3, 0, 0, 1, 6 * COMMAND_NANOSECONDS)
 
 
 def test_the_recorder_writes_down_what_the_backend_executes_and_neither_counts_for_the_other(backend):

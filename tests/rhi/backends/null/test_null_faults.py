@@ -1,4 +1,4 @@
-"""After every fault the library's state is whole, and the error names its cause."""
+"""After every fault the library's state is consistent, and the error names its cause."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ POSITIONS = np.array([[-1, -1], [1, -1], [0, 1]], np.float32)
 
 
 def live(device):
-    """Ids of what was created and not destroyed."""
+    """Return the ids of resources that were created and not destroyed."""
     made = set()
     for command in device.stream:
         if command.op.method.startswith("create_") and command.failure is None:
@@ -24,7 +24,7 @@ def live(device):
 
 
 def render(device, frames=3):
-    """A program that makes and uses something of everything; returns an image and the samples counted."""
+    """Create and use resources of every kind. Return an image and the samples counted."""
     null = device.backend_as(NullBackend)
     null.count_samples(lambda draw: 10)
     device.timing = True
@@ -68,7 +68,7 @@ def clean():
 
 
 def check_whole(device):
-    """No pass, scope, lock, label or query is left open: all of these can be begun and ended."""
+    """Check that no pass, scope, lock, label or query is left open: each can begin and end again."""
     with device.event("again"), device.states(rhi.CullMode.BACK):
         pass
     labels = [command.op for command in device.stream if command.op in (Op.PUSH_LABEL, Op.POP_LABEL)]

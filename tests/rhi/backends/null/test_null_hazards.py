@@ -1,4 +1,4 @@
-"""Hazards: found whatever the latencies are, with both calls, and never invented."""
+"""Hazards: found at all latencies, with both calls, and without false positives."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from rhi.contract.descriptors import (
     VertexStream,
 )
 from rhi.contract.formats import Format, IndexFormat
-from rhi.contract.states import ColorWrite, DepthWrite, StateChange
+from rhi.contract.states import ColorWrite, DepthWrite, StateChange, StencilTest
 from rhi.device.core.ring import Ring
 from rhi.device.core.timeline import Timeline
 from rhi.errors import ValidationError
@@ -50,7 +50,7 @@ def with_program(backend, *bindings):
 
 
 def uniform_backend(**times):
-    """Draws read a uniform range of STREAM."""
+    """A backend whose draws read a uniform range of STREAM."""
     return with_program(make_backend(**times), Binding("camera", BindingKind.UNIFORM, 0))
 
 
@@ -153,7 +153,7 @@ def test_a_read_that_waits_frees_everything_before_it():
 
 
 def test_a_read_of_the_memory_itself_frees_it():
-    """The read is a use, too; it is over when it returns."""
+    """The read is a use, too, and is over when the call returns."""
     backend = uniform_backend()
     backend.bind_uniform(0, STREAM, 0, 16)
     draw(backend)
@@ -230,7 +230,7 @@ def vertex_backend(index_buffer=0, per_instance=False):
 
 
 def found_bytes(backend):
-    """Which of STREAM's bytes are in use, by writing each."""
+    """Return the bytes of STREAM that are in use, by writing each."""
     found = []
     for byte in range(256):
         before = len(backend.hazards)
@@ -266,7 +266,7 @@ def indices(*values):
     ("primitive", "last"), [(Primitive.TRIANGLES, 256), (Primitive.TRIANGLE_STRIP, 88)]
 )
 def test_an_indexed_draw_reads_the_vertices_its_indices_name(primitive, last):
-    """The largest index restarts strips only."""
+    """The largest index restarts only strips."""
     backend = vertex_backend(index_buffer=STATIC)
     backend.write_buffer(STATIC, 4, indices(3, 5, 4, 0xFFFF))
     backend.draw(VERTICES, primitive, 2, 4, 1, 2, 0)
@@ -456,12 +456,18 @@ def test_a_pass_that_reads_what_it_writes_is_found(descriptor, changes, image, f
     assert feedback(descriptor, changes, image) == [KINDS.PASS_FEEDBACK] * found
 
 
+@pytest.mark.parametrize(("form", "found"), [(Format.D24S8, True), (Format.D24, False)])
+def test_a_stencil_test_writes_only_a_target_that_has_stencil(form, found):
+    changes = [(DepthWrite, DepthWrite.OFF), (StencilTest, StencilTest.ON)]
+    assert feedback(DEPTH, changes, form=form) == [KINDS.PASS_FEEDBACK] * found
+
+
 # -- any program, any latency ----------------------------------------------------------------------------------
 
 
 @dataclass
 class Model:
-    """Says by brute force what is a hazard: a list of all uses, and how far the CPU knows the GPU to be."""
+    """Finds hazards by brute force: a list of all uses, and how far the CPU knows the GPU to be."""
 
     uses: list[tuple[int, int, int]]
     fences: dict[int, int]
@@ -531,7 +537,7 @@ def test_no_hazard_escapes_and_none_is_invented(actions, latency, batch, pixels)
 @example([("signal", 0, 0), ("draw", 0, 1), ("wait", 0, 0), ("signal", 0, 0), ("write", 0, 1)], 0, 0)
 @given(ACTIONS, st.integers(0, 20_000), st.integers(0, 3000))
 def test_what_is_called_a_hazard_happens_on_a_gpu_that_is_slow_enough(actions, latency, pixels):
-    """The same program, run again on a GPU that is never done before it is waited for."""
+    """Run the same program again on a GPU that is never done before the CPU waits for it."""
 
     def run(latency, pixels):
         backend = uniform_backend(submission_latency=latency)
@@ -591,7 +597,7 @@ def test_a_ring_never_overtakes_itself_whatever_the_latency(steps, latency, limi
 
 
 def test_a_ring_that_trusts_no_fence_overtakes_itself():
-    """The control of the test above: the same ring on a fence that says it is always done."""
+    """As a control of the test above: the same ring, with a fence that always claims to be done."""
     backend = uniform_backend()
     timeline, ids = Timeline(backend), iter(range(1000, 9999))
     ring = Ring(backend, timeline, lambda: next(ids), 256, "test", 256)

@@ -1,4 +1,4 @@
-"""Memory on the null backend is real: writes, reads, copies, clears, in order."""
+"""Buffers and textures of the null backend: writes, reads, copies, clears, in order."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Shaders on the null device: dispatches that run on NumPy, and what stands in for fragments."""
+"""Shaders on the null device: dispatches on NumPy, and stand-ins for fragments."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
 
 
 def weigh(device: rhi.Device, count: int = 6) -> np.ndarray:
-    """What `Weigh` makes of weights of 1, after two dispatches."""
+    """Return the result of two dispatches of `Weigh` with weights of 1."""
     items = np.zeros(count, Item.dtype)
     items["place"][:, 2], items["weight"] = np.arange(count), 2.0
     weights = device.storage(float, np.ones(count, np.float32))
@@ -158,7 +158,7 @@ def test_a_fault_of_a_checked_shader_is_raised(device: rhi.Device) -> None:
 
 
 def draw_thrice(device: rhi.Device, marks: rhi.StorageBuffer[uint]) -> None:
-    """Three instances at once, then two draws of 1 and 2 instances from memory."""
+    """Draw three instances directly, then 1 and 2 instances indirectly."""
     mark, image = device.program(Mark), device.texture((8, 8), Format.RGBA8)
     mesh = device.mesh({"position": np.zeros((3, 2), np.float32)})
     draws = mesh.draws(instances=[1, 2], base_instance=[5, 9])

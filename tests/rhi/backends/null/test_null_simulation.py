@@ -1,4 +1,4 @@
-"""The simulated GPU: two clocks, submission, order, what waits for what."""
+"""The simulated GPU: two clocks, submission, order, and waits."""
 
 import numpy as np
 import pytest
@@ -9,12 +9,12 @@ from simulated_kit import PLAIN, STATIC, STREAM, draw, make_backend, words
 import rhi
 from rhi.backends.null import (
     Activity,
+    CommandWork,
     CostModel,
     Lane,
     NullBackend,
     SimulatedBackend,
     Simulation,
-    Work,
     create_backend,
 )
 from rhi.backends.null.simulation.cost import count_primitives
@@ -163,7 +163,7 @@ def test_the_gpu_starves_between_two_submissions():
 
 
 def test_stop_and_wait_alternates_and_asking_later_overlaps():
-    """Thesis 6.1.1 and Figure 6.2."""
+    """As in the thesis, 6.1.1 and Figure 6.2."""
 
     def run(stop: bool):
         backend = make_backend(batch=8)
@@ -325,9 +325,9 @@ def test_frames_have_a_latency_that_grows_with_those_in_flight_and_the_cpu_is_he
 
 
 class Watched(CostModel):
-    """Remembers what it is asked."""
+    """A cost model that remembers the work it was called with."""
 
-    def nanoseconds(self, work: Work) -> int:
+    def nanoseconds(self, work: CommandWork) -> int:
         if not hasattr(self, "asked"):
             object.__setattr__(self, "asked", [])
         self.asked.append(work)
@@ -335,7 +335,7 @@ class Watched(CostModel):
 
 
 def works(call, **options):
-    """The work that a call comes down to."""
+    """Return the work that calls cause."""
     cost = Watched()
     backend = make_backend(cost)
     backend.create_texture(
@@ -352,17 +352,17 @@ def works(call, **options):
 @pytest.mark.parametrize(
     ("call", "work"),
     [
-        (lambda b: b.write_buffer(STATIC, 0, bytes(12)), Work(Op.WRITE_BUFFER, bytes=12)),
-        (lambda b: b.copy_buffer(STATIC, 0, STATIC, 64, 12), Work(Op.COPY_BUFFER, bytes=24)),
-        (lambda b: b.clear_buffer(STATIC, 0, 64, 0), Work(Op.CLEAR_BUFFER, bytes=64)),
-        (lambda b: b.write_texture(1, 0, Region(0, 0, 4, 4), bytes(64)), Work(Op.WRITE_TEXTURE, bytes=64)),
-        (lambda b: b.copy_texture(1, 0, Region(0, 0, 4, 4), 2, 0, 0, 0, 0), Work(Op.COPY_TEXTURE, bytes=128)),
-        (lambda b: b.resolve_texture(1, 2), Work(Op.RESOLVE_TEXTURE, bytes=64 * 32 * 4 * 2)),
-        (lambda b: b.dispatch(2, 3, 4), Work(Op.DISPATCH, invocations=24)),
-        (lambda b: b.dispatch_indirect(STATIC, 0), Work(Op.DISPATCH_INDIRECT, bytes=12)),
-        (lambda b: b.bind_program(7), Work(Op.BIND_PROGRAM, state_changes=1)),
-        (lambda b: b.set_states([StateChange(CullMode, CullMode.NONE)]), Work(Op.SET_STATES, state_changes=1)),
-        (lambda b: draw(b, 2), Work(Op.DRAW, 6, 2000)),
+        (lambda b: b.write_buffer(STATIC, 0, bytes(12)), CommandWork(Op.WRITE_BUFFER, bytes=12)),
+        (lambda b: b.copy_buffer(STATIC, 0, STATIC, 64, 12), CommandWork(Op.COPY_BUFFER, bytes=24)),
+        (lambda b: b.clear_buffer(STATIC, 0, 64, 0), CommandWork(Op.CLEAR_BUFFER, bytes=64)),
+        (lambda b: b.write_texture(1, 0, Region(0, 0, 4, 4), bytes(64)), CommandWork(Op.WRITE_TEXTURE, bytes=64)),
+        (lambda b: b.copy_texture(1, 0, Region(0, 0, 4, 4), 2, 0, 0, 0, 0), CommandWork(Op.COPY_TEXTURE, bytes=128)),
+        (lambda b: b.resolve_texture(1, 2), CommandWork(Op.RESOLVE_TEXTURE, bytes=64 * 32 * 4 * 2)),
+        (lambda b: b.dispatch(2, 3, 4), CommandWork(Op.DISPATCH, invocations=24)),
+        (lambda b: b.dispatch_indirect(STATIC, 0), CommandWork(Op.DISPATCH_INDIRECT, bytes=12)),
+        (lambda b: b.bind_program(7), CommandWork(Op.BIND_PROGRAM, state_changes=1)),
+        (lambda b: b.set_states([StateChange(CullMode, CullMode.NONE)]), CommandWork(Op.SET_STATES, state_changes=1)),
+        (lambda b: draw(b, 2), CommandWork(Op.DRAW, 6, 2000)),
     ],
 )  # fmt: skip
 def test_a_command_costs_what_is_in_it(call, work):
@@ -429,7 +429,7 @@ def test_indirect_draws_cost_what_their_arguments_say():
         backend.write_buffer(STATIC, 0, words(3, 2, 0, 0, 0, 6, 1, 0, 0, 0))
         backend.draw_indirect(PLAIN, Primitive.TRIANGLES, STATIC, 0, 2, 20, 0, 0)
 
-    assert works(run)[-1] == Work(Op.DRAW_INDIRECT, 12, 3000, 40)
+    assert works(run)[-1] == CommandWork(Op.DRAW_INDIRECT, 12, 3000, 40)
 
 
 @pytest.mark.parametrize(
@@ -445,7 +445,7 @@ def test_primitives_are_counted_by_their_kind(primitive, vertices, count):
 
 def test_the_model_is_linear_and_replaceable():
     model = CostModel(command=1, vertex=2, pixel=3, byte=4, state_change=5, invocation=6)
-    assert model.nanoseconds(Work(Op.DRAW, 10, 10, 10, 10, 10)) == 201
+    assert model.nanoseconds(CommandWork(Op.DRAW, 10, 10, 10, 10, 10)) == 201
     backend = make_backend(CostModel(command=500, vertex=0, pixel=0))
     draw(backend)
     backend.signal(1)

@@ -1,4 +1,4 @@
-"""Profiles: the null device as another device, and what a frame lacks there."""
+"""Profiles: the null device with the capabilities of another, and the features that a frame lacks there."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ from rhi.contract.descriptors import Binding, BindingKind
 
 
 def refused(profile, call):
-    """The rule that a call breaks on a profile, and must not break on everything."""
+    """Return the rule that a call violates on a profile, and check that it violates none on `everything`."""
     with rhi.create_device("null", profile="everything") as device:
         call(device)
     with rhi.create_device("null", profile=profile) as device:

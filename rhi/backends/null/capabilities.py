@@ -1,9 +1,9 @@
-"""Profiles: the capabilities of other devices, for the null device to pretend to.
+"""The capabilities that a null device presents: profiles of other devices.
 
 The limits of the OpenGL profiles are the smallest that a specification allows (OpenGL 3.3 and 4.5 core, tables of
-chapter 6 and 23; OpenGL ES 3.0.6, chapter 6), as a port by its means alone could offer them: what passes there runs
-on every such driver. Two are not: multi-sampled targets have 4 samples, which the specifications guarantee for
-renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest that a driver may ask for.
+chapters 6 and 23; OpenGL ES 3.0.6, chapter 6), for a port that uses nothing beyond it. What runs within them runs on
+every such driver. There are two exceptions: multi-sampled targets have 4 samples, which the specifications guarantee
+for renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest alignment that a driver may require.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _FLOAT: Final = frozenset(form for form in Format if form.kind is ChannelKind.FL
 
 
 def _device(name: str) -> Capabilities:
-    """Without the features that not every device has."""
+    """Return capabilities without the features that not every device has."""
     return Capabilities(
         backend="null", device=name, driver=f"NumPy {np.__version__}", shading=False, indirect_count=False,
         depth_bias_clamp=False, blend_per_target=False, unrenderable_formats=_SNORM,
@@ -59,11 +59,11 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         conditional_rendering=False, alpha_to_coverage=False,
     ),
 }  # fmt: skip
-"""By name. `everything` is what a null device has when nobody asks for less."""
+"""Capabilities by profile name. `everything` is the default of a null device."""
 
 
 def find_profile(profile: str | Capabilities) -> Capabilities:
-    """A profile by its name, or any capabilities as those of a null device: it runs no shaders whatever they say.
+    """Return a profile by name, or given capabilities as those of a null device, which never runs shaders.
 
     Raises:
         ValidationError: `device-argument` for an unknown name.

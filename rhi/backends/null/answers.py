@@ -1,9 +1,10 @@
-"""Who says what is seen: answers from a script, by query, from a function, or from a run on another backend.
+"""The answers of queries, on a device that rasterises nothing.
 
-- An answer belongs to one use of a query: its n-th beginning (of a counter, its n-th writing).
-- `AnswerLog` is a Backend in front of another that notes what its queries answered. Since ids are handed out
-  in the order of creation, the same program asks the null device the same questions by the same names.
-- None means that nobody knows. It is never taken for zero.
+- Answers come from a number, a script, a mapping by query, a function, or a run on another backend.
+- An answer belongs to one use of a query: its n-th begin (for a counter, its n-th write).
+- `AnswerLog` is a backend in front of another that records the answers of its queries. Ids are assigned in the order
+  of creation, so the same program uses the same ids on the null device.
+- None means that the answer is unknown. It is never treated as zero.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from rhi.commands.recorder import CommandMethods
-from rhi.contract.backend import Backend, Capabilities
+from rhi.commands.recorder import ForwardingBackend
+from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Id
 
 __rhi_internal__ = True
@@ -24,32 +25,35 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True)
 class RecordedAnswers:
-    """What queries answered in another run: samples by (query, n-th use from 0)."""
+    """The answers of queries in another run: samples by (query, n-th use, from 0)."""
 
     samples: Mapping[tuple[Id, int], int]
 
     def save(self, path: str | Path) -> None:
-        """As JSON: a list of [query, use, samples]."""
+        """Write the answers as JSON: a list of [query, use, samples]."""
         rows = [[query, use, samples] for (query, use), samples in sorted(self.samples.items())]
         Path(path).write_text(json.dumps(rows), encoding="utf-8")
 
     @classmethod
     def load(cls, path: str | Path) -> RecordedAnswers:
-        """What `save` wrote."""
+        """Read a file that `save` wrote."""
         rows = json.loads(Path(path).read_text(encoding="utf-8"))
         return cls({(int(query), int(use)): int(samples) for query, use, samples in rows})
 
 
-Answers: TypeAlias = int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
-"""Samples for every query; a script, in the order in which OCCLUSION queries end; by query; from a function of
-the query's id; or of another run. None, a missing key and the end of a script: unknown."""
+Answers: TypeAlias = (
+    int | Sequence[int | None] | Mapping[Id, int] | Callable[[Id], int | None] | RecordedAnswers
+)
+"""Samples of queries: one number for all; a script, in the order in which OCCLUSION queries end; a mapping by query
+id; a function of the id; or the answers of another run. None, a missing key and the end of a script mean unknown."""
 
-Oracle: TypeAlias = Callable[[Id, int, int], object]
-"""What `Answers` come to: a function of the query, its use, and its place in the order of endings (−1: none)."""
+AnswerFunction: TypeAlias = Callable[[Id, int, int], object]
+"""A function from a query, the number of its use, and its place in the order of ended queries (−1: none) to
+samples."""
 
 
-def make_oracle(answers: Answers) -> Oracle:
-    """Answers of any form as one function; None where they don't say."""
+def make_answer_function(answers: Answers) -> AnswerFunction:
+    """Return answers of any form as one function, which returns None for unknown answers."""
     given: Any = answers
     if isinstance(answers, RecordedAnswers):
         return lambda query, use, place: answers.samples.get((query, use))
@@ -63,33 +67,21 @@ def make_oracle(answers: Answers) -> Oracle:
     return lambda query, use, place: given
 
 
-class AnswerLog(CommandMethods):
-    """A Backend in front of another, which notes the answers of its queries: `rhi.Device(AnswerLog(backend))`.
+class AnswerLog(ForwardingBackend):
+    """A backend in front of another that records the answers of its queries: `rhi.Device(AnswerLog(backend))`.
 
-    Only what the program asked for is known; of a query begun twice and read once, one use stays unknown.
+    Only answers that the program reads are recorded. If a query begins twice and is read once, one use stays unknown.
     """
 
-    METHOD = "    return self.backend.{method}({arguments})"
-
     def __init__(self, backend: Backend) -> None:
-        self.backend = backend
+        super().__init__(backend)
         self._uses: Counter[Id] = Counter()
         self._samples: dict[tuple[Id, int], int] = {}
 
     @property
     def answers(self) -> RecordedAnswers:
-        """What was answered up to now."""
+        """The answers so far."""
         return RecordedAnswers(self._samples.copy())
-
-    @property
-    def capabilities(self) -> Capabilities:
-        return self.backend.capabilities
-
-    def close(self) -> None:
-        self.backend.close()
-
-    def completed(self) -> int:
-        return self.backend.completed()
 
     def begin_query(self, query: Id) -> None:
         self.backend.begin_query(query)

@@ -1,4 +1,4 @@
-"""What is seen: scripts, and answers recorded on another backend."""
+"""Answers of queries: scripts, and answers recorded on another backend."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from rhi.errors import ValidationError
 
 
 def ask(backend, *queries):
-    """Each query once, with a draw in it; returns the answers."""
+    """Use each query once, with a draw inside, and return the answers."""
     for query in queries:
         backend.begin_query(query)
         backend.draw(1, Primitive.TRIANGLES, 0, 3, 1, 0, 0)
@@ -102,7 +102,7 @@ def test_answers_are_saved_and_loaded(tmp_path):
 
 
 def frame(device):
-    """Draws what was visible the last time, asks for all; returns what is drawn."""
+    """Render three frames with three queries each, and return their answers by frame."""
     program = device.program(hand_made_program())
     mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
     image = device.texture((8, 8), rhi.Format.RGBA8)

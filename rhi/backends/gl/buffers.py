@@ -1,0 +1,115 @@
+"""Buffers: moderngl's own, and persistently mapped STREAM buffers.
+
+- Tables are dictionaries by id. The two that a draw uses hold moderngl's bound C methods, which cost a tenth of a
+  ctypes call with as many arguments.
+- A STREAM buffer is mapped once, persistently and coherently. Writing it is a copy into that memory, unordered
+  as the contract allows.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from typing import Final, TypeAlias
+
+import moderngl
+import numpy as np
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.gl import enums
+from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.errors import drain_errors, find_error
+from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
+
+__rhi_internal__ = True
+
+BindRange: TypeAlias = Callable[[int, int, int], object]
+"""(slot, offset, size)"""
+
+_STREAM_FLAGS: Final = enums.MAP_WRITE_BIT | enums.MAP_PERSISTENT_BIT | enums.MAP_COHERENT_BIT
+_MODERNGL_MAX_SIZE: Final = (1 << 31) - 1  # of an external buffer; binding its ranges is 64-bit
+
+
+class Buffers:
+    """All buffers of one context.
+
+    Attributes:
+        bind_uniform, bind_storage: by id, the functions that bind a range of a buffer to a slot.
+        objects: by id, moderngl's buffers.
+    """
+
+    def __init__(self, context: moderngl.Context, gl: EntryPoints) -> None:
+        self._context = context
+        self._gl = gl
+        self.objects: dict[Id, moderngl.Buffer] = {}
+        self.bind_uniform: dict[Id, BindRange] = {}
+        self.bind_storage: dict[Id, BindRange] = {}
+        self._mappings: dict[Id, memoryview] = {}
+
+    def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
+        drain_errors(self._gl)
+        create = self._create_stream if descriptor.usage is BufferUsage.STREAM else self._create_static
+        created, mapping = create(descriptor.size)
+        error = find_error(self._gl, f"device.buffer(size={descriptor.size})")
+        if error is not None:
+            created.release()
+            raise error
+        if mapping is not None:
+            self._mappings[buffer] = mapping
+        if descriptor.label:
+            self._gl.ObjectLabel(enums.BUFFER, created.glo, -1, descriptor.label.encode())
+        self.objects[buffer] = created
+        self.bind_uniform[buffer] = created.mglo.bind_to_uniform_block
+        self.bind_storage[buffer] = created.mglo.bind_to_storage_buffer
+
+    def _create_static(self, size: int) -> tuple[moderngl.Buffer, None]:
+        created = self._context.buffer(reserve=size)
+        self._gl.ClearNamedBufferSubData(
+            created.glo, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
+        )
+        return created, None
+
+    def _create_stream(self, size: int) -> tuple[moderngl.Buffer, memoryview | None]:
+        gl = self._gl
+        name = gl.create(gl.CreateBuffers)
+        gl.NamedBufferStorage(name, size, None, _STREAM_FLAGS)
+        address = gl.MapNamedBufferRange(name, 0, size, _STREAM_FLAGS)
+        created = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
+        if not address:
+            return created, None
+        ctypes.memset(address, 0, size)
+        return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
+
+    def destroy(self, buffer: Id) -> None:
+        del self.bind_uniform[buffer], self.bind_storage[buffer]
+        self._mappings.pop(buffer, None)
+        self.objects.pop(buffer).release()
+
+    def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        mapping = self._mappings.get(buffer)
+        if mapping is None:
+            self.objects[buffer].mglo.write(data, offset)
+            return
+        try:
+            mapping[offset : offset + len(data)] = data  # type: ignore[arg-type]
+        except (ValueError, TypeError, NotImplementedError):  # no flat bytes; nothing was copied
+            source = np.frombuffer(memoryview(data), np.uint8)
+            mapping[offset : offset + len(source)] = source.data
+
+    def read(self, buffer: Id, offset: int, size: int) -> bytes:
+        if buffer not in self._mappings:
+            return bytes(self.objects[buffer].mglo.read(size, offset))
+        data = ctypes.create_string_buffer(size)
+        self._gl.GetNamedBufferSubData(self.objects[buffer].glo, offset, size, data)
+        return data.raw
+
+    def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
+        self._gl.CopyNamedBufferSubData(
+            self.objects[source].glo, self.objects[target].glo, source_offset, target_offset, size
+        )
+
+    def clear(self, buffer: Id, offset: int, size: int, value: int) -> None:
+        self._gl.ClearNamedBufferSubData(
+            self.objects[buffer].glo, enums.R32UI, offset, size, enums.RED_INTEGER, enums.UNSIGNED_INT,
+            ctypes.byref(ctypes.c_uint(value)),
+        )  # fmt: skip

@@ -1,0 +1,127 @@
+"""Textures, all with immutable storage.
+
+- They are GL's own: moderngl has one depth format, and no stencil, views or storage textures.
+- Rows are transferred as they are: row 0 is the top row on both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.gl import enums
+from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.errors import drain_errors, find_error
+from rhi.backends.gl.formats import CLEAR_FORMATS, PIXEL_FORMATS, PixelFormat
+from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
+
+__rhi_internal__ = True
+
+_TARGETS: Final = {
+    TextureKind.D2: enums.TEXTURE_2D,
+    TextureKind.D2_ARRAY: enums.TEXTURE_2D_ARRAY,
+    TextureKind.D3: enums.TEXTURE_3D,
+    TextureKind.CUBE: enums.TEXTURE_CUBE_MAP,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class GlTexture:
+    """A texture: GL's name and target, its descriptor, and its format for GL."""
+
+    name: int
+    target: int
+    descriptor: TextureDescriptor
+    pixel: PixelFormat
+
+
+class Textures:
+    """All textures of one context.
+
+    Attributes:
+        names: GL's names, by id.
+    """
+
+    def __init__(self, gl: EntryPoints) -> None:
+        self._gl = gl
+        self._textures: dict[Id, GlTexture] = {}
+        self.names: dict[Id, int] = {}
+        gl.PixelStorei(enums.PACK_ALIGNMENT, 1)
+        gl.PixelStorei(enums.UNPACK_ALIGNMENT, 1)
+
+    def __getitem__(self, texture: Id) -> GlTexture:
+        return self._textures[texture]
+
+    def create(self, texture: Id, descriptor: TextureDescriptor) -> None:
+        gl = self._gl
+        drain_errors(gl)
+        target = enums.TEXTURE_2D_MULTISAMPLE if descriptor.samples > 1 else _TARGETS[descriptor.kind]
+        name = gl.create(gl.CreateTextures, target)
+        pixel = PIXEL_FORMATS[descriptor.format]
+        width, height = descriptor.size
+        if descriptor.samples > 1:
+            gl.TextureStorage2DMultisample(name, descriptor.samples, pixel.internal, width, height, True)
+        elif descriptor.kind in (TextureKind.D2, TextureKind.CUBE):
+            gl.TextureStorage2D(name, descriptor.levels, pixel.internal, width, height)
+        else:
+            gl.TextureStorage3D(name, descriptor.levels, pixel.internal, width, height, descriptor.layers)
+        call = f"device.texture({descriptor.size}, {descriptor.format}, layers={descriptor.layers})"
+        error = find_error(gl, call)
+        if error is not None:
+            gl.delete(gl.DeleteTextures, name)
+            raise error
+        clear = CLEAR_FORMATS[descriptor.format]
+        for level in range(descriptor.levels):
+            gl.ClearTexImage(name, level, clear.format, clear.type, None)
+        if descriptor.samples == 1:  # so that texel fetches without a sampler work, for integers too
+            gl.TextureParameteri(name, enums.TEXTURE_MIN_FILTER, enums.NEAREST_MIPMAP_NEAREST)
+            gl.TextureParameteri(name, enums.TEXTURE_MAG_FILTER, enums.NEAREST)
+        if descriptor.label:
+            gl.ObjectLabel(enums.TEXTURE, name, -1, descriptor.label.encode())
+        self._textures[texture] = GlTexture(name, target, descriptor, pixel)
+        self.names[texture] = name
+
+    def destroy(self, texture: Id) -> None:
+        del self._textures[texture]
+        self._gl.delete(self._gl.DeleteTextures, self.names.pop(texture))
+
+    def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
+        gl_texture, r = self._textures[texture], region
+        pixels = np.frombuffer(memoryview(data), np.uint8).ctypes.data
+        _, texel, kind = gl_texture.pixel
+        if gl_texture.target == enums.TEXTURE_2D:
+            self._gl.TextureSubImage2D(
+                gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels
+            )
+        else:
+            self._gl.TextureSubImage3D(
+                gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels
+            )
+
+    def read(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
+        gl_texture, r = self._textures[texture], region
+        _, texel, kind = gl_texture.pixel
+        dtype = gl_texture.descriptor.format.dtype
+        if stencil:
+            texel, kind, dtype = enums.STENCIL_INDEX, enums.UNSIGNED_BYTE, np.dtype(np.uint8)
+        channels = gl_texture.descriptor.format.channels
+        pixels = np.empty((r.layers, r.height, r.width, channels), dtype)
+        self._gl.GetTextureSubImage(
+            gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels.nbytes,
+            pixels.ctypes.data,
+        )  # fmt: skip
+        return pixels
+
+    def copy(
+        self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
+        layer: int,
+    ) -> None:  # fmt: skip
+        old, new, r = self._textures[source], self._textures[target], source_region
+        self._gl.CopyImageSubData(
+            old.name, old.target, source_level, r.x, r.y, r.layer,
+            new.name, new.target, target_level, x, y, layer, r.width, r.height, r.layers,
+        )  # fmt: skip
