@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from renderer.frame import Drawn, Frame, SceneResources, Targets
 from renderer.scene import Camera, Scene, Simulator
 from renderer.techniques import Forward, Technique
-from renderer.visibility import Statistics, VisibilityAlgorithm, make_visibility
+from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
@@ -54,7 +54,7 @@ class FrameResult:
 
     image: Texture
     depth: Texture
-    visibility: Statistics | None
+    visibility: VisibilityStatistics | None
     _drawn: Drawn
     _counters: dict[str, int]
 

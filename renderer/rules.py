@@ -96,7 +96,7 @@ NO_COMPUTE: Final = Rule(
 )
 NO_SCENE_PASS: Final = Rule(
     "visibility-no-scene-pass",
-    "an algorithm that lists draws on the device renders in a renderer's pass",
+    "the algorithm needs the buffers or the depth of a renderer's pass",
     "give it to a Renderer as its `visibility`; `result.visible` are the rows that it drew",
 )
 STALE_LIST: Final = Rule(

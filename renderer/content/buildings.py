@@ -12,18 +12,19 @@ import numpy as np
 
 from renderer.content import shapes
 from renderer.content.textures import ROOF_UV, WINDOWS
-from renderer.scene.meshes import Geometry, join
-from renderer.scene.transforms import Floats, multiply, scaling, translation
+from renderer.scene.arrays import Floats
+from renderer.scene.meshes import MeshGeometry, join
+from renderer.scene.transforms import multiply, scaling, translation
 
 __rhi_internal__ = True
 
-Ring = tuple[float, float, float]
+LoftRing = tuple[float, float, float]
 
 KINDS: Final = ("tower", "setback", "corner", "round", "house", "slab")
 """The shapes of buildings."""
 
 
-def make_building(kind: str, floors: int, detail: int) -> Geometry:
+def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
     """A building of one of `KINDS` with windows for `floors` storeys."""
     bays = max((detail + 1) // 2, 1)
     walls = (8 * bays / WINDOWS, floors / WINDOWS)
@@ -74,7 +75,7 @@ def make_building(kind: str, floors: int, detail: int) -> Geometry:
     return join([body, *_balconies(bays), _block((0.15, 0.97, 0.0), (0.2, 0.1, 0.2))])
 
 
-def make_trees(count: int, detail: int, seed: int) -> Geometry:
+def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:
     """`count` trees on a unit lot: trunks and round or pointed crowns, in metres above a lot of 1 x 1."""
     rng = np.random.default_rng([seed, 5])
     crowns = (shapes.sphere(max(detail, 4)), shapes.cone(max(detail, 4)))
@@ -93,7 +94,7 @@ def make_trees(count: int, detail: int, seed: int) -> Geometry:
     return join(parts)
 
 
-def make_lamp(detail: int) -> Geometry:
+def make_lamp(detail: int) -> MeshGeometry:
     """A street lamp in metres: a post of 6 m with an arm along +x and a lamp at (1.6, 5.9, 0)."""
     post = shapes.lathe([(0.14, 0.0), (0.1, 0.6), (0.06, 6.0), (0.0, 6.0)], max(detail, 4))
     arm = shapes.box().transformed(_placed((0.8, 5.97, 0.0), (1.7, 0.07, 0.07)))
@@ -120,7 +121,7 @@ _ANGLE: Final = np.array(
 """An L around the corner where its wings meet, from where both can be seen."""
 
 
-def _ring(y: float, scale: float) -> Ring:
+def _ring(y: float, scale: float) -> LoftRing:
     return (y, scale, scale)
 
 
@@ -144,15 +145,15 @@ def _pilasters(corners: Floats, bays: int, depth: float) -> Floats:
 
 
 def _with_roof(
-    outline: Floats, rings: list[Ring], walls: tuple[float, float], inner: float, smooth: bool = False
-) -> Geometry:
+    outline: Floats, rings: list[LoftRing], walls: tuple[float, float], inner: float, smooth: bool = False
+) -> MeshGeometry:
     """A loft with a parapet around a flat roof; `inner` is the roof's scale."""
     top = rings[-1][0]
     low = top - 0.3 * (top - rings[-2][0]) if len(rings) > 2 else 0.97
     return shapes.loft(outline, [*rings, _ring(top, inner), _ring(low, inner)], walls, ROOF_UV, smooth)
 
 
-def _balconies(bays: int) -> list[Geometry]:
+def _balconies(bays: int) -> list[MeshGeometry]:
     """Slabs on the two long sides, four storeys of them."""
     x = (np.arange(bays) + 0.5) / bays * 0.92 - 0.46
     return [
@@ -163,11 +164,11 @@ def _balconies(bays: int) -> list[Geometry]:
     ]
 
 
-def _block(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Geometry:
+def _block(centre: tuple[float, float, float], size: tuple[float, float, float]) -> MeshGeometry:
     part = shapes.box().transformed(_placed(centre, size))
     vertices = part.vertices.copy()
     vertices["uv"] = ROOF_UV
-    return Geometry(vertices, part.indices)
+    return MeshGeometry(vertices, part.indices)
 
 
 def _placed(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Floats:

@@ -18,10 +18,11 @@ from renderer.content.buildings import KINDS, make_building, make_lamp, make_tre
 from renderer.content.shapes import plane
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.textures import paint_facade, paint_street
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Perspective
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import Floats, multiply, rotation, scaling, translation
+from renderer.scene.transforms import multiply, rotation, scaling, translation
 
 __rhi_internal__ = True
 

@@ -12,9 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.meshes import VERTEX, Geometry
-from renderer.scene.simulation import Rows
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.meshes import VERTEX, MeshGeometry
 
 __rhi_internal__ = True
 
@@ -75,10 +74,10 @@ class Fountains:
         return _tetrahedra(self.position[member])
 
 
-def make_drops() -> Geometry:
+def make_drops() -> MeshGeometry:
     """The mesh of a fountain before its first step: all drops at the nozzle."""
     vertices = _tetrahedra(np.zeros((DROPS, 3)))
-    return Geometry(vertices, np.arange(len(vertices), dtype=np.uint32))
+    return MeshGeometry(vertices, np.arange(len(vertices), dtype=np.uint32))
 
 
 def _tetrahedra(centres: Floats) -> NDArray[Any]:

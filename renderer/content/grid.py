@@ -10,7 +10,7 @@ from renderer.content.models import read_geometry
 from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import SEED, Generator, Option
 from renderer.scene.camera import Camera, Perspective
-from renderer.scene.meshes import Geometry
+from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
@@ -73,7 +73,7 @@ GRID: Final = Generator(
 )
 
 
-def _unit(geometry: Geometry) -> Geometry:
+def _unit(geometry: MeshGeometry) -> MeshGeometry:
     """Scaled so that the longest side is a metre, standing on y = 0 over the origin."""
     lower, upper = geometry.bounds
     middle = 0.5 * (lower + upper) * (1.0, 0.0, 1.0) + lower * (0.0, 1.0, 0.0)

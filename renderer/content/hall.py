@@ -16,11 +16,12 @@ from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.textures import paint_stripes
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Perspective
-from renderer.scene.meshes import Geometry, make_geometry
+from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import Floats, multiply, rotation, scaling, translation
+from renderer.scene.transforms import multiply, rotation, scaling, translation
 
 __rhi_internal__ = True
 
@@ -166,7 +167,7 @@ class _Sway:
         return multiply(self.hinge, rotation((0, 1, 0), angle))
 
 
-def _cloth(part: int, detail: int) -> Geometry:
+def _cloth(part: int, detail: int) -> MeshGeometry:
     """One segment from its hinge at x = 0, both sides; the flag's stripes run through all of them."""
     width, height = _CLOTH
     x, y = np.meshgrid(np.linspace(0.0, width, detail + 1), np.linspace(0.0, height, detail + 1))

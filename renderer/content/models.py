@@ -16,12 +16,13 @@ from typing import Any, Final
 import numpy as np
 
 from renderer import rules
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Perspective
-from renderer.scene.materials import Image
-from renderer.scene.meshes import Geometry, join, make_geometry
+from renderer.scene.materials import ImagePixels
+from renderer.scene.meshes import MeshGeometry, join, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import Floats, is_affine, multiply, translation
+from renderer.scene.transforms import is_affine, multiply, translation
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -33,7 +34,7 @@ _FAR: Final = 64.0  # a mesh this many times its size from its origin is stored 
 
 
 @dataclass(frozen=True, slots=True)
-class _Node:
+class _FileNode:
     """A node of the file: its parent's place in the list or -1, and its mesh's name or None."""
 
     name: str
@@ -69,7 +70,7 @@ def load_model(path: str) -> Scene:
     return scene
 
 
-def read_geometry(path: str) -> Geometry:
+def read_geometry(path: str) -> MeshGeometry:
     """All triangles of a model file as one mesh, in the file's world space."""
     meshes, nodes = _read(path)
     worlds: list[Floats] = []
@@ -82,7 +83,7 @@ def read_geometry(path: str) -> Geometry:
     return join(parts)
 
 
-def _read(path: str) -> tuple[dict[str, Any], list[_Node]]:
+def _read(path: str) -> tuple[dict[str, Any], list[_FileNode]]:
     """The file's triangle meshes by name, and its nodes, parents first."""
     file = Path(path)
     call = f"load_model({path!r})"
@@ -121,16 +122,16 @@ def _quiet() -> Iterator[None]:
         yield
 
 
-def _list_nodes(graph: Any, meshes: dict[str, Any]) -> list[_Node]:
+def _list_nodes(graph: Any, meshes: dict[str, Any]) -> list[_FileNode]:
     forest = graph.transforms
     order = [graph.base_frame]
-    nodes = [_Node(str(graph.base_frame), -1, np.eye(4), _mesh_at(forest, graph.base_frame, meshes))]
+    nodes = [_FileNode(str(graph.base_frame), -1, np.eye(4), _mesh_at(forest, graph.base_frame, meshes))]
     for parent, above in enumerate(order):  # grows while it is walked: breadth first
         for name in forest.children.get(above, ()):
             matrix = forest.edge_data[(above, name)].get("matrix")
             local = np.eye(4) if matrix is None else np.array(matrix, np.float64)
             order.append(name)
-            nodes.append(_Node(str(name), parent, local, _mesh_at(forest, name, meshes)))
+            nodes.append(_FileNode(str(name), parent, local, _mesh_at(forest, name, meshes)))
     return nodes
 
 
@@ -139,7 +140,7 @@ def _mesh_at(forest: Any, name: Any, meshes: dict[str, Any]) -> str | None:
     return mesh if mesh in meshes else None
 
 
-def _convert(path: str, mesh: Any) -> tuple[Geometry, Floats]:
+def _convert(path: str, mesh: Any) -> tuple[MeshGeometry, Floats]:
     """The mesh in our arrays, and the centre (3,) that was taken from its positions."""
     call = f"load_model({path!r})"
     positions = np.array(mesh.vertices, np.float64)
@@ -208,7 +209,7 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     return builder.add_material(base_color=(*linear[:3], color[3]), texture=texture, rim_strength=0.1)
 
 
-def _pixels(image: Any) -> Image:
+def _pixels(image: Any) -> ImagePixels:
     with _quiet():
         return np.asarray(image.convert("RGBA"), np.uint8)
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from renderer.scene.meshes import VERTEX, Geometry, join
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats
+from renderer.scene.meshes import VERTEX, MeshGeometry, join
 
 __rhi_internal__ = True
 
@@ -23,7 +23,7 @@ __rhi_internal__ = True
 _SLIVER: Final = 1e-4  # a triangle thinner than this share of its length is dropped
 
 
-def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> Geometry:
+def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
     """Quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
 
     Without `normals` (rows, columns, 3) each quad is flat and has its own corners. `uv` is
@@ -41,7 +41,7 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
         quads = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(
             -1, 4
         )
-        return Geometry(vertices, _triangles(vertices["position"], quads))
+        return MeshGeometry(vertices, _triangles(vertices["position"], quads))
     count = (rows - 1) * (columns - 1)
     vertices = np.zeros((count, 4), VERTEX)
     for name, values in (("position", grid), ("uv", coordinates)):
@@ -52,10 +52,10 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     vertices["normal"] = (normal / np.maximum(length, 1e-30))[:, None]
     flat = vertices.reshape(-1)
-    return Geometry(flat, _triangles(flat["position"], np.arange(4 * count).reshape(count, 4)))
+    return MeshGeometry(flat, _triangles(flat["position"], np.arange(4 * count).reshape(count, 4)))
 
 
-def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> Geometry:
+def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> MeshGeometry:
     """A flat cap facing up over an outline (k, 2), around the origin."""
     ring = np.asarray(outline, np.float64)
     count = len(ring)
@@ -66,10 +66,10 @@ def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> G
     vertices["uv"] = uv
     edge = np.arange(count)
     corners = np.stack([np.zeros(count, np.int64), 1 + edge, 1 + (edge + 1) % count], axis=1)
-    return Geometry(vertices, _without_slivers(vertices["position"], corners))
+    return MeshGeometry(vertices, _without_slivers(vertices["position"], corners))
 
 
-def box(detail: int = 1) -> Geometry:
+def box(detail: int = 1) -> MeshGeometry:
     """A cube from -1/2 to 1/2, each face `detail` by `detail` quads: 12 * detail² triangles."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     u, v = np.meshgrid(steps, steps)
@@ -83,14 +83,14 @@ def box(detail: int = 1) -> Geometry:
     return join(parts)
 
 
-def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> Geometry:
+def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> MeshGeometry:
     """A square from -1/2 to 1/2 in xz, facing up."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     x, z = np.meshgrid(steps, -steps)
     return sheet(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
 
 
-def lathe(profile: ArrayLike, segments: int) -> Geometry:
+def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
     """A surface of revolution about y: `profile` (k, 2) holds (radius, y), from the bottom up.
 
     Normals are smooth around and flat along the profile; `segments` * k * 2 triangles at most.
@@ -110,22 +110,22 @@ def lathe(profile: ArrayLike, segments: int) -> Geometry:
     return join(parts)
 
 
-def cylinder(segments: int = 24) -> Geometry:
+def cylinder(segments: int = 24) -> MeshGeometry:
     """Radius 1/2, y from -1/2 to 1/2, with caps."""
     return lathe([(0.0, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5)], segments)
 
 
-def cone(segments: int = 24) -> Geometry:
+def cone(segments: int = 24) -> MeshGeometry:
     """Base radius 1/2 at y = -1/2, tip at y = 1/2."""
     return lathe([(0.0, -0.5), (0.5, -0.5), (0.0, 0.5)], segments)
 
 
-def sphere(segments: int = 24) -> Geometry:
+def sphere(segments: int = 24) -> MeshGeometry:
     """Radius 1/2, smooth; `segments` around and half as many from pole to pole."""
     return _smooth_surface(lambda u, v: _sphere_point(u, v), segments, max(segments // 2, 3))
 
 
-def torus(segments: int = 32) -> Geometry:
+def torus(segments: int = 32) -> MeshGeometry:
     """A ring in xz that fits into a unit cube, tube radius 1/8."""
 
     def point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
@@ -136,7 +136,7 @@ def torus(segments: int = 32) -> Geometry:
     return _smooth_surface(lambda u, v: point(u, 2.0 * v), segments, max(segments // 2, 3))
 
 
-BUILT_IN: Final[dict[str, Callable[[], Geometry]]] = {
+BUILT_IN: Final[dict[str, Callable[[], MeshGeometry]]] = {
     "box": box,
     "plane": plane,
     "cylinder": cylinder,
@@ -153,7 +153,7 @@ def loft(
     walls: tuple[float, float],
     roof_uv: tuple[float, float] = (0.0, 0.0),
     smooth: bool = False,
-) -> Geometry:
+) -> MeshGeometry:
     """Walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
 
     Texture coordinates of steep parts run `walls` = (times around, times up per unit of y); flatter parts
@@ -175,7 +175,7 @@ def loft(
         radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-9)
         outward = ~level & ((vertices["normal"] * radial).sum(1) > 0.0)
         vertices["normal"][outward] = radial[outward]
-    parts = [Geometry(vertices, side.indices)]
+    parts = [MeshGeometry(vertices, side.indices)]
     y, sx, sz = rings[-1]
     if sx > 0.0 and sz > 0.0:
         parts.append(fan(shape * (sx, sz), y, roof_uv))
@@ -184,7 +184,7 @@ def loft(
 
 def _smooth_surface(
     point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int
-) -> Geometry:
+) -> MeshGeometry:
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, columns + 1), np.linspace(-0.5, 0.5, rows + 1) * np.pi)
     positions, normals = point(u, v)
     return sheet(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)

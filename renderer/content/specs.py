@@ -16,7 +16,7 @@ from rhi.errors import refuse
 
 __rhi_internal__ = True
 
-Value = int | float | str
+OptionValue = int | float | str
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class Option:
     """One key of a generator; its type is that of `default`, `low` and `high` bound numbers."""
 
     name: str
-    default: Value
+    default: OptionValue
     meaning: str
     low: float = 0.0
     high: float = 0.0
@@ -38,7 +38,7 @@ class Option:
         low, high = (f"{int(end):,}" if end == int(end) else f"{end:g}" for end in (self.low, self.high))
         return f"{kind} from {low} to {high}"
 
-    def parse(self, call: str, text: str) -> Value:
+    def parse(self, call: str, text: str) -> OptionValue:
         """`text` as this option's type, or a refusal."""
         if isinstance(self.default, str):
             if not text:
@@ -62,11 +62,11 @@ class Generator:
     options: tuple[Option, ...]
     build: Callable[..., Scene]
 
-    def parse(self, text: str) -> dict[str, Value]:
+    def parse(self, text: str) -> dict[str, OptionValue]:
         """Every option's value, from `key=value,key=value` or defaults."""
         call = f"{self.name}:{text}"
         known = {option.name: option for option in self.options}
-        values: dict[str, Value] = {option.name: option.default for option in self.options}
+        values: dict[str, OptionValue] = {option.name: option.default for option in self.options}
         seen: set[str] = set()
         for part in text.split(",") if text else []:
             key, equals, value = (piece.strip() for piece in part.partition("="))

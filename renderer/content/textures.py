@@ -6,8 +6,8 @@ from typing import Final
 
 import numpy as np
 
-from renderer.scene.materials import Image
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats
+from renderer.scene.materials import ImagePixels
 
 __rhi_internal__ = True
 
@@ -23,7 +23,7 @@ ROOF_UV: Final = (0.125, 0.125)
 _CELL = IMAGE_SIZE // WINDOWS
 
 
-def paint_facade(style: str, seed: int) -> Image:
+def paint_facade(style: str, seed: int) -> ImagePixels:
     """A facade of `WINDOWS` x `WINDOWS` windows, near white, to be tinted by a material's base colour.
 
     Styles: "punched" windows in a wall, "ribbon" windows between bands, "glass" panes in thin frames.
@@ -53,7 +53,7 @@ def paint_facade(style: str, seed: int) -> Image:
     return _image(pixels)
 
 
-def paint_street(street: float, seed: int) -> Image:
+def paint_street(street: float, seed: int) -> ImagePixels:
     """One block of ground, the street along its edges: `street` is the street's share of the width.
 
     Pavement in the middle, asphalt around it with a dashed centre line on the texture's border, and
@@ -86,14 +86,16 @@ def paint_street(street: float, seed: int) -> Image:
     return _image(pixels)
 
 
-def paint_stripes(first: tuple[float, float, float], second: tuple[float, float, float], count: int) -> Image:
+def paint_stripes(
+    first: tuple[float, float, float], second: tuple[float, float, float], count: int
+) -> ImagePixels:
     """`count` pairs of level stripes in two sRGB colours: a flag."""
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)
     return _image(np.repeat(column[:, None], IMAGE_SIZE, axis=1))
 
 
-def _image(pixels: Floats) -> Image:
+def _image(pixels: Floats) -> ImagePixels:
     opaque = np.full((*pixels.shape[:2], 4), 255, np.uint8)
     opaque[..., :3] = np.clip(np.round(pixels * 255.0), 0, 255)
     return opaque

@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 
-from renderer.frame.passes import Drawn, ScenePass
+from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera
-from renderer.visibility import DeviceCulling, Statistics, VisibilityAlgorithm
+from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics
 from rhi import Device, Format, Texture
 
 
@@ -50,21 +50,21 @@ class Frame:
     targets: Targets
     visibility: VisibilityAlgorithm
     drawn: Drawn = field(init=False)
-    statistics: Statistics | None = None
+    statistics: VisibilityStatistics | None = None
 
     def __post_init__(self) -> None:
         self.drawn = Drawn(self.resources.scene)
 
-    def draw_visible(self, scene: ScenePass) -> None:
+    def draw_visible(self, scene_pass: TechniquePass) -> None:
         """Let the visible objects be drawn in a pass, in as many batches as it takes to find them.
 
         Call it once, where the frame's depth is first drawn; what the visibility algorithm asks of the device
         takes place there.
         """
-        self.drawn = scene.drawn
-        with scene:
-            if not isinstance(self.visibility, DeviceCulling):
-                scene.open()
-            self.statistics = self.visibility.render(self.camera, scene)
-            if not scene.was_opened:  # nothing was drawn: cleared all the same
-                scene.open()
+        self.drawn = scene_pass.drawn
+        with scene_pass:
+            if not self.visibility.opens_pass:
+                scene_pass.open()
+            self.statistics = self.visibility.render(self.camera, scene_pass)
+            if not scene_pass.was_opened:  # nothing was drawn: the targets are cleared all the same
+                scene_pass.open()

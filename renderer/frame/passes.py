@@ -14,7 +14,7 @@ from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
-from renderer.visibility.boxes.volumes import Side, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
 
 _DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}
@@ -56,7 +56,7 @@ class Drawn:
         return self._scene.count_triangles(self.rows)
 
 
-class ScenePass:
+class TechniquePass:
     """The scene drawn with one program to one set of targets; a visibility algorithm decides what and when.
 
     The pass may be closed and opened again; it is cleared when it is first opened. Rows are drawn in one call,
@@ -120,7 +120,7 @@ class ScenePass:
         """End the pass, if it is open; what was drawn is kept."""
         self.__exit__(None, None, None)
 
-    def __call__(self, rows: NDArray[np.int64]) -> None:
+    def draw(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects with these rows."""
         self.open()
         self.drawn.batches.append(rows)
@@ -144,7 +144,7 @@ class ScenePass:
         simulated = self._resources.simulator.objects
         if len(simulated):
             side = classify(self._camera.frustum.planes, fit_aligned(self._resources.scene, simulated))
-            self._resources.simulate(simulated[side != Side.OUTSIDE])
+            self._resources.simulate(simulated[side != Containment.OUTSIDE])
         self.drawn.add_list(draws)
         for turned, winding in _WINDINGS:
             if self._resources.has_winding(mirrored=turned):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
+from renderer.scene.arrays import Floats, Rows
 
 _PAIRS = 1 << 20  # (object, light) pairs looked at together: 60 MB
 

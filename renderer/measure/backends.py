@@ -15,8 +15,7 @@ import numpy as np
 
 import rhi
 from renderer import rules
-from renderer.frame import SceneResources, Targets
-from renderer.frame.passes import ScenePass
+from renderer.frame import SceneResources, Targets, TechniquePass
 from renderer.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
@@ -79,18 +78,18 @@ class DepthShader(Shader):
         pass
 
 
-class Corner(Struct):
+class BoxVertex(Struct):
     """Of a box, relative to the eye."""
 
     position: vec3
 
 
-class BoxShader(Shader):
+class BoxDepthShader(Shader):
     """Boxes' depth."""
 
     view: Uniform[View]
 
-    def vertex(self, v: Corner) -> vec4:
+    def vertex(self, v: BoxVertex) -> vec4:
         return self.view.relative_view_projection @ vec4(v.position, 1.0)
 
     def fragment(self) -> None:
@@ -115,7 +114,7 @@ class BackendPasses:
         self.resources.simulate(self._rows)
         self._depth = device.program(DepthShader)
         self._forward: dict[bool, tuple[Program[Any], dict[str, Any]]] = {}
-        self._box = device.program(BoxShader)
+        self._box = device.program(BoxDepthShader)
         self._boxes: Mesh | None = None
         self._parts: list[Mesh] = []
         self._draws = np.zeros(0, rhi.DRAW)
@@ -149,11 +148,11 @@ class BackendPasses:
 
     def _draw(self, program: Program[Any], bindings: dict[str, Any], color: bool) -> None:
         image = self.targets.color if color else None
-        with ScenePass(
+        with TechniquePass(
             self.device, self.resources, self.camera, program, bindings,
             color=image, depth=self.targets.depth, clear=(*self.resources.scene.background, 1.0),
-        ) as scene:  # fmt: skip
-            scene(self._rows)
+        ) as scene_pass:  # fmt: skip
+            scene_pass.draw(self._rows)
         self.device.finish()
 
     def _prepare_boxes(self) -> None:

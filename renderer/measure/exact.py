@@ -4,33 +4,33 @@ from __future__ import annotations
 
 import numpy as np
 
-from renderer.frame import ScenePass, SceneResources
+from renderer.frame import SceneResources, TechniquePass
 from renderer.scene import Camera, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
 from rhi import Device, Format
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, vec4
 
 
-class Number(Struct):
+class RowVarying(Struct):
     """From vertex to fragment."""
 
     clip: vec4
     row: int
 
 
-class Numbered(Shader):
+class RowShader(Shader):
     """An object's row + 1 as colour."""
 
     view: Uniform[View]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
 
-    def vertex(self, v: Vertex) -> Number:
+    def vertex(self, v: Vertex) -> RowVarying:
         row = instance_index()
         position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return Number(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
+        return RowVarying(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
 
-    def fragment(self, v: Number) -> uint:
+    def fragment(self, v: RowVarying) -> uint:
         return uint(v.row + 1)
 
 
@@ -52,12 +52,12 @@ class ExactVisibility:
         resources.update(camera)
         arrays = resources.arrays
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-        program = self._device.program(Numbered)
-        with ScenePass(
+        program = self._device.program(RowShader)
+        with TechniquePass(
             self._device, resources, camera, program, bindings,
             color=self._numbers, depth=self._depth, clear=(0, 0, 0, 0),
-        ) as draw:  # fmt: skip
-            draw(np.arange(len(self._scene.objects)))
+        ) as scene_pass:  # fmt: skip
+            scene_pass.draw(np.arange(len(self._scene.objects)))
         return set((np.unique(self._numbers.read()).astype(np.int64) - 1).tolist()) - {-1}
 
     def destroy(self) -> None:

@@ -1,6 +1,6 @@
 """Pictures of what was culled and why (thesis, Figures 6.1 and 6.3): from the camera, and from above.
 
-Each object's bounding box has the colour of its fate. The camera's picture is what the algorithm drew, with boxes
+Each object's bounding box has the colour of its outcome. The camera's picture is what the algorithm drew, with boxes
 as edges: those of hidden objects are seen through what hides them. From above boxes are solid, and white lines
 are the edges of what the camera sees.
 """
@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from renderer.content import BUILT_IN
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Scene
+from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
-from renderer.visibility.boxes.volumes import Side, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Mesh, Primitive, Program
 from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, vec3, vec4
-
-Rows = NDArray[np.int64]
 
 
 class CullingOutcome(IntEnum):
@@ -105,20 +104,20 @@ class MarkShader(Shader):
         return vec4(v.color, 1.0)
 
 
-def find_fates(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
+def find_outcomes(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
     """(n,) of `CullingOutcome`: of all objects, when those with the rows `drawn` were drawn."""
     everything = np.arange(len(scene.objects))
     boxes = fit_aligned(scene, everything)
     side = classify(camera.frustum.planes, boxes)
     near = find_near(camera, *pad_boxes(camera, boxes.lower, boxes.upper))
     is_drawn = np.isin(everything, drawn)
-    fate = np.where(side == Side.INSIDE, CullingOutcome.INSIDE, CullingOutcome.CROSSING)
-    fate = np.where(near, CullingOutcome.NEAR, np.where(is_drawn, fate, CullingOutcome.OCCLUDED))
-    return np.where(side == Side.OUTSIDE, CullingOutcome.OUTSIDE, fate).astype(np.uint8)
+    outcome = np.where(side == Containment.INSIDE, CullingOutcome.INSIDE, CullingOutcome.CROSSING)
+    outcome = np.where(near, CullingOutcome.NEAR, np.where(is_drawn, outcome, CullingOutcome.OCCLUDED))
+    return np.where(side == Containment.OUTSIDE, CullingOutcome.OUTSIDE, outcome).astype(np.uint8)
 
 
 def picture_from_camera(
-    renderer: Renderer, camera: Camera, result: FrameResult, fates: NDArray[np.uint8]
+    renderer: Renderer, camera: Camera, result: FrameResult, outcomes: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
     """(h, w, 4) sRGB: the frame as it came out, and the edges of all boxes that aren't outside."""
     device, scene = renderer.device, renderer.scene
@@ -129,13 +128,18 @@ def picture_from_camera(
         device.render_pass(result.image, result.depth),
         device.states(CullMode.NONE, DepthWrite.OFF, nearer),
     ):
-        for fate in (CullingOutcome.OCCLUDED, CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR):
-            with device.states(DepthTest.OFF if fate in _THROUGH else DepthTest.ON):
-                marks.draw_boxes(scene, camera, np.flatnonzero(fates == fate), fates, solid=False)
+        for outcome in (
+            CullingOutcome.OCCLUDED,
+            CullingOutcome.CROSSING,
+            CullingOutcome.INSIDE,
+            CullingOutcome.NEAR,
+        ):
+            with device.states(DepthTest.OFF if outcome in _THROUGH else DepthTest.ON):
+                marks.draw_boxes(scene, camera, np.flatnonzero(outcomes == outcome), outcomes, solid=False)
     return np.asarray(result.image.read())
 
 
-def picture_from_above(renderer: Renderer, camera: Camera, fates: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def picture_from_above(renderer: Renderer, camera: Camera, outcomes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """(h, w, 4) sRGB: all boxes but those that cover more than a twentieth of the picture, the widest."""
     device, scene, (width, height) = renderer.device, renderer.scene, renderer.size
     rows, above = look_from_above(scene, width / height)
@@ -148,7 +152,7 @@ def picture_from_above(renderer: Renderer, camera: Camera, fates: NDArray[np.uin
             device.states(DepthTest.OFF, DepthWrite.OFF),
         ):
             with device.states(CullMode.BACK):
-                marks.draw_boxes(scene, above, rows, fates, solid=True)
+                marks.draw_boxes(scene, above, rows, outcomes, solid=True)
             with device.states(CullMode.NONE):
                 marks.draw_lines(above, find_edges(camera.with_aspect(width / height), above))
         return np.asarray(color.read())
@@ -223,15 +227,15 @@ class _Marks:
         )
 
     def draw_boxes(
-        self, scene: Scene, camera: Camera, rows: Rows, fates: NDArray[np.uint8], *, solid: bool
+        self, scene: Scene, camera: Camera, rows: Rows, outcomes: NDArray[np.uint8], *, solid: bool
     ) -> None:
         """The boxes of the objects `rows`."""
         if not len(rows):
             return
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
-        table = np.array([COLORS[fate] for fate in CullingOutcome])
+        table = np.array([COLORS[outcome] for outcome in CullingOutcome])
         with self._bound(
-            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower), table[fates[rows]]
+            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower), table[outcomes[rows]]
         ) as marks:
             self._draw(self._solid if solid else self._edges, camera, marks, len(rows))
 

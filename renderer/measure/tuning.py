@@ -27,7 +27,7 @@ from renderer.renderer import FrameStatistics, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath
 from renderer.visibility import Settings, make_visibility
 
-Pair = tuple[int, int]
+ParameterPair = tuple[int, int]
 """b and n."""
 
 _FIRST: Final = 4  # values of either in the first round
@@ -68,7 +68,7 @@ class Trial:
     hardware_state_changes: int
 
 
-def try_pairs(walk: Walk, pairs: Sequence[Pair], threshold: int = 0) -> list[Trial]:
+def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], threshold: int = 0) -> list[Trial]:
     """A trial of each pair, the frames of all and of the default pair taking turns; on a device of its own.
 
     A process makes one call at a time; more of them wait.
@@ -114,14 +114,17 @@ def try_pairs(walk: Walk, pairs: Sequence[Pair], threshold: int = 0) -> list[Tri
 
 
 def search(
-    batches: Pair, persistences: Pair, rounds: int, try_all: Callable[[list[Pair]], list[Trial]]
+    batches: ParameterPair,
+    persistences: ParameterPair,
+    rounds: int,
+    try_all: Callable[[list[ParameterPair]], list[Trial]],
 ) -> Iterator[Trial]:
     """Trials of what looks best within both ranges, ends included; `try_all` makes those of a round.
 
     The first round is a lattice over the ranges, each further one spans the square root of the last one's spans
     around the best so far. No pair is tried twice.
     """
-    known: dict[Pair, Trial] = {}
+    known: dict[ParameterPair, Trial] = {}
     default = Settings()
     spans = [high / low for low, high in (batches, persistences)]
     wanted = {
@@ -151,7 +154,7 @@ def _spaced(low: int, high: int, count: int) -> list[int]:
     return sorted({round(value) for value in np.geomspace(low, high, count).tolist()})
 
 
-def _around(middle: int, span: float, limits: Pair) -> list[int]:
+def _around(middle: int, span: float, limits: ParameterPair) -> list[int]:
     """The value itself and one on either side, a different one where the limits leave room."""
     step = span**0.5
     below, above = min(round(middle / step), middle - 1), max(round(middle * step), middle + 1)

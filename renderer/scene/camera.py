@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -30,7 +30,7 @@ class Depth(Enum):
     """Near 0, far 1. Test with LESS."""
 
 
-class Plane(IntEnum):
+class FrustumPlane(IntEnum):
     """Rows of `Frustum.planes`. FAR is missing when the projection reaches to infinity."""
 
     LEFT = 0
@@ -131,7 +131,7 @@ class Orthographic:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frustum:
-    """The visible volume: `planes` (5 or 6, 4) float64 in the order of `Plane`, unit normals inward.
+    """The visible volume: `planes` (5 or 6, 4) float64 in the order of `FrustumPlane`, unit normals inward.
 
     A point p is inside a plane when `n · p + d >= 0`. Five planes when the far plane is at infinity.
     """

@@ -26,7 +26,7 @@ MATERIAL: Final = np.dtype(
 )
 """48 bytes: a std430 struct {vec4, vec3, float, float, float, int, float} without padding."""
 
-Image = NDArray[np.uint8]
+ImagePixels = NDArray[np.uint8]
 """A texture's pixels: (height, width, 4), sRGB with linear alpha, top row first."""
 
 _RANGES: Final = {
@@ -71,7 +71,7 @@ def make_material(
     return material
 
 
-def check_image(image: NDArray[Any]) -> Image:
+def check_image(image: NDArray[Any]) -> ImagePixels:
     """`image` as the scene keeps it, or a refusal."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4 or not image.size:
         refuse(rules.BAD_IMAGE, "add_image", f"{image.dtype}, shape {image.shape}")

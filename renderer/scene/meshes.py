@@ -1,6 +1,6 @@
 """Meshes: triangles in one shared vertex array and one shared index array.
 
-A `Geometry` is one mesh as its maker hands it over. `Meshes` holds all of a scene's: index ranges with
+A `MeshGeometry` is one mesh as its maker hands it over. `Meshes` holds all of a scene's: index ranges with
 base vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw
 serve every object.
 """
@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.transforms import Floats, normal_matrices
+from renderer.scene.arrays import Floats
+from renderer.scene.transforms import normal_matrices
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -26,19 +27,19 @@ VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
 """One mesh's part of the shared arrays; the names and meanings of an indexed draw."""
 
-Bounds = tuple[Floats, Floats]
+MeshBounds = tuple[Floats, Floats]
 """Lower and upper corner, (3,)."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Geometry:
+class MeshGeometry:
     """One mesh: `vertices` (v,) of `VERTEX`, `indices` (3 * triangles,) uint32, counter-clockwise outside."""
 
     vertices: NDArray[Any]
     indices: NDArray[np.uint32]
 
     def __post_init__(self) -> None:
-        call = "Geometry"
+        call = "MeshGeometry"
         if self.vertices.dtype != VERTEX:
             refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX")
         if self.indices.dtype != np.uint32 or self.indices.ndim != 1 or len(self.indices) % 3:
@@ -71,7 +72,7 @@ class Geometry:
         away = self.vertices["position"] - 0.5 * (lower + upper)
         return float(np.sqrt(np.einsum("ij,ij->i", away, away).max()))
 
-    def transformed(self, matrix: ArrayLike) -> Geometry:
+    def transformed(self, matrix: ArrayLike) -> MeshGeometry:
         """The same mesh moved by one affine matrix (4, 4); mirroring turns the triangles round."""
         m = np.asarray(matrix, np.float64)
         vertices = self.vertices.copy()
@@ -80,19 +81,21 @@ class Geometry:
         vertices["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         mirrored = np.linalg.det(m[:3, :3]) < 0.0
         corners = self.indices.reshape(-1, 3)
-        return Geometry(vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1))
+        return MeshGeometry(
+            vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1)
+        )
 
 
-def join(parts: Sequence[Geometry]) -> Geometry:
+def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
     """One mesh of several."""
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     indices = [part.indices + np.uint32(offset) for part, offset in zip(parts, offsets, strict=True)]
-    return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
+    return MeshGeometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
 
 
 def make_geometry(
     positions: ArrayLike, indices: ArrayLike, normals: ArrayLike | None = None, uv: ArrayLike | None = None
-) -> Geometry:
+) -> MeshGeometry:
     """A mesh from plain arrays: positions (v, 3), indices (3t,) or (t, 3), normals (v, 3), uv (v, 2).
 
     Missing normals are computed, weighted by area; missing texture coordinates are 0.
@@ -106,7 +109,7 @@ def make_geometry(
     vertices["normal"] = compute_normals(points, corners) if normals is None else normals
     if uv is not None:
         vertices["uv"] = uv
-    return Geometry(vertices, corners.astype(np.uint32))
+    return MeshGeometry(vertices, corners.astype(np.uint32))
 
 
 def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
@@ -138,7 +141,10 @@ class Meshes:
     """
 
     def __init__(
-        self, geometries: Sequence[Geometry], names: Sequence[str], bounds: Sequence[Bounds | None] = ()
+        self,
+        geometries: Sequence[MeshGeometry],
+        names: Sequence[str],
+        bounds: Sequence[MeshBounds | None] = (),
     ) -> None:
         """`bounds` replace those of the geometries where they aren't None: of meshes that change."""
         count = len(geometries)

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.transforms import Floats, is_affine, multiply
+from renderer.scene.arrays import Floats
+from renderer.scene.transforms import is_affine, multiply
 from rhi.errors import refuse
 
 __rhi_internal__ = True

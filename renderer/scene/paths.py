@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from renderer import rules
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
-from renderer.scene.transforms import Floats
 from rhi.errors import RhiError, refuse
 
 __rhi_internal__ = True

@@ -15,14 +15,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera
 from renderer.scene.lights import Lights
-from renderer.scene.materials import MATERIAL, Image, check_image, make_material
-from renderer.scene.meshes import Bounds, Geometry, Meshes
+from renderer.scene.materials import MATERIAL, ImagePixels, check_image, make_material
+from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.paths import CameraPath
-from renderer.scene.simulation import Simulated, Simulation
-from renderer.scene.transforms import Floats, is_affine, relative_to, transform_bounds
+from renderer.scene.simulation import ObjectSimulation, Simulated
+from renderer.scene.transforms import is_affine, relative_to, transform_bounds
 from rhi.errors import refuse
 
 __rhi_internal__ = True
@@ -75,7 +76,7 @@ class Scene:
         objects: Objects,
         meshes: Meshes,
         materials: NDArray[Any],
-        images: tuple[Image, ...],
+        images: tuple[ImagePixels, ...],
         lights: Lights,
         views: Mapping[str, Camera],
         paths: Mapping[str, CameraPath],
@@ -163,11 +164,11 @@ class SceneBuilder:
         self.haze = 0.0
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
-        self._geometries: list[Geometry] = []
-        self._bounds: list[Bounds | None] = []
+        self._geometries: list[MeshGeometry] = []
+        self._bounds: list[MeshBounds | None] = []
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
-        self._images: list[Image] = []
+        self._images: list[ImagePixels] = []
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
         self._dynamic: list[NDArray[np.bool_]] = []
@@ -177,7 +178,7 @@ class SceneBuilder:
         self._simulated: list[Simulated] = []
         self._animations: list[tuple[NDArray[np.int64], Callable[[float], Floats]]] = []
 
-    def add_mesh(self, geometry: Geometry, name: str = "", bounds: Bounds | None = None) -> int:
+    def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
         """Add a mesh; returns its id. `bounds` are what one that is simulated never leaves."""
         if bounds is not None:
             lower, upper = geometry.bounds
@@ -246,7 +247,7 @@ class SceneBuilder:
         """Let dynamic `nodes` (k,) follow `motion`: seconds to local transforms (k, 4, 4)."""
         self._animations.append((np.atleast_1d(np.asarray(nodes, np.int64)), motion))
 
-    def simulate(self, objects: ArrayLike, simulation: Simulation) -> None:
+    def simulate(self, objects: ArrayLike, simulation: ObjectSimulation) -> None:
         """Let `simulation` make the vertices of `objects` (k,), its members in this order.
 
         Each has a mesh of its own, added with bounds that hold at all times. The scene's time 0 is the

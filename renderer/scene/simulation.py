@@ -19,14 +19,15 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.scene.arrays import Rows
+
 __rhi_internal__ = True
 
-Rows = NDArray[np.int64]
 
 _EARLY: Final = 1e-6  # of a step: a time that rounding put just before one counts as on it
 
 
-class Simulation(Protocol):
+class ObjectSimulation(Protocol):
     """What k members do. A copy (`deepcopy`) goes its own way.
 
     Attributes:
@@ -53,7 +54,7 @@ class Simulation(Protocol):
 class Simulated:
     """A simulation of a scene at its beginning, and the objects (k,) that its members are."""
 
-    simulation: Simulation
+    simulation: ObjectSimulation
     objects: Rows
 
 
@@ -63,7 +64,7 @@ class Advanced:
 
     row: int
     number: int
-    simulation: Simulation
+    simulation: ObjectSimulation
     member: int
 
 

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__rhi_internal__ = True
+from renderer.scene.arrays import Floats
 
-Floats = NDArray[np.float64]
+__rhi_internal__ = True
 
 
 def translation(offset: ArrayLike) -> Floats:

@@ -127,7 +127,7 @@ class Vertex(Struct):
     uv: vec2
 
 
-class Varying(Struct):
+class SurfaceVarying(Struct):
     """From vertex to fragment."""
 
     clip: vec4

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from renderer.frame import Frame, ScenePass, SceneResources
+from renderer.frame import Frame, SceneResources, TechniquePass
 from renderer.techniques.forward_shader import forward_variant
 from rhi import Device, Program
 
@@ -23,7 +23,7 @@ class Forward:
         program, bindings = bind_forward(device, resources)
         with device.event("forward"):
             frame.draw_visible(
-                ScenePass(
+                TechniquePass(
                     device,
                     resources,
                     frame.camera,

@@ -28,7 +28,7 @@ from renderer.shaders.structs import (
     PointLight,
     SpotLight,
     Surface,
-    Varying,
+    SurfaceVarying,
     Vertex,
     View,
     relative_position,
@@ -62,11 +62,11 @@ class ForwardShader(Shader):
     places: Storage[ObjectPosition]
     materials: Storage[Material]
 
-    def vertex(self, v: Vertex) -> Varying:
+    def vertex(self, v: Vertex) -> SurfaceVarying:
         row = instance_index()
         thing = self.objects[row]
         position = thing.linear @ v.position + relative_position(self.places[row], self.view)
-        return Varying(
+        return SurfaceVarying(
             clip=self.view.relative_view_projection @ vec4(position, 1.0),
             position=position,
             normal=thing.normal @ v.normal,
@@ -75,7 +75,7 @@ class ForwardShader(Shader):
             lights=ivec3(thing.lights_begin, thing.points_end, thing.lights_end),
         )
 
-    def fragment(self, v: Varying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> vec4:
         material = self.materials[v.material]
         surface = Surface(
             position=v.position,

@@ -1,7 +1,7 @@
 """Visibility: which objects are drawn.
 
 visibility = make_visibility("chc_plus_plus", scene, device)
-statistics = visibility.render(camera, lambda rows: technique.draw(rows))
+statistics = visibility.render(camera, scene_pass)      # `scene_pass`: a `ScenePass`
 """
 
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from typing import Final
 
 from renderer import rules
 from renderer.scene import Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics, VisibilityAlgorithm, find_visible_objects
+from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics, find_visible_objects
 from renderer.visibility.auto import AutoCulling
-from renderer.visibility.boxes.culling import Counts, Culler, find_visible
+from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
-from renderer.visibility.frustum import FrustumCulling, NoCulling, VolumeCulling
+from renderer.visibility.frustum import FrustumCulling, NoCulling
 from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.two_pass import TwoPassCulling
@@ -23,7 +23,7 @@ from renderer.visibility.queries.chc import Chc
 from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
 from renderer.visibility.queries.conditional import ConditionalCulling
 from renderer.visibility.queries.stop_and_wait import StopAndWait
-from renderer.visibility.scene_pass import DeviceList, SceneArrays
+from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
 from renderer.visibility.settings import Settings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
 from rhi import Device
@@ -34,26 +34,26 @@ __all__ = [
     "ALGORITHMS",
     "CANDIDATES",
     "AutoCulling",
+    "CallbackPass",
     "Chc",
     "ChcPlusPlus",
     "ConditionalCulling",
-    "Counts",
     "Culler",
+    "CullingCounts",
     "DepthPyramidCulling",
     "DeviceCulling",
     "DeviceList",
-    "DrawObjects",
     "FrustumCulling",
     "Hierarchy",
     "NoCulling",
     "SceneArrays",
+    "ScenePass",
     "Settings",
     "SoftwareDepth",
-    "Statistics",
     "StopAndWait",
     "TwoPassCulling",
     "VisibilityAlgorithm",
-    "VolumeCulling",
+    "VisibilityStatistics",
     "build_by_area",
     "build_by_median",
     "find_visible",

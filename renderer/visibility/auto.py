@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics, VisibilityAlgorithm
+from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device
 
 __rhi_internal__ = True
@@ -37,6 +38,8 @@ class AutoCulling:
         chosen: the name of the fastest; the one on trial while there is a trial.
         is_trying: whether the next frame is on trial.
     """
+
+    opens_pass: Final = False
 
     def __init__(
         self,
@@ -74,13 +77,13 @@ class AutoCulling:
         """Whether the next frame is one of a trial."""
         return bool(self._untried)
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""
         if not self._untried and self._left <= 0 and self._is_elsewhere(camera):
             self._begin_trial()
         if self._untried:
-            return self._try_next(camera, draw)
-        statistics = self._find(self.chosen).render(camera, draw)
+            return self._try_next(camera, scene_pass)
+        statistics = self._find(self.chosen).render(camera, scene_pass)
         self._left -= 1
         self._drawn = self._drawn or statistics.visible
         if self._left < 0 and max(statistics.visible, self._drawn) > _CHANGED * min(
@@ -102,12 +105,12 @@ class AutoCulling:
         if len(self.names) > 1:
             self._untried = list(self.names)[::-1]
 
-    def _try_next(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def _try_next(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         device, self.chosen = self._device, self._untried[-1]
         candidate = self._find(self.chosen)
         device.finish()
         began = perf_counter()
-        statistics = candidate.render(camera, draw)
+        statistics = candidate.render(camera, scene_pass)
         submitted = perf_counter()
         device.finish()
         done = perf_counter()

@@ -17,12 +17,12 @@ import numpy as np
 
 import rhi
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics, find_visible_objects
+from renderer.scene.arrays import Rows
+from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
 from renderer.visibility.boxes.bounds import find_near, pad_boxes, squared_distances
-from renderer.visibility.boxes.hierarchy import Rows
 from renderer.visibility.frustum import FrustumCulling
 from renderer.visibility.gpu.occluder_depth import OccluderDepth
-from renderer.visibility.scene_pass import as_scene_pass
+from renderer.visibility.scene_pass import ScenePass
 
 __rhi_internal__ = True
 
@@ -46,6 +46,8 @@ def can_rasterise() -> bool:
 class SoftwareDepth:
     """Draws what isn't behind the largest objects in view."""
 
+    opens_pass: Final = False
+
     def __init__(self, scene: Scene, *, occluders: int = OCCLUDERS) -> None:
         """At most `occluders` are drawn in depth. Raises `DeviceError` where there is no OpenCL."""
         self._scene = scene
@@ -57,9 +59,9 @@ class SoftwareDepth:
         self._device = rhi.create_device(BACKEND)
         self._depth = OccluderDepth(self._device, scene, self._limit, len(scene.objects))
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what shows, in one batch, in a renderer's pass, which says how large the image is."""
-        size = as_scene_pass(draw, "SoftwareDepth.render(draw=...)").depth.size
+        size = scene_pass.depth.size
         rows = find_visible_objects(self._frustum, camera)
         chosen = self.choose_occluders(camera, rows)
         self._depth.render(camera, chosen, size)
@@ -74,8 +76,8 @@ class SoftwareDepth:
         stalled = time.perf_counter() - begin
         visible = rows[shown]
         if len(visible):
-            draw(visible)
-        return Statistics(
+            scene_pass.draw(visible)
+        return VisibilityStatistics(
             objects=len(objects),
             visible=len(visible),
             batches=int(len(visible) > 0),

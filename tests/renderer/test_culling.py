@@ -158,7 +158,7 @@ def test_planes_that_a_node_lies_inside_are_not_tested_below_it():
     across, inside = [1.0, 0.0, 0.0, -30.5], [1.0, 0.0, 0.0, 1000.0]
     _, counts = Culler(tree, lower, upper).find_visible(np.array([across] + [inside] * 5))
     # Each node against one plane, what passed it against the other five, objects against one.
-    assert counts == culling.Counts(len(cut), objects, len(cut) + 5 * len(passed) + objects)
+    assert counts == culling.CullingCounts(len(cut), objects, len(cut) + 5 * len(passed) + objects)
 
 
 def test_a_node_inside_all_planes_is_taken_whole():

@@ -13,7 +13,7 @@ from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.shaders import View
-from renderer.visibility import FrustumCulling, NoCulling, make_visibility
+from renderer.visibility import CallbackPass, FrustumCulling, NoCulling, ScenePass, make_visibility
 from rhi import Op
 from rhi.backends.null import Faults
 
@@ -162,7 +162,9 @@ def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int
         device.finish()
         made = device.stream.filter(
             (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
-            where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+            where=lambda c: (
+                c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM
+            ),
         )
         gone = {command.values[0] for command in device.stream.filter(Op.DESTROY)}
         assert {command.values[0] for command in made} <= gone
@@ -222,8 +224,10 @@ def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[in
 def test_a_wrongly_culled_object_is_a_different_pixel(gl: rhi.Device, city: Scene) -> None:
     # The control of the comparison above: leave one object in view out.
     class LeaveOut:
-        def render(self, camera: Camera, draw: Any) -> Any:
-            return FrustumCulling(city).render(camera, lambda rows: draw(rows[:-1]))
+        opens_pass = False
+
+        def render(self, camera: Camera, scene_pass: ScenePass) -> Any:
+            return FrustumCulling(city).render(camera, CallbackPass(lambda rows: scene_pass.draw(rows[:-1])))
 
     camera = city.views["overview"]
     images = []

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer import shaders
 from renderer.content import find_path, load_scene
-from renderer.measure.backends import BackendPasses, BoxShader
+from renderer.measure.backends import BackendPasses, BoxDepthShader
 from renderer.scene import Scene
 from rhi import BlendFunction, DepthFunction, DepthWrite, Device, Format, Viewport
 from rhi.shading import vec4
@@ -29,7 +29,7 @@ FRAMES = (0, 900)
 WIDER = 8
 
 
-class WhiteBoxes(BoxShader):
+class WhiteBoxes(BoxDepthShader):
     """Boxes that can be counted in an image."""
 
     def fragment(self) -> vec4:  # type: ignore[override]

@@ -15,8 +15,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, Depth, Plane
-from renderer.visibility.boxes.hierarchy import Floats, Rows
+from renderer.scene import Camera, Depth, FrustumPlane
+from renderer.scene.arrays import Floats, Rows
 from renderer.visibility.boxes.volumes import TurnedBoxes
 
 __rhi_internal__ = True
@@ -31,7 +31,7 @@ TOO_FAR: Final = 1e15
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Boxes:
+class QueryBoxes:
     """What queries draw, as one camera sees it.
 
     Attributes:
@@ -47,8 +47,8 @@ class Boxes:
     near: NDArray[np.bool_]
 
 
-def see_boxes(camera: Camera, lower: Floats, upper: Floats, turned: TurnedBoxes, places: Rows) -> Boxes:
-    """Boxes (n, 3) as `camera` sees them, with those at `places` (k,) replaced by `turned`, k of them.
+def see_boxes(camera: Camera, lower: Floats, upper: Floats, turned: TurnedBoxes, places: Rows) -> QueryBoxes:
+    """QueryBoxes (n, 3) as `camera` sees them, with those at `places` (k,) replaced by `turned`, k of them.
 
     A turned box that the near plane may cut isn't asked for: the aligned one is, if that isn't cut either. So a
     group of boxes inside one that isn't near has none that is.
@@ -56,7 +56,7 @@ def see_boxes(camera: Camera, lower: Floats, upper: Floats, turned: TurnedBoxes,
     low, high, far = pad_boxes(camera, lower, upper)
     x, y = np.zeros((2, len(low), 3), np.float32)
     x[:, 0] = y[:, 1] = 1.0
-    boxes = Boxes(0.5 * (low + high), 0.5 * (high - low), x, y, find_near(camera, low, high, far))
+    boxes = QueryBoxes(0.5 * (low + high), 0.5 * (high - low), x, y, find_near(camera, low, high, far))
     half, near = pad_turned(camera, turned)
     asked = np.flatnonzero(~near)
     places = places[asked]
@@ -66,7 +66,7 @@ def see_boxes(camera: Camera, lower: Floats, upper: Floats, turned: TurnedBoxes,
 
 
 def pad_boxes(camera: Camera, lower: Floats, upper: Floats) -> tuple[Floats, Floats, Floats]:
-    """Boxes (n, 3) enlarged by what rasterising may round away, and the distances (n,) of their far corners.
+    """QueryBoxes (n, 3) enlarged by what rasterising may round away, and the distances (n,) of their far corners.
 
     The margin grows with the distance of the box's farthest corner, so that a box lies, padded, inside every
     padded box that it lies in without padding.
@@ -85,7 +85,7 @@ def pad_turned(camera: Camera, turned: TurnedBoxes) -> tuple[Floats, NDArray[np.
     far = np.asarray(np.sqrt(np.einsum("ij,ij->i", reach, reach)))
     half = turned.half + _find_margins(camera, far)[:, None]
     if is_parallel(camera):
-        plane = camera.frustum.planes[Plane.NEAR]
+        plane = camera.frustum.planes[FrustumPlane.NEAR]
         before = turned.centre @ plane[:3] + plane[3]
         near = before <= (half * np.abs(turned.turn @ plane[:3])).sum(axis=1)
     else:
@@ -116,7 +116,7 @@ def find_near(camera: Camera, lower: Floats, upper: Floats, far: Floats) -> NDAr
     plane's rectangle are; in a parallel projection those that the near plane cuts.
     """
     if is_parallel(camera):
-        *normal, d = camera.frustum.planes[Plane.NEAR].tolist()
+        *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         depth = sum((lower if n > 0.0 else upper)[:, axis] * n for axis, n in enumerate(normal)) + d
         near = np.asarray(depth <= 0.0)
     else:

@@ -22,7 +22,7 @@ TRIANGLES: Final = 12
 """Of a box."""
 
 
-class Corner(Struct):
+class CubeCorner(Struct):
     """Of a cube from -1 to 1."""
 
     position: vec3
@@ -35,6 +35,6 @@ class BoxCamera(Struct):
 
 
 def make_cube(device: Device) -> Mesh:
-    """A mesh of `Corner`, from -1 to 1: each side two triangles."""
+    """A mesh of `CubeCorner`, from -1 to 1: each side two triangles."""
     triangles = np.ascontiguousarray(_FACES[:, [0, 1, 2, 0, 2, 3]]).reshape(-1)
     return device.mesh({"position": _CORNERS}, triangles, label="unit cube")

@@ -24,7 +24,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.visibility.boxes.hierarchy import LARGEST, Floats, Hierarchy, Rows
+from renderer.scene.arrays import Floats, Rows
+from renderer.visibility.boxes.hierarchy import LARGEST, Hierarchy
 
 __rhi_internal__ = True
 
@@ -48,15 +49,17 @@ _MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; ea
 
 
 @dataclass(frozen=True, slots=True)
-class Counts:
+class CullingCounts:
     """What a cull cost: nodes and objects that were tested, and (box, plane) pairs in all."""
 
     nodes: int = 0
     objects: int = 0
     planes: int = 0
 
-    def __add__(self, other: Counts) -> Counts:
-        return Counts(self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes)
+    def __add__(self, other: CullingCounts) -> CullingCounts:
+        return CullingCounts(
+            self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes
+        )
 
 
 def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:
@@ -93,7 +96,7 @@ class Culler:
             for level in range(1, len(bounds))
         ]
 
-    def find_visible(self, planes: Floats) -> tuple[Rows, Counts]:
+    def find_visible(self, planes: Floats) -> tuple[Rows, CullingCounts]:
         """Rows, ascending, of the boxes that are not outside any of `planes` (p, 4), p <= 7, unit normals."""
         tables = _Tables(planes)
         nodes, across, tested, pairs = self._groups.test(tables)
@@ -110,7 +113,7 @@ class Culler:
         found.append(nodes)
         visible = self._order.take(np.concatenate(found))
         visible.sort()  # half as long in 32 bits
-        return visible.astype(np.int64), Counts(tested, objects, pairs)
+        return visible.astype(np.int64), CullingCounts(tested, objects, pairs)
 
 
 class _Tables:

@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.boxes.bounds import Boxes, see_boxes, squared_distances
+from renderer.scene.arrays import Floats, Rows
+from renderer.visibility.boxes.bounds import QueryBoxes, see_boxes, squared_distances
 from renderer.visibility.boxes.culling import find_visible
-from renderer.visibility.boxes.hierarchy import Floats, Hierarchy, Rows, build_by_area, build_by_median
+from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
 from renderer.visibility.boxes.volumes import TightestBoxes
 
 __rhi_internal__ = True
@@ -86,7 +87,7 @@ class Forest:
     def __len__(self) -> int:
         return len(self.parent)
 
-    def update(self, camera: Camera) -> Boxes:
+    def update(self, camera: Camera) -> QueryBoxes:
         """Follow the scene's objects and see all nodes as `camera` does; the boxes to ask for each by, of objects
         the tightest."""
         if len(self._objects.dynamic_rows):

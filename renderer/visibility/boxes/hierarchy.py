@@ -18,12 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.scene.arrays import Floats, Rows
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 LARGEST: Final = 1e300
 """Largest absolute coordinate of a box: distances to planes then never overflow."""
@@ -135,7 +134,7 @@ def build_by_median(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarc
     return _build(lower, upper, leaf_size, lambda work: work.split_by_median())
 
 
-class _Work:
+class _SplitState:
     """The nodes being split, side by side: `order` holds their boxes, run after run.
 
     Attributes:
@@ -230,7 +229,7 @@ def _areas(lower: Floats, upper: Floats) -> Floats:
     return np.asarray(x * y + y * z + z * x)
 
 
-def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work], Rows]) -> Hierarchy:
+def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_SplitState], Rows]) -> Hierarchy:
     """Split all nodes of a level at once until none holds more than `leaf_size` boxes."""
     total = len(lower)
     order: Rows = np.arange(total)
@@ -240,7 +239,7 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work]
     level_first: Rows = firsts[0]
     level_count: Rows = counts[0]
     base, end = 0, len(level_first)
-    work = _Work(lower, upper) if total > leaf_size else None
+    work = _SplitState(lower, upper) if total > leaf_size else None
     while True:
         inner = np.flatnonzero(level_count > leaf_size)
         child = np.full(len(level_first), -1)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Scene
-from renderer.visibility.boxes.hierarchy import Floats, Rows
+from renderer.scene.arrays import Floats, Rows
 
 __rhi_internal__ = True
 
@@ -30,7 +30,7 @@ _RIGHT: Final = 1e-9  # cosine of an angle that is right
 _WORTH: Final = 0.98  # of the aligned box's surface: a hair less isn't worth another box
 
 
-class Side(IntEnum):
+class Containment(IntEnum):
     """Where a volume is: outside some plane, across one, or inside all."""
 
     OUTSIDE = 0
@@ -103,15 +103,15 @@ Fit = Callable[[Scene, Rows], Volumes]
 
 
 def classify(planes: Floats, volumes: Volumes) -> NDArray[np.uint8]:
-    """(n,) of `Side`: where volumes are by `planes` (p, 4), unit normals inward."""
+    """(n,) of `Containment`: where volumes are by `planes` (p, 4), unit normals inward."""
     normals, offsets = planes[:, :3], planes[:, 3]
     before = volumes.centre @ normals.T + offsets
     reach = volumes.reach(normals)
     margin = _MARGIN * (volumes.scale[:, None] + reach + np.abs(offsets))
     inside = (before - reach >= margin).all(axis=1)
     outside = (before + reach < -margin).any(axis=1)
-    side = np.where(inside, Side.INSIDE, Side.CROSSING)
-    return np.where(outside, Side.OUTSIDE, side).astype(np.uint8)
+    side = np.where(inside, Containment.INSIDE, Containment.CROSSING)
+    return np.where(outside, Containment.OUTSIDE, side).astype(np.uint8)
 
 
 def fit_aligned(scene: Scene, rows: Rows) -> AlignedBoxes:

@@ -162,26 +162,26 @@ class DepthPyramidCulling(DeviceCulling):
         self._pyramid: FarthestDepth | None = None
         self._levels: UniformBuffer[Levels] = device.uniform(Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0))
 
-    def _mark_likely(self, camera: Camera, scene: ScenePass) -> None:
-        self._occludees.find(camera, scene.arrays, seen=self._seen)
+    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
+        self._occludees.find(camera, scene_pass.arrays, seen=self._seen)
 
-    def _mark_missed(self, camera: Camera, scene: ScenePass) -> None:
+    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
         direction, occludees = camera.projection.depth, self._occludees
-        pyramid = self._fit(scene.depth.size)
-        pyramid.build(scene.depth, direction)
+        pyramid = self._fit(scene_pass.depth.size)
+        pyramid.build(scene_pass.depth, direction)
         self._device.dispatch(
             self._device.program(_SHADERS[direction]),
             occludees.groups,
-            view=scene.arrays.view,
+            view=scene_pass.arrays.view,
             pyramid=self._levels,
-            depth=scene.depth,
+            depth=scene_pass.depth,
             farthest=pyramid.farthest,
             boxes=occludees.boxes,
             marks=occludees.marks,
             seen=self._seen,
         )
 
-    def _remember(self, camera: Camera, scene: ScenePass) -> None:
+    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
         """What was seen is kept where it was found."""
 
     def _fit(self, size: tuple[int, int]) -> FarthestDepth:

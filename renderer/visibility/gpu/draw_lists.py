@@ -1,6 +1,6 @@
 """Lists of draws that the device makes itself (Deferred+, 1.3.1, Listing 1.3).
 
-Each object has a mark: what is to become of it. `DrawLists.list_draws` gathers the draws of those marked VISIBLE,
+Each object has a mark. `IndirectDrawList.list_draws` gathers the draws of the objects marked VISIBLE
 and the rows of those marked HIDDEN, so that the CPU, which sees neither, draws both indirectly.
 
 - One pass of a counting sort: by winding, then by the depth of their farthest corner in half octaves, near first. Rows
@@ -175,7 +175,7 @@ class WriteDraws(Shader):
                 self.hidden[int(place - hidden)] = uint(row)
 
 
-class DrawLists:
+class IndirectDrawList:
     """One list of draws, as the device makes it.
 
     Attributes:

@@ -33,7 +33,7 @@ FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 """Where nothing is."""
 
 
-class Step(Struct):
+class ReductionStep(Struct):
     """From one level to the next: their sizes, and where in the buffer they begin."""
 
     source: ivec2
@@ -46,7 +46,7 @@ class DownSample(Shader):
     """The farthest of 4 × 4 texels, or of as many as there are."""
 
     work_group = (_GROUP, _GROUP)
-    step: Uniform[Step]
+    step: Uniform[ReductionStep]
     farthest: StorageRW[float]
     is_reversed = True
 
@@ -116,9 +116,9 @@ class FarthestDepth:
             total += width * height
         self.farthest: StorageBuffer[float] = device.storage(float, total, label="farthest depths")
         self._device = device
-        self._steps: list[UniformBuffer[Step]] = [
+        self._steps: list[UniformBuffer[ReductionStep]] = [
             device.uniform(
-                Step(
+                ReductionStep(
                     source=self.sizes[level - 1],
                     target=self.sizes[level],
                     source_begin=self.begins[level - 1],

@@ -16,10 +16,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, Depth, Plane
+from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.shaders import MeshPart, Object, ObjectPosition, View, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius
-from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
+from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from renderer.visibility.scene_pass import SceneArrays
 from rhi import (
     CullMode,
@@ -208,7 +208,7 @@ class MarkBoxes(Shader):
     boxes: Storage[Occludee]
     marks: StorageRW[uint]
 
-    def vertex(self, v: Corner) -> BoxVarying:
+    def vertex(self, v: CubeCorner) -> BoxVarying:
         row = self.row()
         box = self.boxes[row]
         p = v.position
@@ -310,7 +310,7 @@ class Occludees:
 
 def _lens(camera: Camera) -> Lens:
     if is_parallel(camera):
-        *normal, d = camera.frustum.planes[Plane.NEAR].tolist()
+        *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         radius, near = -1.0, -(float(camera.position @ normal) + d)
     else:
         radius, near = _SLACK * near_radius(camera), -1e30

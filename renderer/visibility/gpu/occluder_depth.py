@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, Scene
+from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import Vertex, View
-from renderer.visibility.boxes.hierarchy import Floats, Rows
 from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
 from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
 from renderer.visibility.gpu.occludees import GROUP, Occludee
@@ -94,7 +94,7 @@ class FindShownStandard(FindShown):
 _FIND: Final = {Depth.REVERSED: FindShown, Depth.STANDARD: FindShownStandard}
 
 
-class _Image:
+class _SizedDepth:
     """What is as large as the image: its depth, and the tiles."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
@@ -120,7 +120,7 @@ class OccluderDepth:
         self._occluders = device.storage(Occluder, occluders, label="occluders")
         self._boxes = device.storage(Occludee, boxes, label="boxes")
         self._shown = device.storage(uint, boxes, label="shown")
-        self._image: _Image | None = None
+        self._image: _SizedDepth | None = None
         self._depth = Depth.REVERSED
 
     def render(self, camera: Camera, rows: Rows, size: tuple[int, int]) -> None:
@@ -129,7 +129,7 @@ class OccluderDepth:
         if image is None or image.pyramid.size != size:
             if image is not None:
                 image.destroy()
-            image = self._image = _Image(self._device, size)
+            image = self._image = _SizedDepth(self._device, size)
         device, scene = self._device, self._scene
         self._depth = direction = camera.projection.depth
         world = scene.nodes.world[scene.objects.node[rows]]

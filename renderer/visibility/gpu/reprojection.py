@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Depth
-from renderer.visibility.boxes.hierarchy import Floats
+from renderer.scene.arrays import Floats
 from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth
 from rhi import (
     CullMode,

@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import Statistics
+from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.occludees import FindOccludees
 from renderer.visibility.gpu.reprojection import ReprojectedDepth
@@ -28,13 +28,13 @@ class TwoPassCulling(DeviceCulling):
         super().__init__(scene, device, FindOccludees)
         self._reprojected = ReprojectedDepth(device)
 
-    def _mark_likely(self, camera: Camera, scene: ScenePass) -> None:
-        self._occludees.find(camera, scene.arrays)
-        with self._reprojected.render_pass(camera, scene.depth.size) as matrix:
+    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
+        self._occludees.find(camera, scene_pass.arrays)
+        with self._reprojected.render_pass(camera, scene_pass.depth.size) as matrix:
             self._occludees.mark_all(matrix, camera.projection.depth)
 
-    def _mark_missed(self, camera: Camera, scene: ScenePass) -> None:
-        with self._device.render_pass(depth=scene.depth):
+    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
+        with self._device.render_pass(depth=scene_pass.depth):
             self._occludees.mark_listed(
                 camera.relative_view_projection,
                 camera.projection.depth,
@@ -42,10 +42,10 @@ class TwoPassCulling(DeviceCulling):
                 self.first.box_draw,
             )
 
-    def _remember(self, camera: Camera, scene: ScenePass) -> None:
-        self._reprojected.remember(camera, scene.depth)
+    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
+        self._reprojected.remember(camera, scene_pass.depth)
 
-    def _count(self) -> Statistics:
+    def _count(self) -> VisibilityStatistics:
         count = self._occludees.count
         return replace(super()._count(), box_draws=2, boxes=2 * count)
 

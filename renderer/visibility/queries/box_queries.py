@@ -2,7 +2,7 @@
 
 What can be asked for is a node, which has one box or a few. All boxes are rows of one array, relative to the
 eye, written once a frame; a node's boxes follow each other and are the instances of one draw, and drawing some
-nodes is one call. Directions of their axes are another array, written when they change. Boxes are drawn with the
+nodes is one call. Directions of their axes are another array, written when they change. QueryBoxes are drawn with the
 technique's depth test, and write neither colour nor depth. Queries are used again and again; how long the CPU
 waited for answers is counted.
 """
@@ -16,37 +16,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera
-from renderer.visibility.boxes.bounds import Boxes
-from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
-from renderer.visibility.boxes.hierarchy import Rows
+from renderer.scene.arrays import Rows
+from renderer.visibility.boxes.bounds import QueryBoxes
+from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, StateScope
 from rhi.shading import Shader, Storage, Struct, Uniform, cross, instance_index, vec3, vec4
 
 __rhi_internal__ = True
 
 
-class Box(Struct):
+class QueryBox(Struct):
     """Where it is relative to the eye, and half its size along its own axes."""
 
     centre: vec3
     half: vec3
 
 
-class Turn(Struct):
+class QueryBoxAxes(Struct):
     """Unit vectors along a box's first two axes; the third is at right angles to both."""
 
     x: vec3
     y: vec3
 
 
-class BoxShader(Shader):
+class QueryBoxShader(Shader):
     """Depth alone."""
 
     camera: Uniform[BoxCamera]
-    boxes: Storage[Box]
-    turns: Storage[Turn]
+    boxes: Storage[QueryBox]
+    turns: Storage[QueryBoxAxes]
 
-    def vertex(self, v: Corner) -> vec4:
+    def vertex(self, v: CubeCorner) -> vec4:
         box = self.boxes[instance_index()]
         turn = self.turns[instance_index()]
         corner = box.half * v.position
@@ -72,20 +72,20 @@ class BoxQueries:
         self.threshold = threshold
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
-        self._program = device.program(BoxShader)
+        self._program = device.program(QueryBoxShader)
         self._mesh = make_cube(device)
         count = len(members)
         self._members = members
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
-        self._buffer = device.storage(Box, max(count, 1), label="boxes")
+        self._buffer = device.storage(QueryBox, max(count, 1), label="boxes")
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
-        self._turns = device.storage(Turn, max(count, 1), label="turns of boxes")
-        # Rows of `Box` as plain floats: one gather of whole rows is ten times as fast as one of each field.
+        self._turns = device.storage(QueryBoxAxes, max(count, 1), label="turns of boxes")
+        # Rows of `QueryBox` as plain floats: one gather of whole rows is ten times as fast as one of each field.
         self._rows = np.zeros((count, 8), np.float32)
         self._directions: tuple[NDArray[np.float32], ...] = (np.zeros((0, 3), np.float32),) * 2  # as written
         self._free: list[OcclusionQuery] = []
 
-    def begin_frame(self, camera: Camera, boxes: Boxes) -> None:
+    def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
         """Let the boxes of all nodes be made of these, and count from 0."""
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0

@@ -12,12 +12,15 @@ Answers are looked at after each node and waited for when there is nothing else 
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics
+from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery
 
 __rhi_internal__ = True
@@ -28,6 +31,8 @@ NEVER = -2
 
 class Chc:
     """Draws what was visible, and asks whether it still is; asks for the rest before drawing it."""
+
+    opens_pass: Final = False
 
     def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
         """`threshold`: a node that passes no more samples than this is taken for hidden."""
@@ -44,7 +49,7 @@ class Chc:
         self._shown: list[int] = []
         self._drawn = 0
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in the last frame."""
         forest, queries, stack, asked = self._forest, self._queries, self._stack, self._asked
         queries.begin_frame(camera, forest.update(camera))
@@ -58,11 +63,11 @@ class Chc:
             stack.push(root)
         while stack or asked:
             while asked and (not stack or asked.front[2].is_finished):
-                self._take_answer(*asked.pop(), draw)
+                self._take_answer(*asked.pop(), scene_pass)
             if stack:
-                self._visit(stack.pop(), draw)
+                self._visit(stack.pop(), scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
-        return Statistics(
+        return VisibilityStatistics(
             objects=len(self._objects),
             visible=self._drawn,
             batches=self._drawn,
@@ -72,7 +77,7 @@ class Chc:
             stalled_milliseconds=1e3 * queries.stalled,
         )
 
-    def _visit(self, node: int, draw: DrawObjects) -> None:
+    def _visit(self, node: int, scene_pass: ScenePass) -> None:
         forest, queries, visible = self._forest, self._queries, self._visible
         place = forest.place[node]
         if place == OUTSIDE:
@@ -81,39 +86,39 @@ class Chc:
         self._visited[node] = self._frame
         visible[node] = 0
         if place == NEAR:
-            self._show(node, draw)
+            self._show(node, scene_pass)
         elif not was_visible:
             with queries.states():
                 self._asked.push((node, False, queries.ask((node,))))
         elif forest.child[node] < 0:
             query = queries.take()
             with query:
-                self._open(node, draw)
+                self._open(node, scene_pass)
             self._asked.push((node, True, query))
         else:
-            self._open(node, draw)
+            self._open(node, scene_pass)
 
-    def _take_answer(self, node: int, is_drawn: bool, query: OcclusionQuery, draw: DrawObjects) -> None:
+    def _take_answer(self, node: int, is_drawn: bool, query: OcclusionQuery, scene_pass: ScenePass) -> None:
         if not self._queries.answer(query):
             return
         if is_drawn:
             self._visible[node] = 1
             self._shown.append(node)
         else:
-            self._show(node, draw)
+            self._show(node, scene_pass)
 
-    def _show(self, node: int, draw: DrawObjects) -> None:
+    def _show(self, node: int, scene_pass: ScenePass) -> None:
         """A node that is visible in this frame."""
         self._visible[node] = 1
         self._shown.append(node)
-        self._open(node, draw)
+        self._open(node, scene_pass)
 
-    def _open(self, node: int, draw: DrawObjects) -> None:
+    def _open(self, node: int, scene_pass: ScenePass) -> None:
         """Draw a leaf; put the children of another node on the stack, the nearer one on top."""
         forest = self._forest
         child = forest.child[node]
         if child < 0:
-            draw(np.array((forest.object[node],)))
+            scene_pass.draw(np.array((forest.object[node],)))
             self._drawn += 1
         else:
             nearer = forest.second_first[node]

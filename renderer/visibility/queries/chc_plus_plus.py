@@ -26,10 +26,11 @@ import numpy as np
 
 from renderer import rules
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics
+from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import NEVER, pull_up
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
 
 __rhi_internal__ = True
@@ -56,6 +57,8 @@ def choose_size(keeps: Sequence[float]) -> int:
 
 class ChcPlusPlus:
     """Draws what was visible, and asks in batches for what was hidden."""
+
+    opens_pass: Final = False
 
     def __init__(
         self,
@@ -93,44 +96,44 @@ class ChcPlusPlus:
         self._frame = 0
         room = max(count, 1)
         self._stack: FixedStack[int] = FixedStack(room)
-        self._hidden: list[int] = []  # the i-queue
-        self._again: list[int] = []  # nodes of a multiquery that showed something
-        self._seen: FixedQueue[int] = FixedQueue(room)  # the v-queue
-        self._asked: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
-        self._asked_seen: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
-        self._to_draw: list[int] = []  # the render queue
+        self._i_queue: list[int] = []  # the i-queue
+        self._requery: list[int] = []  # nodes of a multiquery that showed something
+        self._v_queue: FixedQueue[int] = FixedQueue(room)  # the v-queue
+        self._i_queries: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
+        self._v_queries: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
+        self._render_queue: list[int] = []  # the render queue
         self._shown: list[int] = []
         self._drawn = self._batches = self._walked = 0
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw lately."""
-        forest, stack, asked, visit = self._forest, self._stack, self._asked, self._visit
+        forest, stack, pending, visit = self._forest, self._stack, self._i_queries, self._visit
         self._begin(camera)
         while True:
-            while asked and asked.front[1].is_finished:
-                self._take_answer(*asked.pop())
+            while pending and pending.front[1].is_finished:
+                self._take_answer(*pending.pop())
             if stack:
                 visit(stack.pop())
-                if len(self._hidden) >= self._batch:
-                    self._ask_hidden(draw)
-            elif self._hidden or self._again:
-                self._ask_hidden(draw)
-            elif asked:
-                if self._seen:
-                    self._ask_seen(draw)
+                if len(self._i_queue) >= self._batch:
+                    self._query_i_queue(scene_pass)
+            elif self._i_queue or self._requery:
+                self._query_i_queue(scene_pass)
+            elif pending:
+                if self._v_queue:
+                    self._query_v_queue(scene_pass)
                 else:
-                    self._take_answer(*asked.pop())
+                    self._take_answer(*pending.pop())
             else:
                 break
-        self._draw(draw)
-        if self._seen:
-            self._ask_seen(draw)
+        self._draw_render_queue(scene_pass)
+        if self._v_queue:
+            self._query_v_queue(scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
         return self._count()
 
-    def _count(self) -> Statistics:
+    def _count(self) -> VisibilityStatistics:
         queries = self._queries
-        return Statistics(
+        return VisibilityStatistics(
             objects=len(self._objects),
             visible=self._drawn,
             batches=self._batches,
@@ -147,12 +150,19 @@ class ChcPlusPlus:
         queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
         self._drawn = self._batches = self._walked = 0
-        for left in (self._stack, self._hidden, self._again, self._to_draw, self._shown, self._seen):
+        for left in (
+            self._stack,
+            self._i_queue,
+            self._requery,
+            self._render_queue,
+            self._shown,
+            self._v_queue,
+        ):
             left.clear()
-        while self._asked:  # a frame that was broken off
-            queries.release(self._asked.pop()[1])
-        while self._asked_seen and self._asked_seen.front[1].is_finished:
-            leaf, query = self._asked_seen.pop()
+        while self._i_queries:  # a frame that was broken off
+            queries.release(self._i_queries.pop()[1])
+        while self._v_queries and self._v_queries.front[1].is_finished:
+            leaf, query = self._v_queries.pop()
             self._is_asked[leaf] = 0
             if queries.answer(query):
                 self._next_query[leaf] = self._frame - 1 + self._persistence
@@ -176,12 +186,12 @@ class ChcPlusPlus:
             visible[node] = 0
             if not was_visited:
                 self._hidden_since[node] = frame
-            self._hidden.append(node)
+            self._i_queue.append(node)
         elif forest.child[node] < 0:
             if self._next_query[node] <= frame and not self._is_asked[node]:
-                self._seen.push(node)
+                self._v_queue.push(node)
             self._shown.append(node)
-            self._to_draw.append(forest.object[node])
+            self._render_queue.append(forest.object[node])
         else:
             visible[node] = 0
             self._hidden_since[node] = frame
@@ -192,7 +202,7 @@ class ChcPlusPlus:
         if not self._queries.answer(query):
             return
         if len(nodes) > 1:
-            self._again += nodes
+            self._requery += nodes
             return
         (node,) = nodes
         self._hidden_since[node] = self._frame
@@ -208,28 +218,28 @@ class ChcPlusPlus:
         forest = self._forest
         child = forest.child[node]
         if child < 0:
-            self._to_draw.append(forest.object[node])
+            self._render_queue.append(forest.object[node])
         else:
             nearer = forest.second_first[node]
             self._stack.push(child + 1 - nearer)
             self._stack.push(child + nearer)
 
-    def _ask_hidden(self, draw: DrawObjects) -> None:
+    def _query_i_queue(self, scene_pass: ScenePass) -> None:
         """Ask for all in the i-queue, those together that are likely to stay hidden."""
-        self._draw(draw)
-        queries, asked = self._queries, self._asked
+        self._draw_render_queue(scene_pass)
+        queries, pending = self._queries, self._i_queries
         with queries.states():
-            for nodes in self._group_hidden():
-                asked.push((nodes, queries.ask(nodes)))
-        self._hidden.clear()
-        self._again.clear()
+            for nodes in self._group_i_queue():
+                pending.push((nodes, queries.ask(nodes)))
+        self._i_queue.clear()
+        self._requery.clear()
 
-    def _group_hidden(self) -> list[list[int]]:
+    def _group_i_queue(self) -> list[list[int]]:
         """The i-queue in groups to be asked for together."""
         since, frame, last = self._hidden_since, self._frame, len(KEEPS) - 1
-        hidden = sorted(self._hidden, key=since.__getitem__)
+        hidden = sorted(self._i_queue, key=since.__getitem__)
         keeps = [KEEPS[min(frame - since[node], last)] for node in hidden]
-        groups = [[node] for node in self._again]
+        groups = [[node] for node in self._requery]
         start = 0
         while start < len(hidden):
             end = start + choose_size(keeps[start:])
@@ -237,30 +247,30 @@ class ChcPlusPlus:
             start = end
         return groups
 
-    def _ask_seen(self, draw: DrawObjects) -> None:
+    def _query_v_queue(self, scene_pass: ScenePass) -> None:
         """Ask for the v-queue until there is an answer to go on with."""
-        self._draw(draw)
-        asked = self._asked
+        self._draw_render_queue(scene_pass)
+        pending = self._i_queries
         with self._queries.states():
-            while self._seen and not (asked and asked.front[1].is_finished):
-                self._ask_leaf(self._seen.pop())
+            while self._v_queue and not (pending and pending.front[1].is_finished):
+                self._query_leaf(self._v_queue.pop())
 
-    def _ask_leaf(self, leaf: int) -> None:
+    def _query_leaf(self, leaf: int) -> None:
         self._is_asked[leaf] = 1
-        self._asked_seen.push((leaf, self._queries.ask((leaf,))))
+        self._v_queries.push((leaf, self._queries.ask((leaf,))))
 
-    def _draw(self, draw: DrawObjects) -> None:
+    def _draw_render_queue(self, scene_pass: ScenePass) -> None:
         """Draw the render queue."""
-        if self._to_draw:
-            rows = np.array(self._to_draw)
+        if self._render_queue:
+            rows = np.array(self._render_queue)
             rows.sort()
-            draw(rows)
+            scene_pass.draw(rows)
             self._drawn += len(rows)
             self._batches += 1
-            self._to_draw.clear()
+            self._render_queue.clear()
 
     def destroy(self) -> None:
         """Give back what was made on the device."""
-        while self._asked_seen:
-            self._queries.release(self._asked_seen.pop()[1])
+        while self._v_queries:
+            self._queries.release(self._v_queries.pop()[1])
         self._queries.destroy()

@@ -14,9 +14,10 @@ import numpy as np
 
 from renderer import rules
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics
+from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.queries.chc import pull_up
 from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, refuse
 
 __rhi_internal__ = True
@@ -36,31 +37,31 @@ class ConditionalCulling(ChcPlusPlus):
             )
         super().__init__(scene, device, persistence=persistence, threshold=threshold, seed=seed)
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` saw lately, and what it sees of the rest."""
         forest, stack = self._forest, self._stack
         self._begin(camera)
         while stack:
             self._visit(stack.pop())
-        self._draw(draw)
-        self._ask_hidden(draw)
+        self._draw_render_queue(scene_pass)
+        self._query_i_queue(scene_pass)
         device = self._queries.device
-        for nodes, query in self._asked:
+        for nodes, query in self._i_queries:
             rows = np.sort(np.concatenate([forest.objects(node) for node in nodes]))
             with device.conditional(query):
-                draw(rows)
+                scene_pass.draw(rows)
             self._drawn += len(rows)
             self._batches += 1
-        if self._seen:
-            self._ask_seen(draw)
+        if self._v_queue:
+            self._query_v_queue(scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
         return self._count()
 
     def _begin(self, camera: Camera) -> None:
         """Take the last frame's answers about what was hidden; one that isn't there tells nothing."""
         shown = []
-        while self._asked:
-            nodes, query = self._asked.pop()
+        while self._i_queries:
+            nodes, query = self._i_queries.pop()
             if not query.is_finished:
                 self._queries.release(query)
             elif self._queries.answer(query):
@@ -73,8 +74,8 @@ class ConditionalCulling(ChcPlusPlus):
         pull_up(shown, self._visible, self._forest.parent)
         super()._begin(camera)
 
-    def _ask_seen(self, draw: DrawObjects) -> None:
+    def _query_v_queue(self, scene_pass: ScenePass) -> None:
         """Ask for the v-queue; there is nothing to wait for."""
         with self._queries.states():
-            while self._seen:
-                self._ask_leaf(self._seen.pop())
+            while self._v_queue:
+                self._query_leaf(self._v_queue.pop())

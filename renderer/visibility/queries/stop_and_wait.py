@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics, find_visible_objects
+from renderer.visibility.algorithm import VisibilityStatistics, find_visible_objects
 from renderer.visibility.boxes.bounds import see_boxes
 from renderer.visibility.boxes.volumes import TightestBoxes
 from renderer.visibility.frustum import FrustumCulling
 from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device
 
 __rhi_internal__ = True
@@ -22,6 +25,8 @@ class StopAndWait:
     works, the other waits.
     """
 
+    opens_pass: Final = False
+
     def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
         """`threshold`: an object whose box passes no more samples than this is taken for hidden."""
         self._objects = scene.objects
@@ -30,7 +35,7 @@ class StopAndWait:
         count = len(scene.objects)
         self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw the objects that are not hidden behind nearer ones."""
         lower, upper = self._objects.lower, self._objects.upper
         rows = find_visible_objects(self._frustum, camera)
@@ -47,9 +52,9 @@ class StopAndWait:
                     query = queries.ask((row,))
                 if not queries.answer(query):
                     continue
-            draw(rows[place : place + 1])
+            scene_pass.draw(rows[place : place + 1])
             visible += 1
-        return Statistics(
+        return VisibilityStatistics(
             objects=len(self._objects),
             visible=visible,
             batches=visible,

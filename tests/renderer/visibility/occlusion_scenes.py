@@ -20,7 +20,7 @@ from renderer.visibility.boxes.forest import Forest
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
 from renderer.visibility.gpu.reprojection import WriteDepth
-from renderer.visibility.queries.box_queries import BoxShader
+from renderer.visibility.queries.box_queries import QueryBoxShader
 from rhi import OcclusionQuery
 from rhi.backends.null import NullBackend
 from rhi.backends.null.queries import Draw
@@ -138,7 +138,7 @@ class Oracle:
             self.members = [{row} for row in range(len(self.scene.objects))]
         elif self.name in OCCLUSION and self.name != "chc":
             self.members = [self.members[node] for node in forest.tight.tolist()]
-        self.boxes = self.device.program(BoxShader).id
+        self.boxes = self.device.program(QueryBoxShader).id
         backend = self.device.backend_as(NullBackend)
         if self.name in DEVICE:
             stand_ins = {MarkBoxes: self.guess, MarkListedBoxes: self.mark, CompareBoxes: self.compare}

@@ -279,7 +279,7 @@ def test_near_objects_are_drawn_first(null: rhi.Device, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_a_mere_function_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
+def test_a_pass_without_a_device_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
     with pytest.raises(ValidationError) as error:
         find_visible_objects(make(name, city, null), city.views["overview"])
     assert error.value.rule.id == "visibility-no-scene-pass"

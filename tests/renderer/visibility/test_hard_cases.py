@@ -195,7 +195,9 @@ def test_a_hard_case_looks_as_without_culling(drawing_device: rhi.Device, name: 
 def test_the_cases_are_not_empty(drawing_device: rhi.Device) -> None:
     # The control: in every case some frame shows something, and losing it is seen.
     class Nothing:
-        def render(self, camera: Camera, draw: object) -> None:
+        opens_pass = False
+
+        def render(self, camera: Camera, scene_pass: object) -> None:
             return None
 
     for title, case in IMAGES.items():

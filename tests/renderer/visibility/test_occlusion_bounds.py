@@ -12,7 +12,14 @@ from occlusion_scenes import make_boxes
 
 from renderer.content.shapes import box
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, rotation
-from renderer.visibility.boxes.bounds import Boxes, find_near, near_radius, pad_boxes, pad_turned, see_boxes
+from renderer.visibility.boxes.bounds import (
+    QueryBoxes,
+    find_near,
+    near_radius,
+    pad_boxes,
+    pad_turned,
+    see_boxes,
+)
 from renderer.visibility.boxes.volumes import TightestBoxes, find_turned
 
 AHEAD = (0.0, 0.0, -1.0)
@@ -136,7 +143,7 @@ def test_boxes_of_what_moves_turn_with_it() -> None:
     assert len(tightest.find().rows) == 0
 
 
-def see(scene: Scene, camera: Camera) -> Boxes:
+def see(scene: Scene, camera: Camera) -> QueryBoxes:
     turned = find_turned(scene, np.arange(len(scene.objects)))
     return see_boxes(camera, scene.objects.lower, scene.objects.upper, turned, turned.rows)
 

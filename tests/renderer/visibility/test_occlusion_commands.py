@@ -13,6 +13,7 @@ import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import (
+    CallbackPass,
     Chc,
     ChcPlusPlus,
     ConditionalCulling,
@@ -245,7 +246,7 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(renderer: Rendere
 
     with renderer.device.render_pass(renderer._targets.color, renderer._targets.depth):
         with pytest.raises(RuntimeError):
-            algorithm.render(EYE, fail)
+            algorithm.render(EYE, CallbackPass(fail))
     assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
 
 

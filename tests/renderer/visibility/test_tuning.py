@@ -20,7 +20,7 @@ from renderer.cli import main
 from renderer.cli.output import OutputError
 from renderer.cli.tune import make_executor
 from renderer.content import load_scene
-from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
+from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
 from renderer.visibility import Settings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
@@ -31,9 +31,9 @@ class Valley:
 
     def __init__(self, lowest: tuple[float, float]) -> None:
         self.lowest = lowest
-        self.rounds: list[list[Pair]] = []
+        self.rounds: list[list[ParameterPair]] = []
 
-    def try_all(self, pairs: list[Pair]) -> list[Trial]:
+    def try_all(self, pairs: list[ParameterPair]) -> list[Trial]:
         self.rounds.append(pairs)
         return [self.trial(*pair) for pair in pairs]
 
@@ -47,7 +47,7 @@ ranges = st.tuples(st.integers(1, 200), st.integers(1, 200)).map(lambda ends: (m
 
 @given(ranges, ranges, st.integers(1, 6))
 def test_every_trial_is_within_the_ranges_and_made_once(
-    batches: Pair, persistences: Pair, rounds: int
+    batches: ParameterPair, persistences: ParameterPair, rounds: int
 ) -> None:
     valley = Valley((30.0, 7.0))
     trials = list(search(batches, persistences, rounds, valley.try_all))
@@ -105,7 +105,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
     assert main(["render", COMMAND[1], "--backend", "null", "--size", "64x36", *record]) == 0
     walks: list[Walk] = []
 
-    def try_none(walk: Walk, pairs: list[Pair]) -> list[Trial]:
+    def try_none(walk: Walk, pairs: list[ParameterPair]) -> list[Trial]:
         walks.append(walk)
         return [Trial(*pair, 1.0, 1.0, 1.0, 0, 0, 0, 0) for pair in pairs]
 
