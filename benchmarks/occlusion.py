@@ -63,11 +63,11 @@ class OracleQueries:
     def states(self) -> Any:
         return nullcontext()
 
-    def ask(self, nodes: list[int]) -> OracleQuery:
+    def issue(self, nodes: list[int]) -> OracleQuery:
         self.issued += 1
         return OracleQuery(any(self.nodes[node] for node in nodes))
 
-    def answer(self, query: OracleQuery) -> bool:
+    def resolve(self, query: OracleQuery) -> bool:
         return query.shows
 
 

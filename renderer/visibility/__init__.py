@@ -1,4 +1,4 @@
-"""Visibility: which objects are drawn.
+"""Visibility algorithms: they decide which objects are drawn.
 
 visibility = make_visibility("chc_plus_plus", scene, device)
 statistics = visibility.render(camera, scene_pass)      # `scene_pass`: a `ScenePass`
@@ -63,7 +63,8 @@ __all__ = [
 ]
 
 CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "frustum", "depth_pyramid", "two_pass", "none")
-"""What `auto` tries, in this order: each is the fastest for some scene, view and device, and no other is."""
+"""The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
+is."""
 
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
     "none": lambda scene, _device, _settings: NoCulling(scene),
@@ -87,35 +88,35 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         },
     ),
 }
-"""Visibility algorithms by the names of the command line."""
+"""All visibility algorithms, by the names of the command line."""
 
 
 def list_algorithms(device: Device) -> list[str]:
-    """The names of the algorithms that `device` can run without help: the null device answers no queries, and runs no
-    shaders."""
+    """Return the names of the algorithms that `device` can run. The null device answers no queries and runs no
+    shaders, unless it is told how (see `count_samples` and `run_shaders`)."""
     return [name for name in ALGORITHMS if _can_run(name, device)]
 
 
 def _can_run(name: str, device: Device) -> bool:
     can = device.capabilities
-    asks = can.shading and (can.occlusion_queries or can.sample_counter)
+    queries = can.shading and (can.occlusion_queries or can.sample_counter)
     match name:
         case "none" | "frustum" | "auto":
             return True
         case "conditional":
-            return asks and can.conditional_rendering
+            return queries and can.conditional_rendering
         case "software_depth":
             return can_rasterise()
         case "depth_pyramid" | "two_pass":
             return can.renders and can.compute
         case _:
-            return asks
+            return queries
 
 
 def make_visibility(
     name: str, scene: Scene, device: Device, settings: Settings | None = None
 ) -> VisibilityAlgorithm:
-    """The algorithm of this name, made for `scene` and for passes on `device` with `settings`."""
+    """Create the algorithm of this name for `scene` and for passes on `device`, with `settings` or the defaults."""
     if name not in ALGORITHMS:
         rules.refuse_name(rules.UNKNOWN_ALGORITHM, f"make_visibility({name!r})", name, ALGORITHMS)
     return ALGORITHMS[name](scene, device, settings or Settings())

@@ -47,11 +47,11 @@ class VisibilityStatistics:
 
 
 class VisibilityAlgorithm(Protocol):
-    """Decides which objects of its scene a camera sees."""
+    """Decides which objects of its scene a camera sees, and draws them."""
 
     @property
     def opens_pass(self) -> bool:
-        """Whether `render` is to be given a closed pass, which it opens itself. Otherwise the pass must be open."""
+        """Whether the algorithm opens the pass itself. Otherwise the pass must be open when `render` is called."""
         ...
 
     def render(self, camera: Camera, scene: ScenePass) -> VisibilityStatistics:

@@ -1,4 +1,4 @@
-"""No culling, and hierarchical view-frustum culling (thesis 6.1)."""
+"""Drawing without culling, and hierarchical view-frustum culling (thesis 6.1)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __rhi_internal__ = True
 
 
 class NoCulling:
-    """Draws everything: what the others are measured against."""
+    """Draws all objects: the reference that other algorithms are measured against."""
 
     opens_pass: Final = False
 
@@ -30,14 +30,14 @@ class NoCulling:
         return VisibilityStatistics(len(self._rows), len(self._rows))
 
     def destroy(self) -> None:
-        """Nothing was made on the device."""
+        """Do nothing: there are no resources on the device."""
 
 
 class FrustumCulling:
     """Draws the objects whose bounds are not outside the frustum.
 
-    Static objects are in a hierarchy built once by surface area, dynamic ones in one built each frame at
-    medians. The set is the one that `culling.find_visible` gives for all objects.
+    Static objects are in a hierarchy built once by surface area, dynamic ones in a hierarchy built each frame by
+    median splits. The result is the set that `boxes.culling.find_visible` gives for all objects.
     """
 
     opens_pass: Final = False
@@ -50,7 +50,7 @@ class FrustumCulling:
         self._static = Culler(self.hierarchy, lower, upper)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
-        """Draw the objects whose bounds meet the frustum."""
+        """Draw the objects whose bounds are not outside the frustum."""
         objects = self._scene.objects
         planes = camera.frustum.planes
         static, counts = self._static.find_visible(planes)
@@ -71,7 +71,7 @@ class FrustumCulling:
         )
 
     def destroy(self) -> None:
-        """Nothing was made on the device."""
+        """Do nothing: there are no resources on the device."""
 
     def _find_moving(self, planes: Floats) -> tuple[Rows, CullingCounts]:
         rows = self._scene.objects.dynamic_rows

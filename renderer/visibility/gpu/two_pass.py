@@ -1,9 +1,9 @@
 """Two-pass occlusion culling (Deferred+, 1.3.1).
 
-1. The last frame's depth is moved to where this frame's camera sees it, at a quarter of the resolution. Boxes are
-   drawn against it; where a fragment passes, it marks its object, which is drawn.
-2. The boxes of the others are drawn against the depth that is there now, at full resolution. What is marked was
-   wrongly hidden, and is drawn too.
+1. The last frame's depth is reprojected to this frame's camera, at a quarter of the resolution. Boxes are drawn
+   against it; a fragment that passes the depth test marks its object, which is drawn.
+2. The boxes of all other objects are drawn against the resulting depth, at full resolution. Objects that are marked
+   now were wrongly hidden, and are drawn too.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __rhi_internal__ = True
 
 
 class TwoPassCulling(DeviceCulling):
-    """Draws what the last frame's depth doesn't hide, then what this frame's doesn't."""
+    """Draws what the last frame's depth doesn't hide, then what this frame's depth doesn't hide."""
 
     def __init__(self, scene: Scene, device: Device) -> None:
         super().__init__(scene, device, FindOccludees)
@@ -50,6 +50,6 @@ class TwoPassCulling(DeviceCulling):
         return replace(super()._count(), box_draws=2, boxes=2 * count)
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         super().destroy()
         self._reprojected.destroy()

@@ -43,7 +43,7 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import ALGORITHMS, ChcPlusPlus, Settings, list_algorithms, make_visibility
 from renderer.visibility.boxes.bounds import near_radius
-from renderer.visibility.queries.chc_plus_plus import KEEPS, choose_size
+from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size
 from rhi import FixedQueue
 from rhi.backends.null import CostModel, Simulation
 from rhi.errors import ValidationError
@@ -229,8 +229,8 @@ def test_random_scenes_from_random_places_look_as_without_culling(
 
 @pytest.mark.parametrize(("frames", "size"), [(1, 3), (2, 4), (3, 5), (4, 7), (5, 9), (15, 11)])
 def test_a_multiquery_takes_as_many_nodes_as_it_should(frames: int, size: int) -> None:
-    assert choose_size([KEEPS[frames]] * 40) == size
-    assert choose_size([KEEPS[frames]]) == 1
+    assert choose_size([STAYS_HIDDEN[frames]] * 40) == size
+    assert choose_size([STAYS_HIDDEN[frames]]) == 1
 
 
 @pytest.mark.parametrize("latency", LATENCIES)

@@ -181,7 +181,7 @@ def test_debug_visibility_writes_a_picture_and_counts(
     (["--algorithm", "magic"], "--algorithm"),
     (["--camera", "nowhere"], "camera-unknown-name"),
     (["--frame", "1800"], "camera-frame-range"),
-    (["--output", "culled.nothing"], "names no image format"),
+    (["--output", "culled.nothing"], "has no known image extension"),
 ])  # fmt: skip
 def test_bad_input_of_debug_is_one_line(
     capsys: pytest.CaptureFixture[str],
