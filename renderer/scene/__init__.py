@@ -1,4 +1,4 @@
-"""The scene as arrays: what there is, where it is, what lights it and who looks at it.
+"""The scene as arrays: objects, transforms, meshes, materials, lights and cameras.
 
 scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)

@@ -1,4 +1,4 @@
-"""The two kinds of arrays that the renderer's signatures name most often."""
+"""The types of the two kinds of arrays that are used throughout the renderer."""
 
 from __future__ import annotations
 
