@@ -1,7 +1,7 @@
-"""Building meshes: unit lots (x and z from -1/2 to 1/2, y from 0 to 1) that instances stretch.
+"""Building meshes on unit lots (x and z from -1/2 to 1/2, y from 0 to 1), which instances scale.
 
-`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is
-in its outline: pilasters stand out from the wall, so that one loft gives walls, cornices and roof.
+`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is part of
+its outline: pilasters stand out from the wall, so that one loft makes walls, cornices and roof.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ __rhi_internal__ = True
 LoftRing = tuple[float, float, float]
 
 KINDS: Final = ("tower", "setback", "corner", "round", "house", "slab")
-"""The shapes of buildings."""
+"""The kinds of buildings."""
 
 
 def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
-    """A building of one of `KINDS` with windows for `floors` storeys."""
+    """Make a building of one of `KINDS` with windows for `floors` storeys."""
     bays = max((detail + 1) // 2, 1)
     walls = (8 * bays / WINDOWS, floors / WINDOWS)
     cornice = 1.0 - 0.35 / floors
@@ -76,7 +76,7 @@ def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
 
 
 def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:
-    """`count` trees on a unit lot: trunks and round or pointed crowns, in metres above a lot of 1 x 1."""
+    """Make `count` trees on a lot of 1 x 1: trunks, and round or pointed crowns, with heights in metres."""
     rng = np.random.default_rng([seed, 5])
     crowns = (shapes.sphere(max(detail, 4)), shapes.cone(max(detail, 4)))
     trunk = shapes.cylinder(max(detail - 2, 3))
@@ -95,7 +95,7 @@ def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:
 
 
 def make_lamp(detail: int) -> MeshGeometry:
-    """A street lamp in metres: a post of 6 m with an arm along +x and a lamp at (1.6, 5.9, 0)."""
+    """Make a street lamp in metres: a post of 6 m, an arm along +x, and a lamp at (1.6, 5.9, 0)."""
     post = shapes.lathe([(0.14, 0.0), (0.1, 0.6), (0.06, 6.0), (0.0, 6.0)], max(detail, 4))
     arm = shapes.box().transformed(_placed((0.8, 5.97, 0.0), (1.7, 0.07, 0.07)))
     lamp = shapes.sphere(max(detail, 4)).transformed(_placed((1.6, 5.9, 0.0), (0.5, 0.22, 0.3)))
@@ -118,7 +118,7 @@ _CHAMFERED: Final = np.array(
 _ANGLE: Final = np.array(
     [(0.66, 0.16), (0.66, -0.24), (-0.24, -0.24), (-0.24, 0.66), (0.16, 0.66), (0.16, 0.16)]
 )
-"""An L around the corner where its wings meet, from where both can be seen."""
+"""An L-shaped outline; its origin is in the corner where the wings meet, from where all of it can be seen."""
 
 
 def _ring(y: float, scale: float) -> LoftRing:
@@ -126,16 +126,16 @@ def _ring(y: float, scale: float) -> LoftRing:
 
 
 def _divided(corners: Floats, parts: int) -> Floats:
-    """Each edge of a closed polygon in `parts`."""
+    """Divide each edge of a closed polygon into `parts`."""
     after = np.roll(corners, -1, axis=0)
     share = (np.arange(parts) / parts)[None, :, None]
     return (corners[:, None] + share * (after - corners)[:, None]).reshape(-1, 2)
 
 
 def _pilasters(corners: Floats, bays: int, depth: float) -> Floats:
-    """Each edge with `bays` pilasters, 4 points each, that stand out from the centre by a share `depth`.
+    """Add `bays` pilasters of 4 points to each edge, which stand out from the centre by the fraction `depth`.
 
-    Their sides point at the centre, from where the whole outline can thus still be seen.
+    Their sides point at the centre, so that all of the outline can still be seen from there.
     """
     along = np.roll(corners, -1, axis=0) - corners
     share = ((np.arange(bays)[:, None] + np.array([0.36, 0.36, 0.64, 0.64])) / bays).reshape(-1)
@@ -147,14 +147,14 @@ def _pilasters(corners: Floats, bays: int, depth: float) -> Floats:
 def _with_roof(
     outline: Floats, rings: list[LoftRing], walls: tuple[float, float], inner: float, smooth: bool = False
 ) -> MeshGeometry:
-    """A loft with a parapet around a flat roof; `inner` is the roof's scale."""
+    """Make a loft with a parapet around a flat roof; `inner` is the roof's scale."""
     top = rings[-1][0]
     low = top - 0.3 * (top - rings[-2][0]) if len(rings) > 2 else 0.97
     return shapes.loft(outline, [*rings, _ring(top, inner), _ring(low, inner)], walls, ROOF_UV, smooth)
 
 
 def _balconies(bays: int) -> list[MeshGeometry]:
-    """Slabs on the two long sides, four storeys of them."""
+    """Make slabs on the two long sides, on four storeys."""
     x = (np.arange(bays) + 0.5) / bays * 0.92 - 0.46
     return [
         _block((float(at), y, side * 0.335), (0.6 / bays, 0.02, 0.06))

@@ -1,8 +1,8 @@
 """Built-in meshes: sheets, lathes, lofts, and the solids made of them.
 
 A sheet is a grid of points; its normal is columns x rows. Outlines are closed polygons in the xz plane,
-counter-clockwise seen from above, around a point from which every corner can be seen: that makes their
-caps fans. Texture coordinates have v = 0 at an image's first row, its top, so v falls where y rises.
+counter-clockwise seen from above, around a point from which every corner can be seen, so that their caps are fans.
+Texture coordinates have v = 0 at the first row of an image, its top, so v decreases where y increases.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from renderer.scene.meshes import VERTEX, MeshGeometry, join
 __rhi_internal__ = True
 
 
-_SLIVER: Final = 1e-4  # a triangle thinner than this share of its length is dropped
+_SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this times its longest edge squared
 
 
 def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
-    """Quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
+    """Make quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
 
-    Without `normals` (rows, columns, 3) each quad is flat and has its own corners. `uv` is
-    (rows, columns, 2). Quads without an area, as at a pole, keep only the triangles that have one.
+    Without `normals` (rows, columns, 3) each quad is flat and has vertices of its own. `uv` is
+    (rows, columns, 2). Of degenerate quads, as at a pole, only the triangles with an area are kept.
     """
     grid = np.asarray(points, np.float64)
     rows, columns = grid.shape[:2]
@@ -48,7 +48,7 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
         parts = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
         vertices[name] = np.stack([part.reshape(count, -1) for part in parts], axis=1)
     a, b, c, d = (vertices["position"][:, i].astype(np.float64) for i in range(4))
-    normal = np.cross(c - a, d - b)  # of the diagonals: right for quads that taper to a point
+    normal = np.cross(c - a, d - b)  # of the diagonals: correct for quads that taper to a point
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     vertices["normal"] = (normal / np.maximum(length, 1e-30))[:, None]
     flat = vertices.reshape(-1)
@@ -56,7 +56,7 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
 
 
 def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> MeshGeometry:
-    """A flat cap facing up over an outline (k, 2), around the origin."""
+    """Make a flat cap over an outline (k, 2) around the origin, facing up."""
     ring = np.asarray(outline, np.float64)
     count = len(ring)
     vertices = np.zeros(count + 1, VERTEX)
@@ -70,7 +70,7 @@ def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> M
 
 
 def box(detail: int = 1) -> MeshGeometry:
-    """A cube from -1/2 to 1/2, each face `detail` by `detail` quads: 12 * detail² triangles."""
+    """Make a cube from -1/2 to 1/2, with `detail` by `detail` quads on each face: 12 * detail² triangles."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     u, v = np.meshgrid(steps, steps)
     face = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
@@ -78,20 +78,24 @@ def box(detail: int = 1) -> MeshGeometry:
     parts = []
     for axis in range(3):
         for sign in (1.0, -1.0):
-            turned = face * (sign, 1.0, sign)  # half a turn about the second axis keeps the orientation
+            turned = face * (
+                sign,
+                1.0,
+                sign,
+            )  # a rotation by 180° about the second axis keeps the orientation
             parts.append(sheet(np.roll(turned, axis, axis=-1), uv))
     return join(parts)
 
 
 def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> MeshGeometry:
-    """A square from -1/2 to 1/2 in xz, facing up."""
+    """Make a square from -1/2 to 1/2 in xz, facing up."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     x, z = np.meshgrid(steps, -steps)
     return sheet(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
 
 
 def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
-    """A surface of revolution about y: `profile` (k, 2) holds (radius, y), from the bottom up.
+    """Make a surface of revolution about y: `profile` (k, 2) holds (radius, y), from the bottom up.
 
     Normals are smooth around and flat along the profile; `segments` * k * 2 triangles at most.
     """
@@ -111,22 +115,22 @@ def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
 
 
 def cylinder(segments: int = 24) -> MeshGeometry:
-    """Radius 1/2, y from -1/2 to 1/2, with caps."""
+    """Make a cylinder of radius 1/2 with caps, y from -1/2 to 1/2."""
     return lathe([(0.0, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5)], segments)
 
 
 def cone(segments: int = 24) -> MeshGeometry:
-    """Base radius 1/2 at y = -1/2, tip at y = 1/2."""
+    """Make a cone with a base of radius 1/2 at y = -1/2 and its tip at y = 1/2."""
     return lathe([(0.0, -0.5), (0.5, -0.5), (0.0, 0.5)], segments)
 
 
 def sphere(segments: int = 24) -> MeshGeometry:
-    """Radius 1/2, smooth; `segments` around and half as many from pole to pole."""
+    """Make a smooth sphere of radius 1/2, with `segments` around and half as many from pole to pole."""
     return _smooth_surface(lambda u, v: _sphere_point(u, v), segments, max(segments // 2, 3))
 
 
 def torus(segments: int = 32) -> MeshGeometry:
-    """A ring in xz that fits into a unit cube, tube radius 1/8."""
+    """Make a torus in xz that fits into a unit cube, with a tube radius of 1/8."""
 
     def point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
         out = np.stack([np.cos(u), np.zeros_like(u), -np.sin(u)], axis=-1)
@@ -144,7 +148,7 @@ BUILT_IN: Final[dict[str, Callable[[], MeshGeometry]]] = {
     "sphere": sphere,
     "torus": torus,
 }
-"""The meshes that can be asked for by name."""
+"""The built-in meshes by name."""
 
 
 def loft(
@@ -154,10 +158,10 @@ def loft(
     roof_uv: tuple[float, float] = (0.0, 0.0),
     smooth: bool = False,
 ) -> MeshGeometry:
-    """Walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
+    """Make walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
 
-    Texture coordinates of steep parts run `walls` = (times around, times up per unit of y); flatter parts
-    all get `roof_uv`. `smooth` gives steep parts that face outwards normals away from the axis.
+    On steep parts the texture repeats `walls` = (times around, times per unit of y); flatter parts all get
+    `roof_uv`. With `smooth`, steep parts that face outwards have normals away from the axis.
     """
     shape = np.asarray(outline, np.float64)
     closed = np.concatenate([shape, shape[:1]])

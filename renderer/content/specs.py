@@ -1,7 +1,7 @@
 """Scene text: the grammar of generators, `name:key=value,key=value`.
 
-A generator lists its options with defaults and ranges; the text is parsed against that list, so that
-what is refused, what `--help` prints and what a generator receives come from one table.
+A generator lists its options with defaults and ranges. The text is parsed by that list, so that error messages, the
+output of `scenes` and the arguments of a generator come from one table.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ OptionValue = int | float | str
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One key of a generator; its type is that of `default`, `low` and `high` bound numbers."""
+    """An option of a generator. Its type is that of `default`; numbers must be from `low` to `high`."""
 
     name: str
     default: OptionValue
@@ -31,7 +31,7 @@ class Option:
 
     @property
     def allowed(self) -> str:
-        """What may be given, as text."""
+        """The allowed values, as text."""
         if isinstance(self.default, str):
             return self.meaning
         kind = "a whole number" if isinstance(self.default, int) else "a number"
@@ -39,7 +39,7 @@ class Option:
         return f"{kind} from {low} to {high}"
 
     def parse(self, call: str, text: str) -> OptionValue:
-        """`text` as this option's type, or a refusal."""
+        """Convert `text` to this option's type; refuse values that aren't allowed."""
         if isinstance(self.default, str):
             if not text:
                 refuse(rules.BAD_VALUE, call, f"{self.name}=", self.allowed)
@@ -55,7 +55,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Generator:
-    """A scene made by a function of options: `build` takes every option by name."""
+    """A function that makes a scene: `build` takes every option by name."""
 
     name: str
     summary: str
@@ -63,7 +63,7 @@ class Generator:
     build: Callable[..., Scene]
 
     def parse(self, text: str) -> dict[str, OptionValue]:
-        """Every option's value, from `key=value,key=value` or defaults."""
+        """Parse `key=value,key=value`; return the values of all options, defaults included."""
         call = f"{self.name}:{text}"
         known = {option.name: option for option in self.options}
         values: dict[str, OptionValue] = {option.name: option.default for option in self.options}

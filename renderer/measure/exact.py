@@ -1,4 +1,4 @@
-"""Which objects are seen, exactly: each is drawn with its number as colour, and the nearest of each pixel is kept."""
+"""The exact set of visible objects: each object is drawn with its row as colour, and each pixel keeps the nearest."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, 
 
 
 class RowVarying(Struct):
-    """From vertex to fragment."""
+    """The varyings of `RowShader`."""
 
     clip: vec4
     row: int
 
 
 class RowShader(Shader):
-    """An object's row + 1 as colour."""
+    """Draws an object's row + 1 as colour."""
 
     view: Uniform[View]
     objects: Storage[Object]
@@ -35,7 +35,7 @@ class RowShader(Shader):
 
 
 class ExactVisibility:
-    """Which objects a camera sees, pixel by pixel; where two surfaces tie, one of both."""
+    """Finds the objects that a camera sees, pixel by pixel; of two surfaces at equal depth, one."""
 
     def __init__(self, device: Device, scene: Scene, size: tuple[int, int]) -> None:
         """`size` is (width, height) in pixels."""
@@ -45,7 +45,7 @@ class ExactVisibility:
         self._depth = device.texture(size, Format.D32F)
 
     def find(self, camera: Camera) -> set[int]:
-        """Rows of the objects that cover a pixel; the scene must be up to date."""
+        """Return the rows of the objects that cover a pixel. The scene must be up to date."""
         resources = self._resources
         width, height = self._numbers.size
         camera = camera.with_aspect(width / height)
@@ -61,6 +61,6 @@ class ExactVisibility:
         return set((np.unique(self._numbers.read()).astype(np.int64) - 1).tolist()) - {-1}
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         for part in (self._resources, self._numbers, self._depth):
             part.destroy()

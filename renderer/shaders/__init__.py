@@ -1,4 +1,4 @@
-"""Shaders of the renderer, in the shading language: shared structs, the lighting model, one class a technique."""
+"""Shared parts of the renderer's shaders, in the shading language: structs and the lighting model."""
 
 from renderer.shaders.lighting import (
     ambient_light,

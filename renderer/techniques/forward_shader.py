@@ -1,7 +1,7 @@
 """The forward shader: each fragment is lit by all lights that reach its object, in one pass.
 
-What a scene hasn't got costs nothing: `ForwardShader` knows no lights and no textures, each of the classes
-below adds one kind of them with its binding, and `forward_variant` combines what is needed.
+A feature that a scene lacks costs nothing: `ForwardShader` has no lights and no textures, each of the classes
+below adds one feature with its binding, and `forward_variant` combines those that are needed.
 """
 
 from __future__ import annotations
@@ -51,9 +51,9 @@ from rhi.shading import (
 
 
 class ForwardShader(Shader):
-    """Ambient light with the rim term, and emission; the base of all variants."""
+    """The base of all variants: ambient light with the rim term, and emission."""
 
-    # Highlights end in 8 bits: a pow as exact as GL's (128 units in the last place) halves a lit pass on OpenCL.
+    # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
     precision = Precision.FAST
 
     view: Uniform[View]
@@ -109,7 +109,7 @@ class ForwardShader(Shader):
 
 
 class Textured(ForwardShader):
-    """Adds images, the layers of one texture."""
+    """Adds images: the layers of one texture."""
 
     images: Texture2DArray
 
@@ -133,7 +133,7 @@ class WithDirectionalLights(ForwardShader):
 
 
 class WithSun(ForwardShader):
-    """Adds the only directional light there is: without a loop a compiler sees that it is the same for all fragments,
+    """Adds a single directional light. Without a loop, a compiler sees that the light is the same for all fragments,
     which saves llvmpipe a twentieth of the pass."""
 
     directional_lights: Storage[DirectionalLight]
@@ -173,7 +173,7 @@ class WithSpotLights(ForwardShader):
 
 
 class WithHaze(ForwardShader):
-    """Adds haze, which fades to the background: a colour as it is shown, so it is mixed in at the end."""
+    """Adds haze, which fades to the background. That is a final colour, so it is mixed in after tone mapping."""
 
     haze: Uniform[Haze]
 
@@ -188,13 +188,13 @@ PARTS: Final[dict[str, type[ForwardShader]]] = {
     "spot_lights": WithSpotLights,
     "haze": WithHaze,
 }
-"""What can be added to the forward shader, by the name of its binding."""
+"""The features that can be added to the forward shader, by the names of their bindings."""
 
 
 @cache
 def forward_variant(*parts: str, has_sun: bool = False) -> type[ForwardShader]:
-    """The forward shader with these of `PARTS`, and the bindings of those alone; `has_sun`: of directional lights there
-    is one."""
+    """Return the forward shader with these of `PARTS`, and only their bindings. `has_sun` says that there is exactly
+    one directional light."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
     bases = tuple(known[part] for part in parts)
     return type("Forward", (*bases, ForwardShader), {"__module__": __name__})
