@@ -18,22 +18,22 @@ from renderer.cli import (
     scenes,
     tune,
 )
-from renderer.cli.command import Command, CommandGroup, Parser
 from renderer.cli.output import OutputError, show_builds
+from renderer.cli.subcommand import Parser, Subcommand, SubcommandGroup
 from rhi import RhiError
 
 __all__ = ["COMMANDS", "main"]
 
-COMMANDS: Final[tuple[Command | CommandGroup, ...]] = (
+COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
     render.COMMAND,
     demo.COMMAND,
-    CommandGroup(
+    SubcommandGroup(
         "compare",
         "compare visibility algorithms or backends",
         (compare_visibility.COMMAND, compare_backends.COMMAND),
     ),
     tune.COMMAND,
-    CommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
+    SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
     scenes.COMMAND,
 )
 """All commands, in the order of the help."""

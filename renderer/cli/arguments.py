@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 import rhi
-from renderer.cli.command import Parser
+from renderer.cli.subcommand import Parser
 from renderer.visibility import Settings
 
 PATH_HELP: Final = (

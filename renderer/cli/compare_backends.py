@@ -11,8 +11,8 @@ from typing import Final
 import numpy as np
 
 from renderer.cli.arguments import PATH_HELP, add_scene, add_size, parse_count, parse_frame
-from renderer.cli.command import Command, Parser
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table
 from renderer.measure.backends import PASSES, BackendRow, compare_backends
@@ -140,6 +140,6 @@ def _parse_passes(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-COMMAND: Final = Command(
+COMMAND: Final = Subcommand(
     "backends", "compare what a scene's passes cost on each backend", _add_arguments, _run, _NOTES
 )

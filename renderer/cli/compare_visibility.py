@@ -23,8 +23,8 @@ from renderer.cli.arguments import (
     parse_count,
     parse_frame,
 )
-from renderer.cli.command import Command, Parser
 from renderer.cli.output import draw_chart, note, prepare_image, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table, measure_frame
 from renderer.renderer import FrameResult, Renderer
@@ -286,6 +286,6 @@ def _parse_algorithms(text: str) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-COMMAND: Final = Command(
+COMMAND: Final = Subcommand(
     "visibility", "compare visibility algorithms along a camera path", _add_arguments, _run, _NOTES
 )

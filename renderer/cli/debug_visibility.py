@@ -22,8 +22,8 @@ from renderer.cli.arguments import (
     load_settings,
     parse_frame,
 )
-from renderer.cli.command import Command, Parser
 from renderer.cli.output import OutputError, note, prepare_image
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene, parse_camera
 from renderer.measure.pictures import (
     COLORS,
@@ -140,4 +140,4 @@ def compose(
     return image
 
 
-COMMAND: Final = Command("visibility", "picture what was culled and why", _add_arguments, _run, _NOTES)
+COMMAND: Final = Subcommand("visibility", "picture what was culled and why", _add_arguments, _run, _NOTES)

@@ -11,8 +11,8 @@ from typing import Final
 
 import rhi
 from renderer.cli.arguments import add_size, parse_count
-from renderer.cli.command import Command, Parser
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene
 from renderer.measure import Measurement, alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
@@ -196,7 +196,7 @@ def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> st
     return format_table(["path", "visibility", "backend", "ms", "vs none", *names], rows)
 
 
-COMMAND: Final = Command(
+COMMAND: Final = Subcommand(
     "demo",
     "render a scene along its paths in several ways and print what each costs",
     _add_arguments,

@@ -21,8 +21,8 @@ from renderer.cli.arguments import (
     parse_count,
     parse_frame,
 )
-from renderer.cli.command import Command, Parser
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene, parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.renderer import Renderer
@@ -184,6 +184,6 @@ def show_report(report: dict[str, Any]) -> str:
     )
 
 
-COMMAND: Final = Command(
+COMMAND: Final = Subcommand(
     "render", "render a scene to an image and report what it cost", _add_arguments, _run, _NOTES
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Final
 
-from renderer.cli.command import Command, Parser
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import GENERATORS
 
 _NOTES: Final = """\
@@ -27,6 +27,6 @@ def _run(given: argparse.Namespace) -> None:
     print("or a model file: glTF (.gltf, .glb), OBJ, PLY or STL")
 
 
-COMMAND: Final = Command(
+COMMAND: Final = Subcommand(
     "scenes", "list the scene generators and their options", _add_arguments, _run, _NOTES
 )

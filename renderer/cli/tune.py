@@ -16,8 +16,8 @@ from typing import Any, Final, ParamSpec, TypeVar
 
 import rhi
 from renderer.cli.arguments import add_backend, add_scene, add_size, add_walk, parse_count
-from renderer.cli.command import Command, Parser
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table
 from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
@@ -229,6 +229,6 @@ def _parse_range(text: str) -> ParameterPair:
     return int(low), int(high)
 
 
-COMMAND: Final = Command(
+COMMAND: Final = Subcommand(
     "tune", "find the best b and n of CHC++ along a camera path", _add_arguments, _run, _NOTES
 )

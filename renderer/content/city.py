@@ -36,11 +36,7 @@ EYE_HEIGHT: Final = 1.8
 
 _LOT: Final = PITCH - STREET - 3.0  # 1.5 m of pavement on each side
 _STOREY: Final = 3.4
-_FLOORS: Final = (
-    4,
-    10,
-    26,
-)  # numbers of storeys for which there are meshes; instances scale them to their height
+_FLOORS: Final = (4, 10, 26)  # numbers of storeys of the meshes; instances are scaled to their height
 
 _WALLS: Final = np.array(
     [

@@ -78,11 +78,7 @@ def box(detail: int = 1) -> MeshGeometry:
     parts = []
     for axis in range(3):
         for sign in (1.0, -1.0):
-            turned = face * (
-                sign,
-                1.0,
-                sign,
-            )  # a rotation by 180° about the second axis keeps the orientation
+            turned = face * (sign, 1.0, sign)  # rotating by 180° about the second axis keeps the orientation
             parts.append(sheet(np.roll(turned, axis, axis=-1), uv))
     return join(parts)
 

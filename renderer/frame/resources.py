@@ -260,9 +260,8 @@ class SceneResources:
         self._rows["lights_begin"][order] = ends[:-1]
         self._rows["points_end"][order] = ends[1:] - np.diff(spots)
         self._rows["lights_end"][order] = ends[1:]
-        room = (
-            1 << (len(listed) - 1).bit_length() if len(listed) else 0
-        )  # a power of two, so that the buffer isn't replaced each frame
+        # A power of two, so that the buffer isn't replaced in each frame.
+        room = 1 << (len(listed) - 1).bit_length() if len(listed) else 0
         light_rows = np.zeros(room, np.int32)
         light_rows[: len(listed)] = np.where(is_spot, listed - points, listed)
         self.light_rows.write(light_rows)

@@ -8,7 +8,7 @@ every finite input: directions of length 0, lights at the surface, ranges and co
 
 from __future__ import annotations
 
-from renderer.shaders.structs import Ambient, DirectionalLight, PointLight, SpotLight, Surface
+from renderer.shaders.structs import Ambient, DirectionalLight, PointLight, SpotLight, SurfacePoint
 from rhi.shading import dot, function, inversesqrt, max, min, mix, pow, reflect, saturate, vec3
 
 
@@ -19,7 +19,7 @@ def safe_normalize(v: vec3) -> vec3:
 
 
 @function
-def reflected_light(surface: Surface, to_light: vec3, irradiance: vec3) -> vec3:
+def reflected_light(surface: SurfacePoint, to_light: vec3, irradiance: vec3) -> vec3:
     """Return the light that the surface reflects to the eye, of light from the unit direction `to_light`."""
     facing = dot(surface.normal, to_light)
     if facing <= 0.0:
@@ -31,7 +31,7 @@ def reflected_light(surface: Surface, to_light: vec3, irradiance: vec3) -> vec3:
 
 
 @function
-def directional_light(surface: Surface, light: DirectionalLight) -> vec3:
+def directional_light(surface: SurfacePoint, light: DirectionalLight) -> vec3:
     """Return the reflected light of a directional light."""
     return reflected_light(surface, -light.direction, light.color * light.intensity)
 
@@ -48,14 +48,14 @@ def attenuation(distance_squared: float, range: float) -> float:
 
 
 @function
-def in_range(surface: Surface, position: vec3, range: float) -> bool:
+def in_range(surface: SurfacePoint, position: vec3, range: float) -> bool:
     """Return whether the surface is within a light's range. Test this before reading the rest of the light."""
     to_light = position - surface.position
     return dot(to_light, to_light) < range * range
 
 
 @function
-def point_light(surface: Surface, light: PointLight) -> vec3:
+def point_light(surface: SurfacePoint, light: PointLight) -> vec3:
     """Return the reflected light of a point light; 0 beyond its range."""
     to_light = light.position - surface.position
     distance_squared = dot(to_light, to_light)
@@ -64,7 +64,7 @@ def point_light(surface: Surface, light: PointLight) -> vec3:
 
 
 @function
-def spot_light(surface: Surface, light: SpotLight) -> vec3:
+def spot_light(surface: SurfacePoint, light: SpotLight) -> vec3:
     """Return the reflected light of a spot light: full inside the inner angle, 0 outside the outer, squared
     between."""
     to_light = light.position - surface.position
@@ -85,7 +85,7 @@ def hemisphere(ambient: Ambient, direction: vec3) -> vec3:
 
 
 @function
-def ambient_light(surface: Surface, ambient: Ambient, rim_strength: float, rim_power: float) -> vec3:
+def ambient_light(surface: SurfacePoint, ambient: Ambient, rim_strength: float, rim_power: float) -> vec3:
     """Return the ambient light that the surface sends to the eye, scattered and mirrored.
 
     It mirrors `specular + strength · (1 - n · v)^power` of the light from the mirrored direction: the Fresnel
@@ -102,7 +102,6 @@ def ambient_light(surface: Surface, ambient: Ambient, rim_strength: float, rim_p
 @function
 def tone_map(color: vec3) -> vec3:
     """Map linear light of any strength to linear 0…1 by Narkowicz's fit of the ACES filmic curve (2016)."""
-    color = min(
-        color * 0.6, 1e4
-    )  # 0.6 is the exposure of the fit; 1e4 is far beyond white and can be squared
+    # 0.6 is the exposure of the fit; 1e4 is far beyond white and can be squared.
+    color = min(color * 0.6, 1e4)
     return saturate((color * (2.51 * color + 0.03)) / (color * (2.43 * color + 0.59) + 0.14))

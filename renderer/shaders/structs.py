@@ -140,7 +140,7 @@ class SurfaceVarying(Struct):
     lights: ivec3
 
 
-class Surface(Struct):
+class SurfacePoint(Struct):
     """A point of a surface to be lit; `normal` and `to_eye` are unit vectors."""
 
     position: vec3

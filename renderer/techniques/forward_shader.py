@@ -27,7 +27,7 @@ from renderer.shaders.structs import (
     ObjectPosition,
     PointLight,
     SpotLight,
-    Surface,
+    SurfacePoint,
     SurfaceVarying,
     Vertex,
     View,
@@ -77,7 +77,7 @@ class ForwardShader(Shader):
 
     def fragment(self, v: SurfaceVarying) -> vec4:
         material = self.materials[v.material]
-        surface = Surface(
+        surface = SurfacePoint(
             position=v.position,
             normal=safe_normalize(v.normal),
             to_eye=safe_normalize(-v.position),
@@ -95,13 +95,13 @@ class ForwardShader(Shader):
     def texel(self, image: int, uv: vec2) -> vec3:
         return vec3(1.0)
 
-    def sunlight(self, surface: Surface) -> vec3:
+    def sunlight(self, surface: SurfacePoint) -> vec3:
         return vec3(0.0)
 
-    def pointlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
-    def spotlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
     def through_air(self, color: vec3, position: vec3) -> vec3:
@@ -125,7 +125,7 @@ class WithDirectionalLights(ForwardShader):
 
     directional_lights: Storage[DirectionalLight]
 
-    def sunlight(self, surface: Surface) -> vec3:
+    def sunlight(self, surface: SurfacePoint) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
             color += directional_light(surface, self.directional_lights[i])
@@ -138,7 +138,7 @@ class WithSun(ForwardShader):
 
     directional_lights: Storage[DirectionalLight]
 
-    def sunlight(self, surface: Surface) -> vec3:
+    def sunlight(self, surface: SurfacePoint) -> vec3:
         return directional_light(surface, self.directional_lights[0])
 
 
@@ -148,7 +148,7 @@ class WithPointLights(ForwardShader):
     point_lights: Storage[PointLight]
     light_rows: Storage[int]
 
-    def pointlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         color = vec3(0.0)
         for i in range(begin, end):
             row = self.light_rows[i]
@@ -163,7 +163,7 @@ class WithSpotLights(ForwardShader):
     spot_lights: Storage[SpotLight]
     light_rows: Storage[int]
 
-    def spotlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         color = vec3(0.0)
         for i in range(begin, end):
             row = self.light_rows[i]

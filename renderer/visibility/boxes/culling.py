@@ -36,9 +36,7 @@ _GROUPS: Final = (8, 64)  # least and greatest number of boxes in a node of the 
 _NODES: Final = 1024  # number of nodes aimed for between these limits
 _WIDEST: Final = 8192  # number of nodes in the first cut above which a coarser cut is added
 _WIDTH: Final = 64  # nodes of a cut for each node of the cut above
-_STALE: Final = (
-    16  # the first cut is sorted again when one node in this many was culled by another plane than before
-)
+_STALE: Final = 16  # the first cut is sorted again when one node in this many changes its culling plane
 _MOST_PLANES: Final = 7
 _OUTSIDE: Final = np.uint8(1 << _MOST_PLANES)
 _BIT: Final = np.left_shift(1, np.arange(_MOST_PLANES)).astype(np.uint8)
@@ -47,9 +45,7 @@ _LOWER: Final = np.arange(3)[:, None]  # rows of the lower corner among the six 
 _UPPER: Final = _LOWER + 3
 _MEMBERS: Final = (np.arange(1 << _MOST_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set of planes as flags
 _SIZES: Final = _MEMBERS.sum(axis=1)
-_MARGIN: Final = 64.0 * float(
-    np.finfo(np.float64).eps
-)  # of the sum of the terms; each way rounds by 8 eps at most
+_MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; each way rounds by 8 eps at most
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,9 +25,7 @@ from renderer.scene.arrays import Floats, Rows
 
 __rhi_internal__ = True
 
-_MARGIN: Final = 64.0 * float(
-    np.finfo(np.float64).eps
-)  # of the sum of the terms; it rounds by 16 eps at most
+_MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; they round by 16 eps at most
 
 _RIGHT: Final = 1e-9  # largest cosine of an angle that counts as right
 _WORTH: Final = 0.98  # of the aligned box's surface: a smaller saving isn't worth another box

@@ -1,4 +1,4 @@
-"""A command as a value: each module of a command makes one, and `renderer.cli.COMMANDS` lists them all."""
+"""The type of the command line's commands: each module makes one, and `renderer.cli.COMMANDS` lists them all."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ class Parser(argparse.ArgumentParser):
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
-    """A command.
+class Subcommand:
+    """A command of the command line.
 
     Attributes:
         summary: one line for the list of commands; it begins the command's own help.
@@ -51,12 +51,12 @@ class Command:
 
 
 @dataclass(frozen=True, slots=True)
-class CommandGroup:
+class SubcommandGroup:
     """Commands with a common first word, such as `compare visibility` and `compare backends`."""
 
     name: str
     summary: str
-    members: tuple[Command, ...]
+    members: tuple[Subcommand, ...]
 
     def add_to(self, commands: Any) -> None:
         """Add the parsers of all members to `commands`, which `add_subparsers` has made."""
