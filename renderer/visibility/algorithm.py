@@ -31,7 +31,7 @@ class VisibilityStatistics:
         plane_tests: number of (box, plane) pairs tested.
         queries: number of occlusion queries issued.
         box_draws, boxes: draws of bounding boxes inside queries, and the number of boxes drawn; not objects.
-        stalled_milliseconds: how long the CPU waited for answers.
+        stalled_milliseconds: how long the CPU waited for query results.
     """
 
     objects: int

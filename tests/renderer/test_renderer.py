@@ -155,7 +155,7 @@ def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
 
 @pytest.mark.parametrize("failing", range(20))
 def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int) -> None:
-    """Whichever creation finds no memory."""
+    """This holds for every resource whose creation fails for lack of memory."""
     with rhi.create_device("null", faults=Faults(memory=failing)) as device:
         with pytest.raises(rhi.DeviceError), Renderer(device, city) as renderer:
             renderer.render(city.views["overview"])
@@ -171,7 +171,7 @@ def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int
 
 
 def queries_left(device: rhi.Device) -> int:
-    """Occlusion queries that were made and not given back."""
+    """Count the occlusion queries that were created and not destroyed."""
     device.finish()
     made = {command.values[0] for command in device.stream.filter(Op.CREATE_QUERY)}
     return len(made - {command.values[0] for command in device.stream.filter(Op.DESTROY)})
@@ -206,7 +206,7 @@ def test_culling_changes_no_pixel_of_the_city(gl: rhi.Device, path: str) -> None
 
 
 def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[int]) -> int:
-    """Pixels that differ between no culling and frustum culling, at 160 × 90."""
+    """Count the pixels that differ between no culling and frustum culling, at 160 × 90."""
     algorithms = (NoCulling(scene), FrustumCulling(scene))
     different = 0
     with Renderer(device, scene, size=(160, 90)) as renderer:

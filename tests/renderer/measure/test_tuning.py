@@ -1,4 +1,4 @@
-"""`tune`: what is tried, who runs it, what is written."""
+"""`tune`: the pairs tried, the executors, and the files written."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3",
 
 
 class Valley:
-    """Ratios with one lowest place, in place of measurements; remembers what was asked for."""
+    """Ratios with a single minimum in place of measurements; records the pairs requested."""
 
     def __init__(self, lowest: tuple[float, float]) -> None:
         self.lowest = lowest
@@ -120,7 +120,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
 
 
 class Counter(Executor):
-    """Any executor will do."""
+    """Counts the calls submitted to it: any executor will do."""
 
     def __init__(self) -> None:
         self.ran: list[object] = []
@@ -163,7 +163,7 @@ print(f"{len(done)} workers, {sum(done)} tasks")
 
 @pytest.mark.usefixtures("gl")
 def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
-    """In a process of its own: what dask warns of on a slow machine, and when, is no matter of ours."""
+    """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""
     pytest.importorskip("distributed")
     command = [sys.executable, "-c", CLUSTER, *COMMAND, "--rounds", "1"]
     run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)

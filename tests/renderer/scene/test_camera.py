@@ -1,4 +1,4 @@
-"""Cameras: depth conventions, frustum planes, hard values."""
+"""Cameras: depth conventions, frustum planes, extreme values."""
 
 import numpy as np
 import pytest

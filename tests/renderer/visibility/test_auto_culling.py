@@ -1,4 +1,4 @@
-"""The algorithm that measures others and takes the fastest."""
+"""The algorithm that measures others and uses the fastest."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ COSTS = {"slow": 0.012, "fast": 0.008, "middling": 0.0105}
 
 
 class Clock:
-    """Shows what time the candidates have taken, and no other."""
+    """A clock that shows only the time that the candidates have taken."""
 
     now = 0.0
 
@@ -34,7 +34,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 class Sleeper:
-    """Takes its time to draw everything."""
+    """Draws everything, and takes a set time for it."""
 
     opens_pass = False
 

@@ -1,4 +1,4 @@
-"""Culling through the hierarchy gives exactly the set that testing every box gives."""
+"""Culling through the hierarchy gives exactly the set of a test of every box."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def cameras(draw, scale):
 
 @st.composite
 def situations(draw):
-    """Boxes and a camera of like size; some boxes flat, equal, around the camera, or on its planes."""
+    """Draw boxes and a camera of similar size; some boxes are flat, equal, around the camera, or on its planes."""
     scale = 10.0 ** draw(st.sampled_from([-30, -3, 0, 2, 7, 30]))
     camera = draw(cameras(scale))
     count = draw(st.integers(1, 400))

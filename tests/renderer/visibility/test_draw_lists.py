@@ -1,4 +1,4 @@
-"""Lists of draws that the device makes: which draws, in which order, and which rows are hidden."""
+"""Lists of draws made on the device: their draws, the order of these, and the hidden rows."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ BUCKETS = 31
 
 
 def buckets(depth: np.ndarray) -> np.ndarray:
-    """Half octaves from 1/8 m on."""
+    """Return the half octaves, counted from 1/8 m."""
     return np.clip(np.floor(2.0 * np.log2(np.maximum(depth, 0.125))).astype(int) + 6, 0, BUCKETS - 1)
 
 
@@ -45,7 +45,7 @@ def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, mirrored: bool) -> np.ndarray:
-    """The rows of one winding in the order of their draws."""
+    """Return the expected rows of one winding in the order of their draws."""
     rows = np.flatnonzero((marks == VISIBLE) & (places["mirrored"] == mirrored))
     return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
 

@@ -64,7 +64,7 @@ class Case:
 
 
 def still(camera: Camera) -> Callable[[Scene], Shots]:
-    """This view, the one behind, and again this one."""
+    """Return this view, the opposite one, and this one again."""
     behind = Camera.look_at(camera.position, camera.position - camera.forward, projection=camera.projection)
     return lambda _: [(one, 0.0) for one in (camera, camera, behind, camera, camera)]
 
@@ -91,14 +91,14 @@ def teleports(scene: Scene) -> Shots:
 
 
 def fly_past(_: Scene) -> Shots:
-    """Forward, past what was in view: what the last frame saw is behind the eye now."""
+    """Move forward past what was in view, so that it is behind the eye in the next frame."""
     return [
         (look((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)
     ]
 
 
 def slide(scene: Scene) -> Shots:
-    """Sideways, a little each frame: what was hidden comes out at an edge."""
+    """Move sideways a little in each frame, so that hidden objects appear at an edge."""
     return [(look((x, 0.0, 0.0), (x, 0.0, -1.0), near=0.1), 0.0) for x in np.linspace(-0.4, 0.4, 9).tolist()]
 
 
@@ -300,7 +300,7 @@ def test_a_ring_of_n_takes_n() -> None:
 
 
 def make_late(latency: int) -> rhi.Device:
-    """With a simulated GPU: its clock goes on by one for each call, and an answer is there so many later."""
+    """Create a simulated GPU whose clock advances by one for each call; results are available `latency` calls later."""
     free = CostModel(command=0.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
     simulation = Simulation(free, call=1, submission_latency=latency, wake_latency=0, batch=1)
     return rhi.create_device("null", simulation=simulation)

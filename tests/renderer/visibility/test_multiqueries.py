@@ -1,4 +1,4 @@
-"""How many hidden nodes are asked for together (CHC++, section 5)."""
+"""The number of hidden nodes that share a query (CHC++, section 5)."""
 
 from __future__ import annotations
 

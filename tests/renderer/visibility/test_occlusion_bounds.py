@@ -1,4 +1,4 @@
-"""What makes box queries conservative: padding, and what is too near to be asked for."""
+"""Conservative box queries: padding, and objects too near for a query."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ TURN = rotation((0, 1, 0), np.pi / 4)
 
 
 def beam(place: tuple[float, float, float]) -> Scene:
-    """A long box across the axes: its own box is much smaller than its aligned one."""
+    """Make a long box across the axes, whose oriented box is much smaller than the aligned one."""
     return make_boxes([place], [(0.2, 0.2, 10.0)], turns=TURN[None])
 
 

@@ -1,4 +1,4 @@
-"""Bounding volumes: which side of the frustum they are on, and that none lies about it."""
+"""Bounding volumes: their classification against the frustum, which is never wrong."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
 def surface(volumes: Volumes) -> np.ndarray:
-    """Points (n, k, 3) of each volume: corners of boxes, and of spheres points all around."""
+    """Return points (n, k, 3) of each volume: the corners of boxes, and points all around spheres."""
     if isinstance(volumes, AlignedBoxes):
         half = 0.5 * (volumes.upper - volumes.lower)
         return volumes.centre[:, None] + half[:, None] * CORNERS
@@ -50,13 +50,13 @@ def surface(volumes: Volumes) -> np.ndarray:
 
 
 def before(planes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(n, k, p) distances."""
+    """Return distances (n, k, p) from the planes."""
     return points @ planes[:, :3].T + planes[:, 3]
 
 
 @st.composite
 def turned_scenes(draw: st.DrawFn) -> Scene:
-    """Boxes and spheres with any transform: turned, stretched, sheared, mirrored, flat."""
+    """Draw boxes and spheres with any transform: rotated, scaled, sheared, mirrored, flat."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 12))
     builder = SceneBuilder("turned")
