@@ -23,7 +23,7 @@ class Targets:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) in pixels."""
+        """The size (width, height) of both targets in pixels."""
         return self.color.size
 
     def destroy(self) -> None:

@@ -1,6 +1,6 @@
 """Boxes of all objects, found, tested and marked on the device: the CPU does the same for ten objects and a million.
 
-- A box is the mesh's own box under the object's transform: an oriented box, which fits a rotated object as tightly.
+- A box is the mesh's own box under the object's transform: an oriented box, which fits rotated objects tightly too.
 - It is padded as for queries (`bounds`): each face moves outwards by the margin. Boxes too flat or too skewed for
   that are replaced by the boxes along the world's axes around them.
 - What the near plane may cut counts as visible, and what is outside the frustum doesn't count at all. Neither kind of
