@@ -40,7 +40,7 @@ class Containment(IntEnum):
 
 
 class Volumes(Protocol):
-    """A set of n bounding volumes. `centre` is (n, 3); `scale` (n,) is the magnitude of the numbers they are made of."""
+    """A set of n bounding volumes: `centre` (n, 3), and `scale` (n,), the magnitude of the numbers they are made of."""
 
     @property
     def centre(self) -> Floats: ...
