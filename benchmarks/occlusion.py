@@ -30,7 +30,7 @@ from renderer.measure import alternate
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Scene, SceneBuilder, scaling, translation
 from renderer.scene.transforms import multiply
-from renderer.visibility import ChcPlusPlus
+from renderer.visibility import CallbackPass, ChcPlusPlus
 
 FRAMES = 60
 TARGET = 4.0
@@ -63,11 +63,11 @@ class OracleQueries:
     def states(self) -> Any:
         return nullcontext()
 
-    def ask(self, nodes: list[int]) -> OracleQuery:
+    def issue(self, nodes: list[int]) -> OracleQuery:
         self.issued += 1
         return OracleQuery(any(self.nodes[node] for node in nodes))
 
-    def answer(self, query: OracleQuery) -> bool:
+    def resolve(self, query: OracleQuery) -> bool:
         return query.shows
 
 
@@ -90,10 +90,11 @@ def measure(text: str) -> dict[str, Any]:
 
     algorithm._begin = timed_begin  # type: ignore[method-assign]
     walks, updates, visited, queries = [], [], [], []
+    nothing = CallbackPass(lambda rows: None)
     for frame in range(600, 600 + FRAMES):
         camera = scene.paths["ground"].camera(frame)
         began = time.perf_counter()
-        statistics = algorithm.render(camera, lambda rows: None)
+        statistics = algorithm.render(camera, nothing)
         walks.append(1e6 * (time.perf_counter() - began - spent[1]) / statistics.nodes_tested)
         updates.append(1e3 * spent[0])
         visited.append(statistics.nodes_tested)

@@ -2,13 +2,13 @@
 
     python examples/tiled_lights.py [--backend NAME] [--frames N] [--output FILE.png]
 
-A frame, and what it shows of the interface:
+The passes of a frame, and the part of the interface that each one shows:
 
-1. `depth`: the boxes, cell by cell of the plain, that were visible in the last frame: one `draw_many`.
-2. `queries`: the bounds of every cell against that depth: one `draw_counted`, answered in the next frame.
-3. `shadows`: all boxes as the sun sees them: one instanced draw with a slope-scaled bias.
-4. `lights`: a compute shader finds, for each tile of 16×16 pixels, the lamps that reach its depths.
-5. `view`: the visible boxes again with four samples a pixel, each pixel asking the lamps of its tile only, resolved.
+1. `depth`: the boxes of all cells that were visible in the last frame: one `draw_many`.
+2. `queries`: the bounds of every cell, tested against that depth: one `draw_counted`, read in the next frame.
+3. `shadows`: all boxes as the sun sees them: one instanced draw with a slope-scaled depth bias.
+4. `lights`: a compute shader finds, for each tile of 16×16 pixels, the lamps that reach the depths in it.
+5. `view`: the visible boxes again, with four samples a pixel, each lit by the lamps of its tile, and resolved.
 
 The same lines run on every backend that draws (tests/examples compares their pictures), and on the null device.
 """
@@ -78,7 +78,7 @@ from rhi.shading import (
 TILE: Final = 16
 LAMPS: Final = 192
 CELLS: Final = 12
-"""Along each side of the plain; each has 5×5 boxes."""
+"""Number of cells along each side of the plain; each has 5×5 boxes."""
 SHADOW_SIZE: Final = 2048
 SUN: Final = np.array([0.76, 0.46, 0.46])
 HAZE: Final = vec3(0.16, 0.20, 0.32)
@@ -107,7 +107,7 @@ class Box(Struct):
 
 
 class Lamp(Struct):
-    place: vec3
+    position: vec3
     reach: float
     color: vec3
 
@@ -128,22 +128,23 @@ def film_curve(color: vec3) -> vec3:
 class Depth(Shader):
     view: Uniform[View]
     boxes: Storage[Box]
-    of_the_sun = False
+    is_shadow = False
 
     def vertex(self, v: Vertex) -> vec4:
         box = self.boxes[instance_index()]
         world = vec4(v.position * box.half + box.center, 1.0)
-        if self.of_the_sun:
+        if self.is_shadow:
             return self.view.sun_from_world @ world
         return self.view.from_world @ world
 
 
 class Shadow(Depth):
-    of_the_sun = True
+    is_shadow = True
 
 
 class FindLamps(Shader):
-    """A work-group for each tile: the depths in it, then the lamps whose reach meets the box around them."""
+    """A work-group for each tile finds the range of depths in it, then the lamps that reach the box around that
+    range."""
 
     work_group = (TILE, TILE)
     view: Uniform[View]
@@ -151,10 +152,10 @@ class FindLamps(Shader):
     depth: Texture2D
     counts: StorageRW[int]
     lists: StorageRW[int]
-    depths = shared(int, 2)  # bits of the nearest and the farthest: of floats above 0, ordered as ints
+    depths = shared(int, 2)  # bits of the nearest and the farthest: positive floats are ordered like ints
     found = shared(int, 1)
 
-    def place(self, pixel: vec2, depth: float) -> vec3:
+    def unproject(self, pixel: vec2, depth: float) -> vec3:
         size = vec2(self.view.size)
         point = self.view.to_world @ vec4(
             pixel.x / size.x * 2.0 - 1.0, 1.0 - pixel.y / size.y * 2.0, depth, 1.0
@@ -170,7 +171,7 @@ class FindLamps(Shader):
         pixel = global_id().xy
         if pixel.x < self.view.size.x and pixel.y < self.view.size.y:
             depth = self.depth.load(pixel).x
-            if depth > 0.0:  # else the sky
+            if depth > 0.0:  # otherwise it is the sky
                 atomic_max(self.depths[0], float_bits_to_int(depth))
                 atomic_min(self.depths[1], float_bits_to_int(depth))
         barrier()
@@ -182,14 +183,14 @@ class FindLamps(Shader):
             high = vec3(-1e9)
             for i in range(8):
                 corner = (vec2(group_id().xy) + vec2(float(i & 1), float(i >> 1 & 1))) * float(TILE)
-                point = self.place(corner, far if i < 4 else near)
+                point = self.unproject(corner, far if i < 4 else near)
                 low = min(low, point)
                 high = max(high, point)
             for first in range(0, len(self.lamps), TILE * TILE):
                 i = first + local_index()
                 if i < len(self.lamps):
                     lamp = self.lamps[i]
-                    if distance(clamp(lamp.place, low, high), lamp.place) < lamp.reach:
+                    if distance(clamp(lamp.position, low, high), lamp.position) < lamp.reach:
                         self.lists[tile * LAMPS + atomic_add(self.found[0], 1)] = i
         barrier()
         if local_index() == 0:
@@ -197,7 +198,7 @@ class FindLamps(Shader):
 
 
 class Lit(Shader):
-    precision = Precision.FAST  # small powers of cosines may count as 0
+    precision = Precision.FAST  # small powers of cosines may become 0
     view: Uniform[View]
     boxes: Storage[Box]
     lamps: Storage[Lamp]
@@ -213,7 +214,7 @@ class Lit(Shader):
         )
 
     def sunlight(self, world: vec3) -> float:
-        """How much of the sun arrives: the mean of four comparisons, each of which is filtered."""
+        """Return the fraction of sunlight that arrives: the mean of four filtered comparisons."""
         at = self.view.sun_from_world @ vec4(world, 1.0)
         uv = vec2(at.x * 0.5 + 0.5, 0.5 - at.y * 0.5)
         step = 0.75 / SHADOW_SIZE
@@ -235,7 +236,7 @@ class Lit(Shader):
         tile = uniform(at.y * self.view.tiles.x + at.x)  # a block of pixels lies in one tile: its list is read once
         for k in range(self.counts[tile]):
             lamp = self.lamps[self.lists[tile * LAMPS + k]]
-            to_lamp = lamp.place - s.world
+            to_lamp = lamp.position - s.world
             far = length(to_lamp)
             direction = to_lamp / max(far, 1e-3)
             window = saturate(1.0 - (far / lamp.reach) ** 4)
@@ -248,20 +249,20 @@ class Lit(Shader):
 
 
 class Renderer:
-    """The scene on a device, and what draws it."""
+    """The scene on a device, and the passes that draw it."""
 
     def __init__(self, device: rhi.Device, size: tuple[int, int] = (960, 540), samples: int = 4) -> None:
         self.device, self.size = device, size
         self.tiles = (-(-size[0] // TILE), -(-size[1] // TILE))
         self.depth_only, self.shadow_only = device.program(Depth), device.program(Shadow)
         self.find_lamps, self.lit = device.program(FindLamps), device.program(Lit)
-        self.sky = (*evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, run on NumPy
+        self.sky = (*evaluate(film_curve, HAZE).tolist(), 1.0)  # the shader's function, evaluated on NumPy
         self.image = device.texture(size, Format.RGBA8_SRGB, label="image")
         self.colors = device.texture(size, Format.RGBA8_SRGB, samples=samples, label="samples of color")
         self.depths = device.texture(size, Format.D32F, samples=samples, label="samples of depth")
         self.depth = device.texture(size, Format.D32F, label="depth")
         self.shadow_map = device.texture((SHADOW_SIZE, SHADOW_SIZE), Format.D32F, label="shadow map")
-        border = Wrap.BORDER  # 0, the farthest: what lies beyond the map is lit
+        border = Wrap.BORDER  # 0, the farthest depth: points beyond the map are lit
         self.shadow = self.shadow_map.sampled(
             SamplerDescriptor(compare=Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border)
         )
@@ -280,12 +281,12 @@ class Renderer:
         self.lists = device.storage(int, tiles * LAMPS, label="lists of lamps")
         self.queries = device.query_set(len(self.count))
         self.visible = np.ones(len(self.count), bool)
-        self.is_asked = False
+        self.is_queried = False
 
     def render(self, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
         """Draw and present a frame."""
         device = self.device
-        if self.is_asked:  # a cell that comes into view is drawn a frame late
+        if self.is_queried:  # a cell that comes into view is drawn one frame late
             self.visible = self.queries.wait() != 0
         from_world = perspective(self.size[0] / self.size[1]) @ look(eye, target)
         view = device.transient.uniform(
@@ -309,11 +310,11 @@ class Renderer:
         unseen = (CullMode.NONE, DepthWrite.OFF, DepthFunction.GREATER_EQUAL)
         with device.event("queries"), device.render_pass(depth=self.depth), device.states(*unseen):
             device.draw_counted(self.depth_only, self.cube, every, self.queries, view=view, boxes=self.bounds)
-        self.is_asked = True
+        self.is_queried = True
         with (
             device.event("shadows"),
             device.render_pass(depth=self.shadow_map, clear_depth=0.0),
-            device.states(PolygonOffset(slope=-2.0)),  # away from the sun: reversed depth
+            device.states(PolygonOffset(slope=-2.0)),  # away from the sun, since depth is reversed
         ):
             device.draw(self.shadow_only, self.cube, len(self.boxes), view=view, boxes=self.boxes)
         with device.event("lights"):
@@ -333,7 +334,7 @@ class Renderer:
 
 
 def make_cube() -> tuple[NDArray[np.void], NDArray[np.uint16]]:
-    """From -1 to 1, its faces counter-clockwise from outside."""
+    """Make the vertices and indices of a cube from -1 to 1, with faces counter-clockwise from outside."""
     vertices = np.zeros((6, 4), Vertex.dtype)
     u, v = np.array([-1, 1, 1, -1]), np.array([-1, -1, 1, 1])
     for face in range(6):
@@ -347,7 +348,7 @@ def make_cube() -> tuple[NDArray[np.void], NDArray[np.uint16]]:
 
 
 def make_boxes() -> tuple[NDArray[np.void], NDArray[np.intp]]:
-    """Boxes in cells of 5×5, a plate under each; the first of each cell, and their number."""
+    """Make boxes in cells of 5×5 with a plate under each; return them, and the first box of each cell with an end."""
     rng = np.random.default_rng(7)
     boxes = np.zeros((CELLS, CELLS, 26), Box.dtype)
     x, z = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
@@ -369,11 +370,11 @@ def make_boxes() -> tuple[NDArray[np.void], NDArray[np.intp]]:
 
 
 def make_lamps(boxes: NDArray[np.void]) -> NDArray[np.void]:
-    """Lamps of all colours between the boxes."""
+    """Make lamps of all colours between the boxes."""
     rng = np.random.default_rng(11)
     lamps = np.zeros(LAMPS, Lamp.dtype)
     near = boxes[rng.choice(len(boxes), len(lamps), replace=False)]
-    lamps["place"] = near["center"] * (1, 0, 1) + [0.62, 0.45, 0.62]
+    lamps["position"] = near["center"] * (1, 0, 1) + [0.62, 0.45, 0.62]
     lamps["reach"] = rng.uniform(3.0, 5.0, len(lamps))
     hue = rng.random((len(lamps), 1)) + np.array([0, 0.33, 0.67])
     lamps["color"] = 1.6 + 1.4 * np.cos(2 * np.pi * hue)
@@ -381,7 +382,7 @@ def make_lamps(boxes: NDArray[np.void]) -> NDArray[np.void]:
 
 
 def look(eye: tuple[float, ...], target: tuple[float, ...]) -> NDArray[np.float64]:
-    """World to view space, which looks along -Z."""
+    """Return the matrix from world to view space, which looks along -Z."""
     forward = np.subtract(target, eye) / np.linalg.norm(np.subtract(target, eye))
     right = np.cross(forward, (0, 1, 0)) / np.linalg.norm(np.cross(forward, (0, 1, 0)))
     view = np.eye(4)
@@ -391,29 +392,34 @@ def look(eye: tuple[float, ...], target: tuple[float, ...]) -> NDArray[np.float6
 
 
 def perspective(aspect: float, lens: float = 1.7) -> NDArray[np.float64]:
-    """Reversed depth with an infinite far plane: 1 at `NEAR`, 0 at infinity."""
+    """Return a perspective projection with reversed depth and an infinite far plane: 1 at `NEAR`, 0 at infinity."""
     return np.array([[lens / aspect, 0, 0, 0], [0, lens, 0, 0], [0, 0, 0, NEAR], [0, 0, -1, 0]])
 
 
 def orthographic(reach: float, far: float) -> NDArray[np.float64]:
-    """Reversed depth: 1 at the eye, 0 at `far`."""
+    """Return a parallel projection with reversed depth: 1 at the eye, 0 at `far`."""
     return np.array([[1 / reach, 0, 0, 0], [0, 1 / reach, 0, 0], [0, 0, 1 / far, 1], [0, 0, 0, 1]])
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Render frames along a short path and write the last one."""
+    """Render frames along a short path and write the last one to a file."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--backend", help="gl, cl, null (default: RHI_BACKEND, or the first that works)")
-    parser.add_argument("--frames", type=int, default=8, help="how many (default: 8)")
-    parser.add_argument("--output", type=Path, default=Path("tiled_lights.png"), help="default: tiled_lights.png")
+    parser.add_argument("--frames", type=int, default=8, help="number of frames (default: 8)")
+    parser.add_argument(
+        "--output",
+        type=Path,
+        default=Path("tiled_lights.png"),
+        help="image to write (default: tiled_lights.png)",
+    )
     given = parser.parse_args(arguments)
     with rhi.create_device(given.backend, timing=True) as device:
         if device.backend_name == "null":
             from rhi.backends.null import NullBackend
 
-            device.backend_as(NullBackend).count_samples(lambda draw: 1)  # everything is seen
+            device.backend_as(NullBackend).count_samples(lambda draw: 1)  # everything is visible
         renderer = Renderer(device)
         for frame in range(given.frames):
             renderer.render((15.0 - 0.05 * frame, 7.5, 31.0), (-1.0, 0.0, 0.0))

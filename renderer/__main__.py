@@ -1,4 +1,4 @@
-"""`python -m renderer`."""
+"""Entry point of `python -m renderer`."""
 
 import sys
 

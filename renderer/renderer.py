@@ -1,4 +1,4 @@
-"""The renderer: a scene, a technique and a visibility algorithm on a device, frame by frame."""
+"""The renderer: draws a scene frame by frame with a technique and a visibility algorithm."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from numpy.typing import NDArray
 from renderer.frame import Drawn, Frame, SceneResources, Targets
 from renderer.scene import Camera, Scene, Simulator
 from renderer.techniques import Forward, Technique
-from renderer.visibility import Statistics, VisibilityAlgorithm, make_visibility
+from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
 _COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
-"""Of the device, that frames are measured by."""
+"""The device's counters that are part of a frame's statistics."""
 
 
 @dataclass(frozen=True, slots=True)
 class FrameStatistics:
-    """What one frame cost.
+    """The cost of one frame.
 
     Attributes:
-        triangles: of the objects drawn.
-        draws: objects drawn; one call may draw many.
-        queries: occlusion queries.
+        triangles: number of triangles of the objects drawn.
+        draws: number of objects drawn; one call may draw many.
+        queries: number of occlusion queries.
         software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device.
-        upload_bytes: memory written to the device.
-        simulation_steps: steps that simulations of objects drawn took, each of each object.
-        skipped_simulations: simulations of objects that weren't drawn, and took none.
+        upload_bytes: bytes written to the device.
+        simulation_steps: steps taken by the simulations of drawn objects, counted for each object.
+        skipped_simulations: number of simulated objects that weren't drawn, and took no step.
     """
 
     triangles: int
@@ -45,27 +45,27 @@ class FrameStatistics:
 
 @dataclass(frozen=True, eq=False)
 class FrameResult:
-    """A frame that was submitted: `image` and `depth` are drawn to again by the next one; `visibility` is what
-    finding the visible objects cost (None if the technique asked for none).
+    """A submitted frame.
 
-    Where the device decides what is drawn, `visible` and `statistics` wait for it when they are first asked for, and
-    can be asked for until the next frame.
+    `image` and `depth` are overwritten by the next frame. `visibility` is the cost of finding the visible objects,
+    None if the technique didn't do so. Where the device decides what is drawn, the first use of `visible` or
+    `statistics` waits for the device; they can be read until the next frame.
     """
 
     image: Texture
     depth: Texture
-    visibility: Statistics | None
+    visibility: VisibilityStatistics | None
     _drawn: Drawn
     _counters: dict[str, int]
 
     @property
     def visible(self) -> NDArray[np.int64]:
-        """Rows of the objects drawn."""
+        """The rows of the objects drawn."""
         return self._drawn.rows
 
     @cached_property
     def statistics(self) -> FrameStatistics:
-        """What the frame cost."""
+        """The cost of the frame."""
         drawn = self._drawn
         return FrameStatistics(triangles=drawn.triangles, draws=len(drawn.rows), **self._counters)
 
@@ -73,7 +73,7 @@ class FrameResult:
 class Renderer:
     """Draws one scene on one device.
 
-    `technique` and `visibility` are attributes: exchange them between any two frames.
+    The attributes `technique` and `visibility` may be exchanged between any two frames.
     """
 
     def __init__(
@@ -85,8 +85,13 @@ class Renderer:
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
     ) -> None:
-        """`size` is (width, height) in pixels. Without more, shading is forward, and visibility `auto`, which
-        measures what is fastest. `visibility` must have been made for `scene`."""
+        """Create the targets and upload the scene.
+
+        Args:
+            technique: how the scene is drawn; forward shading by default.
+            visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
+            size: (width, height) of the image in pixels.
+        """
         self.device = device
         self.scene = scene
         self.technique: Technique = technique or Forward()
@@ -104,7 +109,7 @@ class Renderer:
 
     @property
     def size(self) -> tuple[int, int]:
-        """(width, height) of the image; setting it makes new targets."""
+        """The (width, height) of the image in pixels; setting it creates new targets."""
         return self._targets.size
 
     @size.setter
@@ -116,8 +121,11 @@ class Renderer:
 
     @property
     def simulator(self) -> Simulator:
-        """Steps what is simulated and drawn. Another one of the same scene may have gone other ways to the same
-        time: `Simulator(scene.simulated, len(scene.objects))`."""
+        """Steps the simulated objects that are drawn.
+
+        It may be exchanged for another one of the same scene, `Simulator(scene.simulated, len(scene.objects))`, whose
+        members may have taken other steps.
+        """
         return self._resources.simulator
 
     @simulator.setter
@@ -125,7 +133,8 @@ class Renderer:
         self._resources.simulator = simulator
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
-        """Draw the scene at `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the GPU."""
+        """Draw the scene at the time `seconds` as `camera` sees it, with the image's aspect. Doesn't wait for the
+        GPU."""
         device = self.device
         width, height = self.size
         camera = camera.with_aspect(width / height)
@@ -143,7 +152,7 @@ class Renderer:
         return FrameResult(self._targets.color, self._targets.depth, frame.statistics, frame.drawn, counters)
 
     def destroy(self) -> None:
-        """Give back everything made on the device; not a visibility algorithm that was given."""
+        """Destroy all resources on the device, except those of a visibility algorithm that was passed in."""
         for visibility in self._own:
             visibility.destroy()
         self._own.clear()

@@ -1,7 +1,7 @@
-"""The renderer's rules: one table, in the order of the floors from the scene upwards.
+"""The renderer's rules in one table, ordered by package from the scene upwards.
 
-A rule is an id (stable; tests compare it), a sentence, and a tip; `refuse` of `rhi.errors` raises it.
-`refuse_name` is the one way to refuse a name: with what is allowed and the nearest of it.
+A rule is an id (stable: tests compare it), a sentence and a tip; `refuse` of `rhi.errors` raises it. `refuse_name` is
+the one way to refuse a name: it lists the allowed names and suggests the nearest one.
 """
 
 from __future__ import annotations
@@ -19,20 +19,24 @@ MISSING_FILE: Final = Rule("scene-missing-file", "the model file does not exist"
 UNKNOWN_FORMAT: Final = Rule("scene-unknown-format", "the model file's extension names no known format")
 UNREADABLE_MODEL: Final = Rule(
     "scene-unreadable-model",
-    "the model file can't be read as what its extension says",
+    "the model file can't be read as the format that its extension names",
     "open the file in a viewer, or export it again",
 )
 EMPTY_MODEL: Final = Rule(
     "scene-empty-model",
-    "the model holds no triangle",
+    "the model has no triangles",
     "point clouds and curves have no surface to draw; export triangles",
 )
 
-# What a scene is built from
+# Parts of a scene
 BAD_VERTICES: Final = Rule(
-    "scene-bad-vertices", "a mesh needs finite vertices", "remove what is NaN or infinite, then export again"
+    "scene-bad-vertices",
+    "a mesh needs finite vertices",
+    "remove vertices with NaN or infinity, then export again",
 )
-BAD_MESH: Final = Rule("scene-bad-mesh", "a mesh is triangles: indices in threes, each naming a vertex")
+BAD_MESH: Final = Rule(
+    "scene-bad-mesh", "a mesh consists of triangles: three indices each, all of existing vertices"
+)
 BAD_TRANSFORM: Final = Rule(
     "scene-bad-transform", "a transform is a finite, affine 4x4 matrix for column vectors: last row 0 0 0 1"
 )
@@ -49,13 +53,13 @@ STATIC_NODE: Final = Rule(
 )
 SHARED_MESH: Final = Rule(
     "scene-shared-mesh",
-    "an object that is simulated needs a simulation and a mesh of its own",
+    "a simulated object needs a simulation and a mesh of its own",
     "add a mesh for each member",
 )
 UNBOUND_MESH: Final = Rule(
     "scene-unbound-mesh",
-    "the mesh of an object that is simulated needs bounds that hold at all times",
-    "give add_mesh(bounds=...): what is hidden isn't stepped, so where it is must be known without that",
+    "the mesh of a simulated object needs bounds that hold at all times",
+    "pass add_mesh(bounds=...): hidden objects aren't stepped, so their bounds must be known in advance",
 )
 UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 
@@ -63,7 +67,7 @@ UNKNOWN_NODE: Final = Rule("scene-unknown-node", "no node has this name")
 UNKNOWN_SCENE: Final = Rule(
     "scene-unknown-scene", "the text names neither a scene generator nor a model file"
 )
-SPEC_SYNTAX: Final = Rule("scene-spec-syntax", "a scene's options are written name:key=value,key=value")
+SPEC_SYNTAX: Final = Rule("scene-spec-syntax", "the options of a scene are written name:key=value,key=value")
 UNKNOWN_KEY: Final = Rule("scene-unknown-key", "the scene generator has no option of this name")
 BAD_VALUE: Final = Rule("scene-bad-value", "the value of a scene's option is not allowed")
 
@@ -75,7 +79,7 @@ UNKNOWN_CAMERA: Final = Rule(
     "give a name, a position x,y,z, or a position and a target x,y,z,x,y,z",
 )
 BAD_WALK: Final = Rule(
-    "camera-bad-walk", "the file holds no walk-through", "CameraPath.record(cameras).save(path) writes one"
+    "camera-bad-walk", "the file is not a walk-through", "CameraPath.record(cameras).save(path) writes one"
 )
 FRAME_RANGE: Final = Rule("camera-frame-range", "the camera path has no such frame")
 
@@ -87,22 +91,22 @@ UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algori
 NO_CONDITIONS: Final = Rule(
     "visibility-no-conditions",
     "conditional culling needs a device with conditional rendering",
-    "chc_plus_plus needs occlusion queries alone",
+    "chc_plus_plus needs only occlusion queries",
 )
 NO_COMPUTE: Final = Rule(
     "visibility-no-compute",
     "culling on the device needs compute shaders and draws",
-    "frustum needs neither",
+    "frustum culling needs neither",
 )
 NO_SCENE_PASS: Final = Rule(
     "visibility-no-scene-pass",
-    "an algorithm that lists draws on the device renders in a renderer's pass",
+    "the algorithm needs the buffers or the depth of a renderer's pass",
     "give it to a Renderer as its `visibility`; `result.visible` are the rows that it drew",
 )
 STALE_LIST: Final = Rule(
     "visibility-stale-list",
-    "what the device has listed is known until the next frame is listed",
-    "ask for `result.visible` and `result.statistics` before the next frame",
+    "a list of draws made on the device can be read only until the next frame replaces it",
+    "read `result.visible` and `result.statistics` before the next frame",
 )
 BAD_PARAMETER: Final = Rule(
     "visibility-bad-parameter", "a visibility algorithm's parameter is out of its range"
@@ -116,11 +120,11 @@ BAD_SETTINGS: Final = Rule(
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")
-NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to be timed")
+NO_PICTURES: Final = Rule("measure-no-pictures", "a backend that draws no pictures has no passes to time")
 
 
 def refuse_name(rule: Rule, call: str, given: str, allowed: Iterable[str]) -> NoReturn:
-    """Refuse `given`, listing `allowed` and, where one is near, the name that may have been meant."""
+    """Refuse the name `given`, listing the `allowed` names and suggesting the nearest one, if any is similar."""
     names = list(allowed)
     near = get_close_matches(given.lower(), names, n=1)
     refuse(rule, call, given, ", ".join(names), f"did you mean {near[0]!r}?" if near else "")

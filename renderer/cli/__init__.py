@@ -1,38 +1,58 @@
 """The command line: `python -m renderer render|demo|compare|tune|debug|scenes`.
 
-Results go to stdout, all else to stderr. Whatever is wrong with the input ends in one line, `error: …`, and
-exit code 2.
+Results go to stdout, everything else to stderr. Bad input ends in one line, `error: …`, and exit code 2.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import NoReturn
+from typing import Final, NoReturn
 
-from renderer.cli import compare, debug, demo, render, scenes, tune
-from renderer.cli.arguments import Parser
+from renderer.cli import (
+    compare_backends,
+    compare_visibility,
+    debug_visibility,
+    demo,
+    render,
+    scenes,
+    tune,
+)
 from renderer.cli.output import OutputError, show_builds
+from renderer.cli.subcommand import Parser, Subcommand, SubcommandGroup
 from rhi import RhiError
 
-__all__ = ["main"]
+__all__ = ["COMMANDS", "main"]
+
+COMMANDS: Final[tuple[Subcommand | SubcommandGroup, ...]] = (
+    render.COMMAND,
+    demo.COMMAND,
+    SubcommandGroup(
+        "compare",
+        "compare visibility algorithms or backends",
+        (compare_visibility.COMMAND, compare_backends.COMMAND),
+    ),
+    tune.COMMAND,
+    SubcommandGroup("debug", "picture what the renderer does", (debug_visibility.COMMAND,)),
+    scenes.COMMAND,
+)
+"""All commands, in the order of the help."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command; returns the exit code."""
+    """Run the command that `arguments` name (those of the process by default) and return the exit code."""
     parser = Parser(
         prog="python -m renderer",
-        description="Render a scene and say what it cost.",
+        description="Render a scene and report what it cost.",
         epilog="python -m renderer COMMAND --help says more, with examples.",
     )
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in (render, demo, compare, tune, debug, scenes):
+    for command in COMMANDS:
         command.add_to(commands)
     given = parser.parse_args(_join_negative(list(sys.argv[1:] if arguments is None else arguments)))
     show_builds()
     try:
-        run = given.run
-        run(given)
+        given.run(given)
     except RhiError as error:
         _fail(_in_one_line(error))
     except (OutputError, OSError) as error:
@@ -45,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _join_negative(arguments: list[str]) -> list[str]:
-    """`--camera -1,2,3` as `--camera=-1,2,3`, because argparse takes `-1,2,3` for an option."""
+    """Return `--camera -1,2,3` as `--camera=-1,2,3`, because argparse would read `-1,2,3` as an option."""
     joined: list[str] = []
     for argument in arguments:
         if joined and joined[-1] == "--camera" and argument[:1] == "-" and argument[1:2] in "0123456789.":

@@ -1,4 +1,4 @@
-"""`compare backends`: what the same passes of a scene cost on each backend."""
+"""`compare backends`: measure what the same passes of a scene cost on each backend."""
 
 from __future__ import annotations
 
@@ -6,64 +6,70 @@ import argparse
 import json
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import numpy as np
 
-from renderer.cli.arguments import add_command, add_scene, add_size, parse_count, parse_frame
-from renderer.cli.output import note, prepare_image, show_progress
+from renderer.cli.arguments import PATH_HELP, add_scene, add_size, parse_count, parse_frame
+from renderer.cli.output import draw_chart, note, prepare_image, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table
 from renderer.measure.backends import PASSES, BackendRow, compare_backends
 
-_EXAMPLES = """\
+_NOTES: Final = """\
   python -m renderer compare backends city --passes depth,lit,textured,queries --size 1280x720
   python -m renderer compare backends city --camera-path sky --passes depth --json
   python -m renderer compare backends hall --passes depth,lit --plot hall.png
 
-All objects are drawn, without culling, front to back, by one camera. A round runs a pass once on each backend,
-starting with the next of them; times are medians over the rounds, from the first command until the device is
-done. `ratio to gl` is how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
-asks for 1,000 boxes and then reads all answers, `waited` reads each before it asks for the next."""
+All objects are drawn without culling, front to back, with one camera. A round runs a pass once on each backend;
+each round starts with another backend. Times are medians over the rounds, from the first command until the device is
+finished. `ratio to gl` says how many times as fast as gl a backend is: the median of the rounds' ratios. `queries`
+queries up to 1,000 boxes and then reads all results; `waited` reads each result before it issues the next query."""
 _BASE = "gl"
 
 
-def add_to(subjects: Any) -> None:
-    """Add the command."""
-    parser = add_command(
-        subjects, "backends", run, "compare what a scene's passes cost on each backend", _EXAMPLES
-    )
+def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     parser.add_argument(
         "--passes",
         type=_parse_passes,
         default=["depth", "lit", "queries"],
         metavar="A,B,…",
-        help=f"of {', '.join(PASSES)} (default: depth,lit,queries)",
+        help=f"some of {', '.join(PASSES)} (default: depth,lit,queries)",
     )
     parser.add_argument(
         "--backends",
         type=lambda text: text.split(","),
         default=["cl"],
         metavar="A,B,…",
-        help=f"what to compare with {_BASE} (default: cl)",
+        help=f"backends to compare with {_BASE} (default: cl)",
     )
     parser.add_argument(
-        "--camera-path", default="ground", metavar="PATH", help="ground, sky, or a file (default: ground)"
+        "--camera-path",
+        default="ground",
+        metavar="PATH",
+        help=PATH_HELP,
     )
     parser.add_argument(
-        "--frame", type=parse_frame, metavar="N", help="whose camera (default: the path's middle)"
+        "--frame",
+        type=parse_frame,
+        metavar="N",
+        help="frame whose camera is used (default: the path's middle)",
     )
     parser.add_argument(
-        "--rounds", type=parse_count, default=15, metavar="N", help="of each pass (default: %(default)s)"
+        "--rounds",
+        type=parse_count,
+        default=15,
+        metavar="N",
+        help="rounds of each pass (default: %(default)s)",
     )
-    add_size(parser, (1280, 720))
+    add_size(parser, (1280, 720), "size of the targets in pixels")
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="draw times as a chart")
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="write a chart of the times")
 
 
-def run(given: argparse.Namespace) -> None:
-    """Measure and report."""
+def _run(given: argparse.Namespace) -> None:
     if given.plot is not None:
         prepare_image(given.plot)
     scene = load_scene(given.scene)
@@ -95,7 +101,7 @@ def run(given: argparse.Namespace) -> None:
         ],
     }
     if given.plot is not None:
-        plot(rows, f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}", given.plot)
+        plot_backends(rows, f"{scene.name}, {given.camera_path}, {given.size[0]}×{given.size[1]}", given.plot)
         note(f"wrote {given.plot}")
     if given.json:
         print(json.dumps(report))
@@ -104,36 +110,36 @@ def run(given: argparse.Namespace) -> None:
         print(format_table(["pass", "backend", "ms", "ratio to gl"], cells))
 
 
-def plot(rows: list[BackendRow], title: str, path: Path) -> None:
-    """A chart of times: a group of bars for each pass, a bar for each backend."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 4), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
-    names = list(dict.fromkeys(row.name for row in rows))
-    backends = list(dict.fromkeys(row.backend for row in rows))
-    height = 0.8 / len(backends)
-    for place, backend in enumerate(backends):
-        chosen = [row for row in rows if row.backend == backend]
-        bars = axes.barh(
-            [names.index(row.name) + place * height for row in chosen],
-            [row.milliseconds for row in chosen],
-            height,
-            label=backend,
-        )
-        axes.bar_label(bars, [f" {row.milliseconds:,.1f} ms, ×{row.speed:,.1f}" for row in chosen])
-    axes.set(title=title, xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
-    axes.invert_yaxis()
-    axes.margins(x=0.2)
-    axes.legend()
-    figure.savefig(path, dpi=110)
+def plot_backends(rows: list[BackendRow], title: str, path: Path) -> None:
+    """Write a chart of the times: a group of bars for each pass, a bar for each backend."""
+    with draw_chart(path, dpi=110) as figure:
+        axes = figure.subplots()
+        names = list(dict.fromkeys(row.name for row in rows))
+        backends = list(dict.fromkeys(row.backend for row in rows))
+        height = 0.8 / len(backends)
+        for place, backend in enumerate(backends):
+            chosen = [row for row in rows if row.backend == backend]
+            bars = axes.barh(
+                [names.index(row.name) + place * height for row in chosen],
+                [row.milliseconds for row in chosen],
+                height,
+                label=backend,
+            )
+            axes.bar_label(bars, [f" {row.milliseconds:,.1f} ms, ×{row.speed:,.1f}" for row in chosen])
+        axes.set(title=title, xlabel="milliseconds", yticks=range(len(names)), yticklabels=names)
+        axes.invert_yaxis()
+        axes.margins(x=0.2)
+        axes.legend()
 
 
 def _parse_passes(text: str) -> list[str]:
     names = text.split(",")
     unknown = [name for name in names if name not in PASSES]
     if unknown:
-        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is no pass; give some of {', '.join(PASSES)}")
+        raise argparse.ArgumentTypeError(f"{unknown[0]!r} is not a pass; give some of {', '.join(PASSES)}")
     return list(dict.fromkeys(names))
+
+
+COMMAND: Final = Subcommand(
+    "backends", "compare what a scene's passes cost on each backend", _add_arguments, _run, _NOTES
+)

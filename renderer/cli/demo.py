@@ -1,4 +1,4 @@
-"""`demo`: a table of what each way to render a scene along its paths costs, and pictures by the fastest device."""
+"""`demo`: measure several variants to render a scene along its paths, and write pictures made by the fastest device."""
 
 from __future__ import annotations
 
@@ -7,37 +7,39 @@ import os
 from contextlib import ExitStack
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 import rhi
-from renderer.cli.arguments import add_command, add_size, parse_count
+from renderer.cli.arguments import add_size, parse_count
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene
 from renderer.measure import Measurement, alternate, format_table
 from renderer.renderer import FrameResult, FrameStatistics, Renderer
 from renderer.scene import FRAME_COUNT, FRAMES_PER_SECOND
 from renderer.visibility import make_visibility
 
-_EXAMPLES = """\
+_NOTES: Final = """\
   python -m renderer demo
   python -m renderer demo hall --output pictures
   python -m renderer demo city:blocks=12 --frames 20
 
-All backends that work here are compared, or the one that RHI_BACKEND names; the fastest makes the pictures.
-The frames lie evenly along each path. In turn, each is rendered in all ways; the times are medians until the
-GPU is done, `vs none` is the median of the ratios to no culling, and the counters are means per frame. The
-null device records the same commands and draws nothing: its time is the CPU's."""
+All backends that work here are compared, or only the one that RHI_BACKEND names; the fastest writes the pictures.
+The frames are spread evenly along each path, and each is rendered in all ways in turn. Times are medians, until the
+GPU is finished. `vs none` is the median of the frames' ratios to no culling. Counters are means per frame. The null
+device records the same commands and draws nothing: its time is that of the CPU."""
 
 _PICTURED = {"ground": 900, "sky": 700}
-"""The frame of a path that is pictured."""
+"""The frame of each path that is written as a picture."""
 
-_WAYS = ("none", "frustum")
-"""What the null device can tell, too: it has no answers to queries. `compare visibility` compares all."""
+_ALGORITHMS = ("none", "frustum")
+"""The algorithms compared: those that also run on the null device, which answers no queries. `compare visibility`
+compares all."""
 
 
 @dataclass(eq=False, slots=True)
-class Way:
-    """One row of the table: a path, and the renderer that draws it; `statistics` are by frame."""
+class RenderVariant:
+    """One row of the table: a path, an algorithm, and the renderer that draws it; `statistics` are kept by frame."""
 
     path: str
     visibility: str
@@ -53,7 +55,7 @@ class Way:
         return _name(self.path, self.visibility, self.backend)
 
     def render(self, frame: int) -> FrameResult:
-        """Draw one frame of the path and wait for it."""
+        """Draw one frame of the path and wait for the device."""
         renderer = self.renderer
         camera = renderer.scene.paths[self.path].camera(frame)
         result = renderer.render(camera, frame / FRAMES_PER_SECOND)
@@ -64,43 +66,42 @@ class Way:
         return result
 
     def mean(self, name: str) -> int:
-        """The mean of a counter over the frames, in whole numbers."""
+        """Return the mean of a counter over the frames, rounded."""
         counts: list[int] = [getattr(one, name) for one in self.statistics.values()]
         return round(sum(counts) / len(counts))
 
 
-def add_to(commands: Any) -> None:
-    """Add the command."""
-    parser = add_command(
-        commands,
-        "demo",
-        run,
-        "picture a scene along its paths and print what each way to render it costs",
-        _EXAMPLES,
-    )
+def _add_arguments(parser: Parser) -> None:
     parser.add_argument(
         "scene",
         metavar="SCENE",
         nargs="?",
         default="city",
-        help="a generator or a model file (default: city)",
+        help="a scene generator (see `scenes`) or a model file (default: city)",
     )
     parser.add_argument(
-        "--output", type=Path, default=Path("out"), metavar="DIR", help="where pictures go (default: out)"
+        "--output",
+        type=Path,
+        default=Path("out"),
+        metavar="DIR",
+        help="folder for the pictures (default: out)",
     )
     parser.add_argument(
-        "--frames", type=parse_count, default=9, metavar="N", help="frames of each path (default: 9)"
+        "--frames",
+        type=parse_count,
+        default=9,
+        metavar="N",
+        help="number of frames of each path (default: 9)",
     )
-    add_size(parser, what="of the images")
+    add_size(parser, what="size of the images in pixels")
 
 
-def run(given: argparse.Namespace) -> None:
-    """Measure, render the pictures on the device that was fastest, and print the table."""
+def _run(given: argparse.Namespace) -> None:
     scene = load_scene(given.scene)
     with ExitStack() as stack:
         devices = open_devices(stack)
-        ways = [
-            Way(
+        variants = [
+            RenderVariant(
                 path,
                 name,
                 stack.enter_context(
@@ -109,21 +110,25 @@ def run(given: argparse.Namespace) -> None:
             )
             for path in scene.paths
             for device in devices
-            for name in _WAYS
+            for name in _ALGORITHMS
         ]
-        times = measure(ways, given.frames)
-        table = tabulate(ways, times)  # before the pictures, which are frames of their own
+        times = measure_variants(variants, given.frames)
+        table = tabulate(variants, times)  # before the pictures, which are frames of their own
         for path in scene.paths:
-            seen = [way for way in ways if way.path == path and way.renderer.device.capabilities.renders]
+            seen = [
+                variant
+                for variant in variants
+                if variant.path == path and variant.renderer.device.capabilities.renders
+            ]
             if seen:
-                write_picture(min(seen, key=lambda way: times[way.name].median), given.output)
+                write_picture(min(seen, key=lambda variant: times[variant.name].median), given.output)
         if not any(device.capabilities.renders for device in devices):
             note(f"the {devices[0].backend_name} device records and draws nothing: there is no image")
         print(table)
 
 
 def open_devices(stack: ExitStack) -> list[rhi.Device]:
-    """The device that RHI_BACKEND names, else one on each backend that works here; the null device is the last."""
+    """Open the device that RHI_BACKEND names, or one on each backend that works here; the null device is the last."""
     chosen = os.environ.get("RHI_BACKEND")
     devices: list[rhi.Device] = []
     errors: list[tuple[str, rhi.RhiError]] = []
@@ -141,49 +146,60 @@ def open_devices(stack: ExitStack) -> list[rhi.Device]:
     return devices
 
 
-def write_picture(way: Way, folder: Path) -> None:
-    """One picture of the way's path."""
-    scene = way.renderer.scene
-    suffix = "" if way.path == next(iter(scene.paths)) else f"-{way.path}"
-    result = way.render(_PICTURED.get(way.path, FRAME_COUNT // 2))
+def write_picture(variant: RenderVariant, folder: Path) -> None:
+    """Write one picture of the variant's path."""
+    scene = variant.renderer.scene
+    suffix = "" if variant.path == next(iter(scene.paths)) else f"-{variant.path}"
+    result = variant.render(_PICTURED.get(variant.path, FRAME_COUNT // 2))
     path = prepare_image(folder / f"{name_of(scene)}{suffix}.png")
     write_image(path, result.image.read())
-    note(f"wrote {path}, drawn by {way.backend}")
+    note(f"wrote {path}, drawn by {variant.backend}")
 
 
 def _name(path: str, visibility: str, backend: str) -> str:
     return f"{path}, {visibility}, {backend}"
 
 
-def measure(ways: list[Way], count: int) -> dict[str, Measurement]:
-    """The times of all ways over `count` frames, by the ways' names."""
+def measure_variants(variants: list[RenderVariant], count: int) -> dict[str, Measurement]:
+    """Measure all variants over `count` frames; return their times by name."""
     frames = [(2 * number + 1) * FRAME_COUNT // (2 * count) for number in range(count)]
-    work = {way.name: lambda number, way=way: way.render(frames[number]) for way in ways}
-    for way in ways:
-        way.statistics.clear()
+    work = {
+        variant.name: lambda number, variant=variant: variant.render(frames[number]) for variant in variants
+    }
+    for variant in variants:
+        variant.statistics.clear()
     return alternate(work, show_progress(range(count), count, "measure"))
 
 
-def tabulate(ways: list[Way], times: dict[str, Measurement]) -> str:
-    """The table: times, and the counters of the frames that were measured."""
-    is_simulated = bool(ways[0].renderer.scene.simulated)
+def tabulate(variants: list[RenderVariant], times: dict[str, Measurement]) -> str:
+    """Format the table: times, and the counters of the measured frames."""
+    is_simulated = bool(variants[0].renderer.scene.simulated)
     counters = [
         counter.name
         for counter in fields(FrameStatistics)
         if is_simulated or counter.name not in ("simulation_steps", "skipped_simulations")
     ]
     rows = []
-    for way in ways:
-        time, base = times[way.name], times[_name(way.path, "none", way.backend)]
+    for variant in variants:
+        time, base = times[variant.name], times[_name(variant.path, "none", variant.backend)]
         rows.append(
             (
-                way.path,
-                way.visibility,
-                way.backend,
+                variant.path,
+                variant.visibility,
+                variant.backend,
                 1e3 * time.median,
                 time.ratio_to(base),
-                *(way.mean(counter) for counter in counters),
+                *(variant.mean(counter) for counter in counters),
             )
         )
     names = [counter.replace("_", " ").replace(" changes", "s") for counter in counters]
     return format_table(["path", "visibility", "backend", "ms", "vs none", *names], rows)
+
+
+COMMAND: Final = Subcommand(
+    "demo",
+    "render a scene along its paths in several ways and print what each costs",
+    _add_arguments,
+    _run,
+    _NOTES,
+)

@@ -1,10 +1,11 @@
-"""What commands write: images, progress, and where they go."""
+"""Output of the commands: images, charts, progress and notes."""
 
 from __future__ import annotations
 
 import logging
 import sys
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -18,11 +19,11 @@ T = TypeVar("T")
 
 
 class OutputError(Exception):
-    """An image can't be written where it should be."""
+    """An argument that can't be satisfied, such as an image that can't be written."""
 
 
 def show_progress(items: Iterable[T], total: int | None, what: str) -> Iterator[T]:
-    """A progress bar on stderr while the items are worked on: on a terminal, and if it takes over a second."""
+    """Yield the items with a progress bar on stderr, shown on a terminal if the work takes more than a second."""
     bar: Iterator[T] = tqdm(
         items, desc=what, total=total, file=sys.stderr, disable=None, leave=False, delay=1.0
     )
@@ -30,7 +31,7 @@ def show_progress(items: Iterable[T], total: int | None, what: str) -> Iterator[
 
 
 class BuildLine(logging.Handler):
-    """How far a first run is with building kernels, in a terminal's line; it goes when they are built."""
+    """Shows how many kernels a first run has built in one line of the terminal, and clears the line at the end."""
 
     def emit(self, record: logging.LogRecord) -> None:
         done = isinstance(record.args, tuple) and record.args[:1] == record.args[1:]
@@ -38,7 +39,7 @@ class BuildLine(logging.Handler):
 
 
 def show_builds() -> None:
-    """Let the terminal on stderr, if it is one, show a `BuildLine`."""
+    """Show a `BuildLine` on stderr if that is a terminal."""
     logger = logging.getLogger("rhi.kernels")
     if sys.stderr.isatty() and not logger.handlers:
         logger.addHandler(BuildLine())
@@ -46,15 +47,15 @@ def show_builds() -> None:
 
 
 def name_of(scene: Scene) -> str:
-    """A short name for files: the generator's, or the model file's without its ending."""
+    """Return a short name for files: the generator's, or the model file's without its extension."""
     name = scene.name.partition(":")[0]
     return Path(name).stem or "scene"
 
 
 def prepare_image(path: Path) -> Path:
-    """`path`, once it is sure that an image can be written there: before any work is done for it."""
+    """Check that an image can be written to `path`, before any work is done for it, and return `path`."""
     if path.suffix.lower() not in Image.registered_extensions():
-        raise OutputError(f"--output: {path.name!r} names no image format; end it with .png")
+        raise OutputError(f"--output: {path.name!r} has no known image extension; end it with .png")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.is_dir():
         raise OutputError(f"--output: {path} is a folder; name a file in it")
@@ -62,10 +63,24 @@ def prepare_image(path: Path) -> Path:
 
 
 def write_image(path: Path, pixels: NDArray[Any]) -> None:
-    """Write (height, width, 4) sRGB pixels, without their alpha."""
+    """Write (height, width, 4) sRGB pixels without their alpha."""
     Image.fromarray(pixels[:, :, :3]).save(path, optimize=True)
 
 
+@contextmanager
+def draw_chart(path: Path, title: str = "", dpi: int = 100) -> Iterator[Any]:
+    """Yield an empty matplotlib figure and write it to `path` at the end. matplotlib is imported on first use."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10, 4), layout="constrained")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title)
+    yield figure
+    figure.savefig(path, dpi=dpi)
+
+
 def note(text: str) -> None:
-    """Say something that isn't the result."""
+    """Print a message to stderr: anything but the result."""
     print(text, file=sys.stderr)

@@ -1,4 +1,4 @@
-"""`render`: one run, its image and what it cost."""
+"""`render`: render a scene, write the image and report what it cost."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import rhi
 from renderer.cli.arguments import (
+    CAMERA_HELP,
+    DECIDES,
     add_backend,
-    add_command,
     add_scene,
     add_settings,
     add_size,
@@ -21,6 +22,7 @@ from renderer.cli.arguments import (
     parse_frame,
 )
 from renderer.cli.output import name_of, note, prepare_image, show_progress, write_image
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene, parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.renderer import Renderer
@@ -29,7 +31,7 @@ from renderer.techniques import TECHNIQUES
 from renderer.visibility import ALGORITHMS, AutoCulling, make_visibility
 from rhi.trace import save
 
-_EXAMPLES = """\
+_NOTES: Final = """\
   python -m renderer render city --output city.png
   python -m renderer render city:blocks=12,seed=3 --camera sky --frame 600
   python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
@@ -38,56 +40,63 @@ _EXAMPLES = """\
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
 
-Times are from the scene's update until the GPU is done, after one frame that isn't counted, or with `auto`
-after the frames in which it looks for the fastest algorithm. Counters are those of one frame, and with several
-frames their mean. The image is that of the last frame."""
+Times are measured from the scene's update until the GPU is finished. The first frame isn't counted, and with `auto`
+neither are those in which it looks for the fastest algorithm. Counters are those of one frame, or with several frames
+their mean. The image is that of the last frame."""
 
 
-def add_to(commands: Any) -> None:
-    """Add the command."""
-    parser = add_command(
-        commands, "render", run, "render a scene to an image and say what it cost", _EXAMPLES
-    )
+def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
     add_backend(parser)
     parser.add_argument(
-        "--technique", choices=TECHNIQUES, default="forward", help="how to draw (default: %(default)s)"
+        "--technique",
+        choices=TECHNIQUES,
+        default="forward",
+        help="how the scene is drawn (default: %(default)s)",
     )
     parser.add_argument(
-        "--visibility", choices=ALGORITHMS, default="auto", help="what to draw (default: %(default)s)"
+        "--visibility",
+        choices=ALGORITHMS,
+        default="auto",
+        help=DECIDES,
     )
     add_settings(parser)
     parser.add_argument(
         "--camera",
         metavar="CAMERA",
-        help="a path (ground, sky), a view of the scene, x,y,z, or x,y,z,x,y,z with a target "
-        "(default: the scene's first view)",
+        help=f"{CAMERA_HELP} (default: the scene's first view)",
     )
     parser.add_argument(
-        "--frame", type=parse_frame, default=0, metavar="N", help="first frame, 60 a second (default: 0)"
+        "--frame",
+        type=parse_frame,
+        default=0,
+        metavar="N",
+        help="first frame of the path, at 60 a second (default: 0)",
     )
     parser.add_argument(
-        "--frames", type=parse_count, default=1, metavar="N", help="how many frames to time (default: 1)"
+        "--frames", type=parse_count, default=1, metavar="N", help="number of frames to time (default: 1)"
     )
     add_size(parser)
     parser.add_argument(
         "--depth",
         choices=[depth.value for depth in Depth],
         default=Depth.REVERSED.value,
-        help="which way depth runs (default: %(default)s)",
+        help="direction of depth: reversed has near at 1, standard has near at 0 (default: %(default)s)",
     )
-    parser.add_argument("--output", type=Path, metavar="F.png", help="the image (default: SCENE.png)")
+    parser.add_argument("--output", type=Path, metavar="F.png", help="image to write (default: SCENE.png)")
     parser.add_argument(
-        "--trace", type=Path, metavar="F.zip", help="record all commands (see python -m rhi trace)"
+        "--trace", type=Path, metavar="F.zip", help="write a trace of all commands (see python -m rhi trace)"
     )
     parser.add_argument(
-        "--record", type=Path, metavar="F.json", help="write the frames' cameras as a walk-through (see tune)"
+        "--record",
+        type=Path,
+        metavar="F.json",
+        help="write the frames' cameras as a walk-through, for --camera and --camera-path",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
-def run(given: argparse.Namespace) -> None:
-    """Render and report."""
+def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
     settings = load_settings(given)
@@ -111,7 +120,7 @@ def run(given: argparse.Namespace) -> None:
         ) as renderer,
     ):
         shots = list(enumerate(cameras, given.frame))
-        for _ in show_progress(warm_up(renderer), None, "find the fastest way"):
+        for _ in show_progress(warm_up(renderer), None, "find the fastest algorithm"):
             measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
         costs = []
         for frame, camera in show_progress(shots, len(shots), "render"):
@@ -132,21 +141,21 @@ def run(given: argparse.Namespace) -> None:
 
 
 def warm_up(renderer: Renderer) -> Iterator[None]:
-    """As many turns as there are frames to draw before one counts: the first, and with `auto` those on trial."""
+    """Yield once for each frame to draw before the first counted one: one, and with `auto` all on trial."""
     yield
     while isinstance(renderer.visibility, AutoCulling) and renderer.visibility.is_trying:
         yield
 
 
 def with_depth(camera: Camera, depth: Depth) -> Camera:
-    """The same camera with depth running this way."""
+    """Return the same camera with another direction of depth."""
     lens = camera.projection
     assert isinstance(lens, Perspective | Orthographic)
     return camera.with_projection(replace(lens, depth=depth))
 
 
 def describe_run(renderer: Renderer, costs: list[FrameCost], image: Path | None) -> dict[str, Any]:
-    """The keys of `--json`."""
+    """Return the report that `--json` prints."""
     summary = FrameCost.summarize(costs)
     summary["uploads_bytes"] = summary.pop("upload_bytes")
     return {
@@ -161,7 +170,7 @@ def describe_run(renderer: Renderer, costs: list[FrameCost], image: Path | None)
 
 
 def show_report(report: dict[str, Any]) -> str:
-    """The same for people."""
+    """Format the report as text."""
     times = report["milliseconds"]
     shown = report | {
         "size": "{} × {}".format(*report["size"]),
@@ -170,4 +179,11 @@ def show_report(report: dict[str, Any]) -> str:
     }
     texts = {key: f"{value:,}" if isinstance(value, int) else value for key, value in shown.items()}
     names = {"uploads_bytes": "bytes uploaded"}
-    return "\n".join(f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items())
+    return "\n".join(
+        f"{names.get(key, key.replace('_', ' ')) + ':':<24}{text}" for key, text in texts.items()
+    )
+
+
+COMMAND: Final = Subcommand(
+    "render", "render a scene to an image and report what it cost", _add_arguments, _run, _NOTES
+)

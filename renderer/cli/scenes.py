@@ -1,25 +1,23 @@
-"""`scenes`: what can be rendered."""
+"""`scenes`: list the scenes that can be rendered."""
 
 from __future__ import annotations
 
 import argparse
-from typing import Any
+from typing import Final
 
-from renderer.cli.arguments import add_command
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import GENERATORS
 
-_EXAMPLES = """\
+_NOTES: Final = """\
   python -m renderer scenes
   python -m renderer render city:blocks=12,seed=3"""
 
 
-def add_to(commands: Any) -> None:
-    """Add the command."""
-    add_command(commands, "scenes", run, "list the scene generators and their options", _EXAMPLES)
+def _add_arguments(parser: Parser) -> None:
+    """Declare nothing: the command takes no arguments."""
 
 
-def run(given: argparse.Namespace) -> None:
-    """List them."""
+def _run(given: argparse.Namespace) -> None:
     for generator in GENERATORS.values():
         print(f"{generator.name}: {generator.summary}")
         for option in generator.options:
@@ -27,3 +25,8 @@ def run(given: argparse.Namespace) -> None:
             allowed = "" if option.allowed == option.meaning else f" ({option.allowed})"
             print(f"  {default:<16}{option.meaning}{allowed}")
     print("or a model file: glTF (.gltf, .glb), OBJ, PLY or STL")
+
+
+COMMAND: Final = Subcommand(
+    "scenes", "list the scene generators and their options", _add_arguments, _run, _NOTES
+)

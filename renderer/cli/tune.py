@@ -1,4 +1,4 @@
-"""`tune`: the best b and n of CHC++ for a scene, a camera path and a device (thesis 6.5.1)."""
+"""`tune`: find the best b and n of CHC++ for a scene, a camera path and a device (thesis 6.5.1)."""
 
 from __future__ import annotations
 
@@ -12,38 +12,39 @@ from dataclasses import asdict, fields
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, Final, ParamSpec, TypeVar
 
 import rhi
-from renderer.cli.arguments import add_backend, add_command, add_scene, add_size, add_walk, parse_count
-from renderer.cli.output import OutputError, note, show_progress
+from renderer.cli.arguments import add_backend, add_scene, add_size, add_walk, parse_count
+from renderer.cli.output import OutputError, draw_chart, note, show_progress
+from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table
-from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
+from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
 from renderer.scene import CameraPath
 from renderer.visibility import Settings, list_algorithms
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-_EXAMPLES = """\
+_NOTES: Final = """\
   python -m renderer tune city --camera-path ground --b 1:100 --n 1:40
   python -m renderer tune hall --camera-path walk.json --executor processes:4
   python -m renderer tune city --executor dask:tcp://scheduler:8786 --output tuned
   python -m renderer compare visibility city --settings tuned/settings.json
 
-b is how many hidden nodes gather before they are asked for, n for how many frames a visible object isn't asked
-for again. Each trial renders the path with one pair of them and, in turn, with the default pair (b=50, n=20);
-pairs are judged by the ratio of the two, so trials may run beside each other and on different machines. The best
-three then run against each other in one process. DIR receives `trials.csv`, `trials.png` and `settings.json`,
-which `render` and `compare visibility` read with --settings."""
+b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible object isn't
+queried again. Each trial renders the path with one pair of values and, in turn, with the default pair (b=50, n=20);
+pairs are judged by the ratio of the two times, so trials may run at the same time and on different machines. The best
+three are then compared in one process. `trials.csv`, `trials.png` and `settings.json` are written to DIR; `render`,
+`compare visibility` and `debug visibility` read the last with --settings."""
 
 
 class SerialExecutor(Executor):
-    """Runs what is submitted at once, in this process."""
+    """An executor that runs each call in this process, when it is submitted."""
 
     def submit(self, fn: Callable[P, R], /, *args: P.args, **kwargs: P.kwargs) -> Future[R]:
-        """A future that is done."""
+        """Run the call and return a finished future."""
         future: Future[R] = Future()
         try:
             future.set_result(fn(*args, **kwargs))
@@ -52,13 +53,9 @@ class SerialExecutor(Executor):
         return future
 
 
-def add_to(commands: Any) -> None:
-    """Add the command."""
-    parser = add_command(
-        commands, "tune", run, "find the best b and n of CHC++ along a camera path", _EXAMPLES
-    )
+def _add_arguments(parser: Parser) -> None:
     add_scene(parser)
-    add_walk(parser, "how many frames a trial renders")
+    add_walk(parser, "number of frames that a trial renders (default: %(default)s)")
     parser.add_argument(
         "--b", type=_parse_range, default=(1, 100), metavar="LOW:HIGH", help="range of b (default: 1:100)"
     )
@@ -70,24 +67,27 @@ def add_to(commands: Any) -> None:
         type=parse_count,
         default=4,
         metavar="N",
-        help="how often to look more closely, the lattice included (default: %(default)s)",
+        help="rounds of the search, the first of which tries a grid of values (default: %(default)s)",
     )
     parser.add_argument(
         "--executor",
         default="serial",
         metavar="E",
-        help="serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
+        help="where trials run: serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
     )
     add_backend(parser)
     add_size(parser)
     parser.add_argument(
-        "--output", type=Path, default=Path("tuned"), metavar="DIR", help="a folder (default: %(default)s)"
+        "--output",
+        type=Path,
+        default=Path("tuned"),
+        metavar="DIR",
+        help="folder for the results (default: %(default)s)",
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
 
-def run(given: argparse.Namespace) -> None:
-    """Search, decide and write."""
+def _run(given: argparse.Namespace) -> None:
     scene = load_scene(given.scene)
     path = find_path(given.camera_path, scene)
     first = max(0, (len(path) - given.frames - 1) // 2) if given.frame is None else given.frame
@@ -124,7 +124,7 @@ def run(given: argparse.Namespace) -> None:
         "ratio": min(best.ratio, 1.0),
     }
     write_trials(given.output / "trials.csv", trials)
-    plot(trials, finals, f"{scene.name}, {given.camera_path}, {name}", given.output / "trials.png")
+    plot_trials(trials, finals, f"{scene.name}, {given.camera_path}, {name}", given.output / "trials.png")
     settings.save(given.output / "settings.json", **report)
     note(f"wrote trials.csv, trials.png and settings.json to {given.output}")
     if given.json:
@@ -140,18 +140,20 @@ def run(given: argparse.Namespace) -> None:
     print(f"b={settings.batch}, n={settings.persistence}: {report['ratio']:.2f} of the default's time")
 
 
-def _try_all(executor: Executor, walk: Walk, pairs: Sequence[Pair]) -> list[Trial]:
-    """A trial of each, in this order, as many at a time as the executor has room for."""
+def _try_all(executor: Executor, walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
+    """Return a trial of each pair, in this order; as many run at a time as the executor allows."""
     count = len(pairs)
     futures = [executor.submit(try_pairs, walk, [pair]) for pair in show_progress(pairs, count, "tune")]
-    for _ in show_progress(as_completed(futures), count, "tune"):  # done by now where there is one process
+    for _ in show_progress(
+        as_completed(futures), count, "tune"
+    ):  # a serial executor has finished them by now
         pass
     return [trial for future in futures for trial in future.result()]
 
 
 @contextmanager
 def make_executor(text: str) -> Iterator[Executor]:
-    """The executor that `--executor` names."""
+    """Yield the executor that `--executor` names."""
     kind, _, rest = text.partition(":")
     if kind == "serial" and not rest:
         yield SerialExecutor()
@@ -177,7 +179,7 @@ def make_executor(text: str) -> Iterator[Executor]:
 
 
 def write_trials(path: Path, trials: Sequence[Trial]) -> None:
-    """A row for each trial, in the order in which they were made."""
+    """Write a row for each trial, in the order in which they ran."""
     with path.open("w", newline="") as file:
         writer = csv.writer(file)
         names = [field.name for field in fields(Trial)]
@@ -185,32 +187,30 @@ def write_trials(path: Path, trials: Sequence[Trial]) -> None:
         writer.writerows([getattr(trial, name) for name in names] for trial in trials)
 
 
-def plot(trials: Sequence[Trial], finals: Sequence[Trial], title: str, path: Path) -> None:
-    """Where trials were made and how they came out; the finalists are ringed."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(10, 4), layout="constrained")
-    FigureCanvasAgg(figure)
-    figure.suptitle(title)
-    both, batch, persistence = figure.subplots(1, 3)
-    points = both.scatter(
-        [t.batch for t in trials],
-        [t.persistence for t in trials],
-        c=[t.ratio for t in trials],
-        cmap="viridis",
-    )
-    both.scatter(
-        [t.batch for t in finals], [t.persistence for t in finals], s=120, facecolors="none", edgecolors="red"
-    )
-    figure.colorbar(points, ax=both)
-    both.set_title("time, default = 1", fontsize="medium")
-    both.set(xscale="log", yscale="log", xlabel="b", ylabel="n")
-    for axes, name, label in ((batch, "batch", "b"), (persistence, "persistence", "n")):
-        axes.scatter([getattr(t, name) for t in trials], [t.ratio for t in trials], s=12, color="#4477aa")
-        axes.axhline(1.0, color="grey", linewidth=0.8)
-        axes.set(xscale="log", xlabel=label, ylabel="time, default = 1")
-    figure.savefig(path, dpi=100)
+def plot_trials(trials: Sequence[Trial], finals: Sequence[Trial], title: str, path: Path) -> None:
+    """Write a chart of all trials' values and ratios; circles mark the finalists."""
+    with draw_chart(path, title) as figure:
+        both, batch, persistence = figure.subplots(1, 3)
+        points = both.scatter(
+            [t.batch for t in trials],
+            [t.persistence for t in trials],
+            c=[t.ratio for t in trials],
+            cmap="viridis",
+        )
+        both.scatter(
+            [t.batch for t in finals],
+            [t.persistence for t in finals],
+            s=120,
+            facecolors="none",
+            edgecolors="red",
+        )
+        figure.colorbar(points, ax=both)
+        both.set_title("time, default = 1", fontsize="medium")
+        both.set(xscale="log", yscale="log", xlabel="b", ylabel="n")
+        for axes, name, label in ((batch, "batch", "b"), (persistence, "persistence", "n")):
+            axes.scatter([getattr(t, name) for t in trials], [t.ratio for t in trials], s=12, color="#4477aa")
+            axes.axhline(1.0, color="grey", linewidth=0.8)
+            axes.set(xscale="log", xlabel=label, ylabel="time, default = 1")
 
 
 def _title(name: str) -> str:
@@ -218,12 +218,17 @@ def _title(name: str) -> str:
     return short.get(name, name.replace("_", " ").replace("milliseconds", "ms").replace(" changes", "s"))
 
 
-def _parse_range(text: str) -> Pair:
-    """`1:100` as (1, 100); one number is a range of it alone."""
+def _parse_range(text: str) -> ParameterPair:
+    """Parse `1:100` as (1, 100), and a single number as the range of only that number."""
     low, _, high = text.partition(":")
     high = high or low
     if not (low.isascii() and low.isdigit() and high.isascii() and high.isdigit()) or not (
         1 <= int(low) <= int(high)
     ):
-        raise argparse.ArgumentTypeError(f"{text!r} is no range; give LOW:HIGH, such as 1:100")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a range; give LOW:HIGH, such as 1:100")
     return int(low), int(high)
+
+
+COMMAND: Final = Subcommand(
+    "tune", "find the best b and n of CHC++ along a camera path", _add_arguments, _run, _NOTES
+)

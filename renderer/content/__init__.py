@@ -1,4 +1,4 @@
-"""Scenes to draw: generators, model files, and the built-in shapes, found by name.
+"""Scene content: generators, model files and built-in shapes, found by name.
 
 scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)

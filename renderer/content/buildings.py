@@ -1,7 +1,7 @@
-"""Building meshes: unit lots (x and z from -1/2 to 1/2, y from 0 to 1) that instances stretch.
+"""Building meshes on unit lots (x and z from -1/2 to 1/2, y from 0 to 1), which instances scale.
 
-`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is
-in its outline: pilasters stand out from the wall, so that one loft gives walls, cornices and roof.
+`detail` sets how finely facades are divided; at 7 a building has about 600 triangles. A facade's relief is part of
+its outline: pilasters stand out from the wall, so that one loft makes walls, cornices and roof.
 """
 
 from __future__ import annotations
@@ -12,19 +12,20 @@ import numpy as np
 
 from renderer.content import shapes
 from renderer.content.textures import ROOF_UV, WINDOWS
-from renderer.scene.meshes import Geometry, join
-from renderer.scene.transforms import Floats, multiply, scaling, translation
+from renderer.scene.arrays import Floats
+from renderer.scene.meshes import MeshGeometry, join
+from renderer.scene.transforms import multiply, scaling, translation
 
 __rhi_internal__ = True
 
-Ring = tuple[float, float, float]
+LoftRing = tuple[float, float, float]
 
 KINDS: Final = ("tower", "setback", "corner", "round", "house", "slab")
-"""The shapes of buildings."""
+"""The kinds of buildings."""
 
 
-def make_building(kind: str, floors: int, detail: int) -> Geometry:
-    """A building of one of `KINDS` with windows for `floors` storeys."""
+def make_building(kind: str, floors: int, detail: int) -> MeshGeometry:
+    """Make a building of one of `KINDS` with windows for `floors` storeys."""
     bays = max((detail + 1) // 2, 1)
     walls = (8 * bays / WINDOWS, floors / WINDOWS)
     cornice = 1.0 - 0.35 / floors
@@ -74,8 +75,8 @@ def make_building(kind: str, floors: int, detail: int) -> Geometry:
     return join([body, *_balconies(bays), _block((0.15, 0.97, 0.0), (0.2, 0.1, 0.2))])
 
 
-def make_trees(count: int, detail: int, seed: int) -> Geometry:
-    """`count` trees on a unit lot: trunks and round or pointed crowns, in metres above a lot of 1 x 1."""
+def make_trees(count: int, detail: int, seed: int) -> MeshGeometry:
+    """Make `count` trees on a lot of 1 x 1: trunks, and round or pointed crowns, with heights in metres."""
     rng = np.random.default_rng([seed, 5])
     crowns = (shapes.sphere(max(detail, 4)), shapes.cone(max(detail, 4)))
     trunk = shapes.cylinder(max(detail - 2, 3))
@@ -93,8 +94,8 @@ def make_trees(count: int, detail: int, seed: int) -> Geometry:
     return join(parts)
 
 
-def make_lamp(detail: int) -> Geometry:
-    """A street lamp in metres: a post of 6 m with an arm along +x and a lamp at (1.6, 5.9, 0)."""
+def make_lamp(detail: int) -> MeshGeometry:
+    """Make a street lamp in metres: a post of 6 m, an arm along +x, and a lamp at (1.6, 5.9, 0)."""
     post = shapes.lathe([(0.14, 0.0), (0.1, 0.6), (0.06, 6.0), (0.0, 6.0)], max(detail, 4))
     arm = shapes.box().transformed(_placed((0.8, 5.97, 0.0), (1.7, 0.07, 0.07)))
     lamp = shapes.sphere(max(detail, 4)).transformed(_placed((1.6, 5.9, 0.0), (0.5, 0.22, 0.3)))
@@ -117,24 +118,24 @@ _CHAMFERED: Final = np.array(
 _ANGLE: Final = np.array(
     [(0.66, 0.16), (0.66, -0.24), (-0.24, -0.24), (-0.24, 0.66), (0.16, 0.66), (0.16, 0.16)]
 )
-"""An L around the corner where its wings meet, from where both can be seen."""
+"""An L-shaped outline; its origin is in the corner where the wings meet, from where all of it can be seen."""
 
 
-def _ring(y: float, scale: float) -> Ring:
+def _ring(y: float, scale: float) -> LoftRing:
     return (y, scale, scale)
 
 
 def _divided(corners: Floats, parts: int) -> Floats:
-    """Each edge of a closed polygon in `parts`."""
+    """Divide each edge of a closed polygon into `parts`."""
     after = np.roll(corners, -1, axis=0)
     share = (np.arange(parts) / parts)[None, :, None]
     return (corners[:, None] + share * (after - corners)[:, None]).reshape(-1, 2)
 
 
 def _pilasters(corners: Floats, bays: int, depth: float) -> Floats:
-    """Each edge with `bays` pilasters, 4 points each, that stand out from the centre by a share `depth`.
+    """Add `bays` pilasters of 4 points to each edge, which stand out from the centre by the fraction `depth`.
 
-    Their sides point at the centre, from where the whole outline can thus still be seen.
+    Their sides point at the centre, so that all of the outline can still be seen from there.
     """
     along = np.roll(corners, -1, axis=0) - corners
     share = ((np.arange(bays)[:, None] + np.array([0.36, 0.36, 0.64, 0.64])) / bays).reshape(-1)
@@ -144,16 +145,16 @@ def _pilasters(corners: Floats, bays: int, depth: float) -> Floats:
 
 
 def _with_roof(
-    outline: Floats, rings: list[Ring], walls: tuple[float, float], inner: float, smooth: bool = False
-) -> Geometry:
-    """A loft with a parapet around a flat roof; `inner` is the roof's scale."""
+    outline: Floats, rings: list[LoftRing], walls: tuple[float, float], inner: float, smooth: bool = False
+) -> MeshGeometry:
+    """Make a loft with a parapet around a flat roof; `inner` is the roof's scale."""
     top = rings[-1][0]
     low = top - 0.3 * (top - rings[-2][0]) if len(rings) > 2 else 0.97
     return shapes.loft(outline, [*rings, _ring(top, inner), _ring(low, inner)], walls, ROOF_UV, smooth)
 
 
-def _balconies(bays: int) -> list[Geometry]:
-    """Slabs on the two long sides, four storeys of them."""
+def _balconies(bays: int) -> list[MeshGeometry]:
+    """Make slabs on the two long sides, on four storeys."""
     x = (np.arange(bays) + 0.5) / bays * 0.92 - 0.46
     return [
         _block((float(at), y, side * 0.335), (0.6 / bays, 0.02, 0.06))
@@ -163,11 +164,11 @@ def _balconies(bays: int) -> list[Geometry]:
     ]
 
 
-def _block(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Geometry:
+def _block(centre: tuple[float, float, float], size: tuple[float, float, float]) -> MeshGeometry:
     part = shapes.box().transformed(_placed(centre, size))
     vertices = part.vertices.copy()
     vertices["uv"] = ROOF_UV
-    return Geometry(vertices, part.indices)
+    return MeshGeometry(vertices, part.indices)
 
 
 def _placed(centre: tuple[float, float, float], size: tuple[float, float, float]) -> Floats:

@@ -1,9 +1,9 @@
 """The city: blocks of buildings of several shapes between streets, taller downtown.
 
-One block holds one building on a pitch of `PITCH` metres, so streets are straight, views along them deep,
-and at eye level most of the city is hidden. Buildings share meshes by shape and height, and vary by
-transform and material. By default about 1,900 objects and 1.1 million triangles, as the thesis's model of
-New York (7.1). The same seed gives the same city.
+Each block has one building, and blocks are `PITCH` metres apart. So streets are straight, views along them are deep,
+and at eye level most of the city is hidden. Buildings share meshes by shape and height, and differ by transform and
+material. By default there are about 1,900 objects and 1.1 million triangles, as in the thesis's model of New York
+(7.1). The same seed gives the same city.
 """
 
 from __future__ import annotations
@@ -18,24 +18,25 @@ from renderer.content.buildings import KINDS, make_building, make_lamp, make_tre
 from renderer.content.shapes import plane
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.textures import paint_facade, paint_street
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Perspective
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import Floats, multiply, rotation, scaling, translation
+from renderer.scene.transforms import multiply, rotation, scaling, translation
 
 __rhi_internal__ = True
 
 PITCH: Final = 34.0
-"""Metres from one street's middle to the next."""
+"""Distance in metres from the middle of one street to that of the next."""
 
 STREET: Final = 11.0
-"""Metres from kerb to kerb."""
+"""Width of a street in metres, from kerb to kerb."""
 
 EYE_HEIGHT: Final = 1.8
 
 _LOT: Final = PITCH - STREET - 3.0  # 1.5 m of pavement on each side
 _STOREY: Final = 3.4
-_FLOORS: Final = (4, 10, 26)  # storeys for which meshes are made; instances stretch them to theirs
+_FLOORS: Final = (4, 10, 26)  # numbers of storeys of the meshes; instances are scaled to their height
 
 _WALLS: Final = np.array(
     [
@@ -47,7 +48,7 @@ _GLASS: Final = np.array([(0.42, 0.55, 0.62), (0.36, 0.46, 0.50), (0.52, 0.56, 0
 
 
 def make_city(blocks: int, detail: int, seed: int) -> Scene:
-    """A city of `blocks` x `blocks`; `detail` divides facades, `seed` varies everything."""
+    """Make a city of `blocks` x `blocks`; `detail` sets how finely facades are divided, `seed` varies everything."""
     rng = np.random.default_rng([seed, 44])
     builder = SceneBuilder(f"city:blocks={blocks},detail={detail},seed={seed}")
     builder.background = (0.42, 0.60, 0.82)
@@ -87,7 +88,7 @@ CITY: Final = Generator(
 
 
 def _add_materials(builder: SceneBuilder, seed: int) -> dict[str, NDArray[np.int64]]:
-    """Material ids by facade style."""
+    """Add the materials; return their ids by facade style."""
     images = {style: builder.add_image(paint_facade(style, seed)) for style in ("punched", "ribbon", "glass")}
     stone: dict[str, Any] = {"specular_color": (0.03, 0.03, 0.03), "shininess": 16.0, "rim_strength": 0.05}
     pane: dict[str, Any] = {"specular_color": (0.5, 0.5, 0.5), "shininess": 90.0, "rim_strength": 0.35}
@@ -101,7 +102,7 @@ def _add_materials(builder: SceneBuilder, seed: int) -> dict[str, NDArray[np.int
 
 
 def _add_ground(builder: SceneBuilder, blocks: int, seed: int) -> None:
-    """Square tiles of streets, so that ground can be culled too, on a plain that reaches further."""
+    """Add tiles of streets, so that the ground can be culled too, and a plain around them."""
     image = builder.add_image(paint_street(STREET / PITCH, seed))
     streets = builder.add_material(texture=image, base_color=(1, 1, 1), shininess=24.0)
     plain = builder.add_material(base_color=(0.24, 0.27, 0.17), specular_color=(0, 0, 0))
@@ -142,7 +143,7 @@ def _add_buildings(
     count = len(centre)
     floors = height / _STOREY
     storeys = np.abs(np.log(floors[:, None] / np.array(_FLOORS))).argmin(1)
-    # Shares of each kind by height: houses and slabs low, towers high.
+    # Cumulative shares of the kinds, by height: houses and slabs are low, towers high.
     shares = np.array([(0.04, 0.02, 0.22, 0.06, 0.44, 0.22), (0.28, 0.12, 0.24, 0.10, 0.0, 0.26),
                        (0.40, 0.30, 0.0, 0.22, 0.0, 0.08)]).cumsum(1)  # fmt: skip
     kind = (rng.random(count)[:, None] > shares[storeys]).sum(1).clip(0, len(KINDS) - 1)
@@ -188,9 +189,9 @@ def _add_parks(
 
 
 def _street_route(blocks: int) -> Floats:
-    """Corners of the way along streets from one end of the city to the other, (k, 3).
+    """Return the corners (k, 3) of a route along streets from one end of the city to the other.
 
-    It goes along x and changes street three times, there and back around the middle street.
+    It leads along x and changes street three times, back and forth around the middle street.
     """
     streets = np.round(np.array([-0.12, 0.08, -0.05, 0.10]) * blocks) + blocks // 2
     turns = np.round(np.linspace(0, blocks, 5))

@@ -1,8 +1,8 @@
-"""Fountains: drops that are thrown up, fall, and are thrown anew; the simulation of the hall.
+"""Fountains: drops that are thrown up, fall, and are thrown again; the simulation of the hall.
 
-A fountain throws one drop each step, into the direction that its number and the step's say, so a drop's way
-depends on nothing but the step in which it was thrown. When all have been thrown anew, nothing is left of what
-was before.
+A fountain throws one drop in each step. Its direction is a function of the fountain's and the step's number, so a
+drop's flight depends on nothing but the step in which it was thrown. When all drops have been thrown again, nothing
+is left of an earlier state.
 """
 
 from __future__ import annotations
@@ -12,20 +12,19 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene.meshes import VERTEX, Geometry
-from renderer.scene.simulation import Rows
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats, Rows
+from renderer.scene.meshes import VERTEX, MeshGeometry
 
 __rhi_internal__ = True
 
 DROPS: Final = 90
-"""Of a fountain; one is thrown each step, and so each flies for so many of them."""
+"""Number of drops of a fountain. One is thrown in each step, so each flies for this number of steps."""
 
 _STEP: Final = 1.0 / 60.0
 _GRAVITY: Final = 9.81
-_UP: Final = (5.2, 6.8)  # metres a second
-_AWAY: Final = 0.55  # at most
-_SIZE: Final = 0.045  # from a drop's middle to its corners
+_UP: Final = (5.2, 6.8)  # least and greatest upward speed in m/s
+_AWAY: Final = 0.55  # greatest horizontal speed in m/s
+_SIZE: Final = 0.045  # from a drop's centre to its corners
 _CORNERS: Final = _SIZE * np.array([(1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1)]) / np.sqrt(3.0)
 _FACES: Final = np.array([(0, 1, 2), (0, 3, 1), (0, 2, 3), (1, 3, 2)])
 
@@ -33,14 +32,14 @@ BOUNDS: Final = (
     np.array([-1.0, 0.0, -1.0]) * (_AWAY * DROPS * _STEP) - _SIZE,
     np.array([1.0, 0.0, 1.0]) * (_AWAY * DROPS * _STEP) + (0.0, 0.5 * _UP[1] ** 2 / _GRAVITY, 0.0) + _SIZE,
 )
-"""Corners (3,) of what a fountain's drops never leave, around the nozzle at the origin."""
+"""The lower and upper corner (3,) of the box that drops never leave, with the nozzle at the origin."""
 
 
 class Fountains:
-    """`count` fountains, all at their own origins.
+    """The simulation of `count` fountains, each with its nozzle at its own origin.
 
     Attributes:
-        position, velocity: (count, DROPS, 3) metres, and metres a second.
+        position, velocity: (count, DROPS, 3) in m and m/s.
     """
 
     interval = _STEP
@@ -52,7 +51,7 @@ class Fountains:
         self.velocity: Floats = np.zeros((count, DROPS, 3))
 
     def step(self, members: Rows, numbers: Rows) -> None:
-        """Let the drops of `members` (j,) fly on, and throw one of each."""
+        """Move the drops of `members` (j,), and throw one drop of each."""
         velocity = self.velocity[members]
         velocity[:, :, 1] -= _GRAVITY * _STEP
         position = self.position[members] + velocity * _STEP
@@ -62,7 +61,7 @@ class Fountains:
         self.position[members], self.velocity[members] = position, velocity
 
     def _throw(self, members: Rows, numbers: Rows) -> Floats:
-        """Velocities (j, 3): a hash of member and step number, so that there is no state to skip."""
+        """Return velocities (j, 3): hashes of member and step number, so that skipping steps needs no state."""
         key = (members.astype(np.uint64) << np.uint64(40)) + numbers.astype(np.uint64) + np.uint64(self._seed)
         angle, away, up = (_hash(key * np.uint64(3) + np.uint64(part)) for part in range(3))
         away = _AWAY * np.sqrt(away)
@@ -71,14 +70,14 @@ class Fountains:
         return np.stack([away * np.cos(angle), rise, away * np.sin(angle)], axis=1)
 
     def vertices(self, member: int) -> NDArray[Any]:
-        """(12 * DROPS,) of `VERTEX`: a tetrahedron for each drop."""
+        """Return the vertices (12 * DROPS,) of `VERTEX`: a tetrahedron for each drop."""
         return _tetrahedra(self.position[member])
 
 
-def make_drops() -> Geometry:
-    """The mesh of a fountain before its first step: all drops at the nozzle."""
+def make_drops() -> MeshGeometry:
+    """Make the mesh of a fountain before its first step: all drops are at the nozzle."""
     vertices = _tetrahedra(np.zeros((DROPS, 3)))
-    return Geometry(vertices, np.arange(len(vertices), dtype=np.uint32))
+    return MeshGeometry(vertices, np.arange(len(vertices), dtype=np.uint32))
 
 
 def _tetrahedra(centres: Floats) -> NDArray[Any]:
@@ -91,7 +90,7 @@ def _tetrahedra(centres: Floats) -> NDArray[Any]:
 
 
 def _hash(key: NDArray[np.uint64]) -> Floats:
-    """In [0, 1): SplitMix64 (Steele, Lea and Flood, 2014)."""
+    """Hash to [0, 1) with SplitMix64 (Steele, Lea and Flood, 2014)."""
     x = (key + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
     x = (x ^ (x >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     x = (x ^ (x >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,4 +1,4 @@
-"""The grid: many copies of one mesh, built in or from a model file, in a square on the ground."""
+"""The grid: many copies of one mesh, a built-in one or a model file, in a square on the ground."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from renderer.content.models import read_geometry
 from renderer.content.shapes import BUILT_IN
 from renderer.content.specs import SEED, Generator, Option
 from renderer.scene.camera import Camera, Perspective
-from renderer.scene.meshes import Geometry
+from renderer.scene.meshes import MeshGeometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
 from renderer.scene.transforms import multiply, rotation, scaling, translation
@@ -24,7 +24,7 @@ _COLORS: Final = (
 
 
 def make_grid(mesh: str, count: int, spacing: float, seed: int) -> Scene:
-    """`count` copies of `mesh`, scaled to fit a metre and set `spacing` metres apart on y = 0."""
+    """Make a scene of `count` copies of `mesh`, scaled to fit a metre, `spacing` metres apart on y = 0."""
     rng = np.random.default_rng([seed, 3])
     geometry = _unit(BUILT_IN[mesh]() if mesh in BUILT_IN else read_geometry(mesh))
     builder = SceneBuilder(f"grid:mesh={mesh},count={count},spacing={spacing:g},seed={seed}")
@@ -73,8 +73,8 @@ GRID: Final = Generator(
 )
 
 
-def _unit(geometry: Geometry) -> Geometry:
-    """Scaled so that the longest side is a metre, standing on y = 0 over the origin."""
+def _unit(geometry: MeshGeometry) -> MeshGeometry:
+    """Scale a mesh so that its longest side is a metre, and place it on y = 0 over the origin."""
     lower, upper = geometry.bounds
     middle = 0.5 * (lower + upper) * (1.0, 0.0, 1.0) + lower * (0.0, 1.0, 0.0)
     size = float((upper - lower).max()) or 1.0

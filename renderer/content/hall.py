@@ -1,8 +1,8 @@
-"""The hall: rows of columns, flags that sway on poles, fountains, point and spot lights, deep views.
+"""The hall: rows of columns, swaying flags on poles, fountains, point and spot lights, deep views.
 
-Flags are chains of nodes (pole, then segment after segment of cloth, each turning about the end of the one
-before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the time
-alone. Cross walls with doorways divide the hall: what lies behind them is mostly hidden.
+Flags are chains of nodes (the pole, then the segments of the cloth, each of which rotates about the end of the one
+before), so this is the scene with moving objects and a deep hierarchy. Their motion depends on the time alone. Cross
+walls with doorways divide the hall: most of what lies behind them is hidden.
 """
 
 from __future__ import annotations
@@ -16,26 +16,28 @@ from renderer.content import shapes
 from renderer.content.fountains import BOUNDS, Fountains, make_drops
 from renderer.content.specs import SEED, Generator, Option
 from renderer.content.textures import paint_stripes
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Perspective
-from renderer.scene.meshes import Geometry, make_geometry
+from renderer.scene.meshes import MeshGeometry, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import Floats, multiply, rotation, scaling, translation
+from renderer.scene.transforms import multiply, rotation, scaling, translation
 
 __rhi_internal__ = True
 
 BAY: Final = 6.0
-"""Metres from column to column."""
+"""Distance between columns in metres."""
 
 SEGMENTS: Final = 6
-"""Pieces of cloth in a flag: the depth of its chain of nodes."""
+"""Number of segments of a flag's cloth: the depth of its chain of nodes."""
 
 _HEIGHT: Final = 9.0
 _CLOTH: Final = (0.34, 1.3)  # width of a segment and height of a flag, metres
 
 
 def make_hall(columns: int, rows: int, flags: int, fountains: int, detail: int, seed: int) -> Scene:
-    """A hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle aisle."""
+    """Make a hall of `columns` x `rows` columns with `flags` flags and `fountains` fountains along its middle
+    aisle."""
     rng = np.random.default_rng([seed, 8])
     options = f"columns={columns},rows={rows},flags={flags},fountains={fountains},detail={detail},seed={seed}"
     builder = SceneBuilder(f"hall:{options}")
@@ -58,7 +60,7 @@ HALL: Final = Generator(
         Option("columns", 24, "columns in each row", 2, 512),
         Option("rows", 4, "rows of columns", 2, 64),
         Option("flags", 32, "flags on poles", 0, 4096),
-        Option("fountains", 0, "fountains, simulated where they are seen", 0, 4096),
+        Option("fountains", 0, "fountains, simulated where they are drawn", 0, 4096),
         Option("detail", 8, "how finely columns are divided", 3, 64),
         SEED,
     ),
@@ -67,7 +69,7 @@ HALL: Final = Generator(
 
 
 def _add_shell(builder: SceneBuilder, length: float, width: float, columns: int) -> None:
-    """Floor and ceiling bay by bay, side walls, and cross walls with a doorway every sixth bay."""
+    """Add floor and ceiling bay by bay, side walls, and a cross wall with a doorway every sixth bay."""
     stone = builder.add_material(base_color=(0.42, 0.39, 0.35), specular_color=(0.08, 0.08, 0.08))
     floor = builder.add_material(
         base_color=(0.30, 0.22, 0.17), specular_color=(0.35, 0.33, 0.3), shininess=120.0, rim_strength=0.25
@@ -112,9 +114,9 @@ def _add_columns(builder: SceneBuilder, columns: int, rows: int, length: float, 
 
 
 def _flag_places(flags: int, length: float) -> Floats:
-    """Feet of the poles (flags, 3): two lines along the middle aisle, and then further ones."""
+    """Return the feet of the poles (flags, 3): two lines along the middle aisle, or more if there are many flags."""
     number = np.arange(flags)
-    lines = max(2, 2 * int(np.ceil(flags / (2.0 * length))))  # one metre between poles at least
+    lines = max(2, 2 * int(np.ceil(flags / (2.0 * length))))  # at least one metre between poles
     per_line = int(np.ceil(flags / lines)) or 1
     line, place = number // per_line, number % per_line
     side = np.where(line % 2, 1.0, -1.0) * (1.9 + 0.25 * (line // 2))
@@ -166,8 +168,8 @@ class _Sway:
         return multiply(self.hinge, rotation((0, 1, 0), angle))
 
 
-def _cloth(part: int, detail: int) -> Geometry:
-    """One segment from its hinge at x = 0, both sides; the flag's stripes run through all of them."""
+def _cloth(part: int, detail: int) -> MeshGeometry:
+    """Make both sides of one segment from its hinge at x = 0; the flag's stripes continue through all segments."""
     width, height = _CLOTH
     x, y = np.meshgrid(np.linspace(0.0, width, detail + 1), np.linspace(0.0, height, detail + 1))
     uv = np.stack([(part + x / width) / SEGMENTS, 1.0 - y / height], axis=-1).reshape(-1, 2)
@@ -186,7 +188,7 @@ def _cloth(part: int, detail: int) -> Geometry:
 
 
 def _add_fountains(builder: SceneBuilder, count: int, length: float, detail: int, seed: int) -> None:
-    """Basins on alternate sides of the middle aisle, a spray in each."""
+    """Add basins on alternating sides of the middle aisle, with a fountain in each."""
     if not count:
         return
     stone = builder.add_material(

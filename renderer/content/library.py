@@ -1,7 +1,6 @@
-"""What a user can ask for by text: scenes and cameras.
+"""Scenes and cameras by name, as users type them.
 
-A scene is a generator with options or a model file; a camera is a path's frame, a named view, or
-coordinates.
+A scene is a generator with options, or a model file. A camera is a frame of a path, a named view, or coordinates.
 """
 
 from __future__ import annotations
@@ -25,13 +24,13 @@ from rhi.errors import refuse
 __rhi_internal__ = True
 
 GENERATORS: Final[dict[str, Generator]] = {generator.name: generator for generator in (CITY, HALL, GRID)}
-"""Scene generators by name."""
+"""All scene generators by name."""
 
 
 def load_scene(text: str) -> Scene:
-    """The scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file.
+    """Load the scene that `text` names: `city`, `city:blocks=8,seed=3`, or the path of a model file.
 
-    Refuses unknown names, keys and values with what is allowed, and files as `load_model` does.
+    Unknown names, keys and values are refused, listing what is allowed; files are refused as by `load_model`.
     """
     name, _, options = text.partition(":")
     if name in GENERATORS:
@@ -44,7 +43,7 @@ def load_scene(text: str) -> Scene:
 
 
 def find_path(text: str, scene: Scene) -> CameraPath:
-    """The camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
+    """Return the camera path that `text` names: one of the scene's, or the file of a walk-through (`.json`)."""
     if text in scene.paths:
         return scene.paths[text]
     if Path(text).suffix.lower() != ".json":
@@ -53,10 +52,10 @@ def find_path(text: str, scene: Scene) -> CameraPath:
 
 
 def parse_camera(text: str, scene: Scene, frame: int = 0) -> Camera:
-    """The camera that `text` names in `scene`.
+    """Return the camera that `text` names in `scene`.
 
-    `text` is the name of a path or the file of a walk-through, of which `frame` is taken, the name of a view, a
-    position `x,y,z` that looks at the scene's centre, or a position and a target `x,y,z,x,y,z`.
+    `text` is the name of a path or the file of a walk-through, whose frame `frame` is used; the name of a view; a
+    position `x,y,z`, from which the camera looks at the scene's centre; or a position and a target `x,y,z,x,y,z`.
     """
     call = f"parse_camera({text!r})"
     if text in scene.paths or Path(text).suffix.lower() == ".json":

@@ -1,7 +1,7 @@
 """Model files: glTF, OBJ, PLY and STL as scenes, read by trimesh.
 
-trimesh is imported on first use (0.3 s). The node hierarchy of glTF is kept. Files that far-away origins
-would ruin in float32 are moved: positions are stored around each mesh's centre and a node moves them back.
+trimesh is imported on first use (0.3 s). The node hierarchy of glTF is kept. Meshes far from their origin would lose
+precision in float32: their positions are stored relative to the mesh's centre, and a node moves them back.
 """
 
 from __future__ import annotations
@@ -16,25 +16,28 @@ from typing import Any, Final
 import numpy as np
 
 from renderer import rules
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Perspective
-from renderer.scene.materials import Image
-from renderer.scene.meshes import Geometry, join, make_geometry
+from renderer.scene.materials import ImagePixels
+from renderer.scene.meshes import MeshGeometry, join, make_geometry
 from renderer.scene.paths import make_path
 from renderer.scene.scene import Scene, SceneBuilder
-from renderer.scene.transforms import Floats, is_affine, multiply, translation
+from renderer.scene.transforms import is_affine, multiply, translation
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
 FORMATS: Final = (".gltf", ".glb", ".obj", ".ply", ".stl")
-"""The extensions of files that can be read."""
+"""The extensions of the files that can be read."""
 
-_FAR: Final = 64.0  # a mesh this many times its size from its origin is stored around its centre
+_FAR: Final = (
+    64.0  # a mesh farther from its origin than this many times its size is stored relative to its centre
+)
 
 
 @dataclass(frozen=True, slots=True)
-class _Node:
-    """A node of the file: its parent's place in the list or -1, and its mesh's name or None."""
+class _FileNode:
+    """A node of the file, with its parent's index in the list or -1, and its mesh's name or None."""
 
     name: str
     parent: int
@@ -43,9 +46,9 @@ class _Node:
 
 
 def load_model(path: str) -> Scene:
-    """The scene in a model file; a sun is added, and cameras that fit.
+    """Load the scene in a model file, and add a sun and fitting cameras.
 
-    Refuses, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
+    Refused, naming the file: `scene-missing-file`, `scene-unknown-format`, `scene-unreadable-model`,
     `scene-empty-model`, `scene-bad-vertices`, `scene-bad-transform`.
     """
     meshes, nodes = _read(path)
@@ -69,8 +72,8 @@ def load_model(path: str) -> Scene:
     return scene
 
 
-def read_geometry(path: str) -> Geometry:
-    """All triangles of a model file as one mesh, in the file's world space."""
+def read_geometry(path: str) -> MeshGeometry:
+    """Load all triangles of a model file as one mesh, in the file's world space."""
     meshes, nodes = _read(path)
     worlds: list[Floats] = []
     parts = []
@@ -82,12 +85,12 @@ def read_geometry(path: str) -> Geometry:
     return join(parts)
 
 
-def _read(path: str) -> tuple[dict[str, Any], list[_Node]]:
-    """The file's triangle meshes by name, and its nodes, parents first."""
+def _read(path: str) -> tuple[dict[str, Any], list[_FileNode]]:
+    """Read the file's triangle meshes by name, and its nodes, parents before children."""
     file = Path(path)
     call = f"load_model({path!r})"
     if not file.exists():
-        refuse(rules.MISSING_FILE, call, path, tip=f"the path is taken from {Path.cwd()}")
+        refuse(rules.MISSING_FILE, call, path, tip=f"relative paths are resolved in {Path.cwd()}")
     if file.suffix.lower() not in FORMATS:
         refuse(rules.UNKNOWN_FORMAT, call, file.suffix or file.name, ", ".join(FORMATS))
     if file.is_file() and not file.stat().st_size:
@@ -115,22 +118,22 @@ def _read(path: str) -> tuple[dict[str, Any], list[_Node]]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keeps warnings about trimesh's own use of NumPy and pillow from our users."""
+    """Suppress warnings about trimesh's own use of NumPy and pillow."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         yield
 
 
-def _list_nodes(graph: Any, meshes: dict[str, Any]) -> list[_Node]:
+def _list_nodes(graph: Any, meshes: dict[str, Any]) -> list[_FileNode]:
     forest = graph.transforms
     order = [graph.base_frame]
-    nodes = [_Node(str(graph.base_frame), -1, np.eye(4), _mesh_at(forest, graph.base_frame, meshes))]
-    for parent, above in enumerate(order):  # grows while it is walked: breadth first
+    nodes = [_FileNode(str(graph.base_frame), -1, np.eye(4), _mesh_at(forest, graph.base_frame, meshes))]
+    for parent, above in enumerate(order):  # grows during the iteration: breadth first
         for name in forest.children.get(above, ()):
             matrix = forest.edge_data[(above, name)].get("matrix")
             local = np.eye(4) if matrix is None else np.array(matrix, np.float64)
             order.append(name)
-            nodes.append(_Node(str(name), parent, local, _mesh_at(forest, name, meshes)))
+            nodes.append(_FileNode(str(name), parent, local, _mesh_at(forest, name, meshes)))
     return nodes
 
 
@@ -139,8 +142,8 @@ def _mesh_at(forest: Any, name: Any, meshes: dict[str, Any]) -> str | None:
     return mesh if mesh in meshes else None
 
 
-def _convert(path: str, mesh: Any) -> tuple[Geometry, Floats]:
-    """The mesh in our arrays, and the centre (3,) that was taken from its positions."""
+def _convert(path: str, mesh: Any) -> tuple[MeshGeometry, Floats]:
+    """Convert a mesh of trimesh; return it and the centre (3,) that was subtracted from its positions."""
     call = f"load_model({path!r})"
     positions = np.array(mesh.vertices, np.float64)
     with np.errstate(over="ignore"):
@@ -157,7 +160,7 @@ def _convert(path: str, mesh: Any) -> tuple[Geometry, Floats]:
         refuse(
             rules.UNREADABLE_MODEL,
             call,
-            f"{path}: a face names vertex {faces.max()}",
+            f"{path}: a face refers to vertex {faces.max()}",
             f"0 to {len(positions) - 1}",
         )
     uv = _texture_coordinates(mesh, len(positions))
@@ -165,8 +168,8 @@ def _convert(path: str, mesh: Any) -> tuple[Geometry, Floats]:
 
 
 def _stored_normals(mesh: Any, count: int) -> Floats | None:
-    """Unit normals from the file, or None when there are none or a bad one."""
-    if "vertex_normals" not in mesh._cache:  # asking for the property would compute them
+    """Return the unit normals of the file, or None if there are none or any is invalid."""
+    if "vertex_normals" not in mesh._cache:  # reading the property would compute them
         return None
     normals = np.array(mesh.vertex_normals, np.float64)
     if normals.shape != (count, 3) or not np.isfinite(normals).all():
@@ -184,7 +187,7 @@ def _texture_coordinates(mesh: Any, count: int) -> Floats | None:
 
 
 def _add_material(builder: SceneBuilder, mesh: Any) -> int:
-    """Colours and texture of a mesh; what glTF calls roughness becomes an exponent."""
+    """Add a material with the colours and the texture of a mesh; glTF's roughness is converted to an exponent."""
     visual = mesh.visual
     material = getattr(visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
@@ -208,13 +211,13 @@ def _add_material(builder: SceneBuilder, mesh: Any) -> int:
     return builder.add_material(base_color=(*linear[:3], color[3]), texture=texture, rim_strength=0.1)
 
 
-def _pixels(image: Any) -> Image:
+def _pixels(image: Any) -> ImagePixels:
     with _quiet():
         return np.asarray(image.convert("RGBA"), np.uint8)
 
 
 def _unit_range(color: Any) -> Floats:
-    """A colour of three or four numbers as RGBA from 0 to 1."""
+    """Convert a colour of three or four numbers to RGBA from 0 to 1."""
     given = np.asarray(color)
     values = given.astype(np.float64) / (255.0 if given.dtype.kind in "ui" else 1.0)
     return np.clip(np.append(values, 1.0)[:4] if len(values) == 3 else values, 0.0, 1.0)
@@ -230,7 +233,7 @@ def _add_surroundings(builder: SceneBuilder) -> None:
 
 
 def _add_paths(scene: Scene) -> None:
-    """`ground` through the model low down, `sky` over it, along its longer side."""
+    """Add the paths `ground`, low through the model, and `sky`, above it, along its longer side."""
     lower, upper = scene.bounds
     size = np.maximum(upper - lower, 1e-3 * max(float((upper - lower).max()), 1e-6))
     middle = 0.5 * (lower + upper)

@@ -1,8 +1,8 @@
 """Built-in meshes: sheets, lathes, lofts, and the solids made of them.
 
 A sheet is a grid of points; its normal is columns x rows. Outlines are closed polygons in the xz plane,
-counter-clockwise seen from above, around a point from which every corner can be seen: that makes their
-caps fans. Texture coordinates have v = 0 at an image's first row, its top, so v falls where y rises.
+counter-clockwise seen from above, around a point from which every corner can be seen, so that their caps are fans.
+Texture coordinates have v = 0 at the first row of an image, its top, so v decreases where y increases.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from renderer.scene.meshes import VERTEX, Geometry, join
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats
+from renderer.scene.meshes import VERTEX, MeshGeometry, join
 
 __rhi_internal__ = True
 
 
-_SLIVER: Final = 1e-4  # a triangle thinner than this share of its length is dropped
+_SLIVER: Final = 1e-4  # a triangle is dropped if its area is less than this times its longest edge squared
 
 
-def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> Geometry:
-    """Quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
+def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | None = None) -> MeshGeometry:
+    """Make quads over a grid of points (rows, columns, 3); rows and columns are at least 2.
 
-    Without `normals` (rows, columns, 3) each quad is flat and has its own corners. `uv` is
-    (rows, columns, 2). Quads without an area, as at a pole, keep only the triangles that have one.
+    Without `normals` (rows, columns, 3) each quad is flat and has vertices of its own. `uv` is
+    (rows, columns, 2). Of degenerate quads, as at a pole, only the triangles with an area are kept.
     """
     grid = np.asarray(points, np.float64)
     rows, columns = grid.shape[:2]
@@ -41,22 +41,22 @@ def sheet(points: ArrayLike, uv: ArrayLike | None = None, normals: ArrayLike | N
         quads = np.stack([corner[:-1, :-1], corner[:-1, 1:], corner[1:, 1:], corner[1:, :-1]], -1).reshape(
             -1, 4
         )
-        return Geometry(vertices, _triangles(vertices["position"], quads))
+        return MeshGeometry(vertices, _triangles(vertices["position"], quads))
     count = (rows - 1) * (columns - 1)
     vertices = np.zeros((count, 4), VERTEX)
     for name, values in (("position", grid), ("uv", coordinates)):
         parts = (values[:-1, :-1], values[:-1, 1:], values[1:, 1:], values[1:, :-1])
         vertices[name] = np.stack([part.reshape(count, -1) for part in parts], axis=1)
     a, b, c, d = (vertices["position"][:, i].astype(np.float64) for i in range(4))
-    normal = np.cross(c - a, d - b)  # of the diagonals: right for quads that taper to a point
+    normal = np.cross(c - a, d - b)  # of the diagonals: correct for quads that taper to a point
     length = np.linalg.norm(normal, axis=1, keepdims=True)
     vertices["normal"] = (normal / np.maximum(length, 1e-30))[:, None]
     flat = vertices.reshape(-1)
-    return Geometry(flat, _triangles(flat["position"], np.arange(4 * count).reshape(count, 4)))
+    return MeshGeometry(flat, _triangles(flat["position"], np.arange(4 * count).reshape(count, 4)))
 
 
-def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> Geometry:
-    """A flat cap facing up over an outline (k, 2), around the origin."""
+def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> MeshGeometry:
+    """Make a flat cap over an outline (k, 2) around the origin, facing up."""
     ring = np.asarray(outline, np.float64)
     count = len(ring)
     vertices = np.zeros(count + 1, VERTEX)
@@ -66,11 +66,11 @@ def fan(outline: ArrayLike, y: float, uv: tuple[float, float] = (0.0, 0.0)) -> G
     vertices["uv"] = uv
     edge = np.arange(count)
     corners = np.stack([np.zeros(count, np.int64), 1 + edge, 1 + (edge + 1) % count], axis=1)
-    return Geometry(vertices, _without_slivers(vertices["position"], corners))
+    return MeshGeometry(vertices, _without_slivers(vertices["position"], corners))
 
 
-def box(detail: int = 1) -> Geometry:
-    """A cube from -1/2 to 1/2, each face `detail` by `detail` quads: 12 * detail² triangles."""
+def box(detail: int = 1) -> MeshGeometry:
+    """Make a cube from -1/2 to 1/2, with `detail` by `detail` quads on each face: 12 * detail² triangles."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     u, v = np.meshgrid(steps, steps)
     face = np.stack([u, v, np.full_like(u, 0.5)], axis=-1)
@@ -78,20 +78,20 @@ def box(detail: int = 1) -> Geometry:
     parts = []
     for axis in range(3):
         for sign in (1.0, -1.0):
-            turned = face * (sign, 1.0, sign)  # half a turn about the second axis keeps the orientation
+            turned = face * (sign, 1.0, sign)  # rotating by 180° about the second axis keeps the orientation
             parts.append(sheet(np.roll(turned, axis, axis=-1), uv))
     return join(parts)
 
 
-def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> Geometry:
-    """A square from -1/2 to 1/2 in xz, facing up."""
+def plane(detail: int = 1, uv_scale: tuple[float, float] = (1.0, 1.0)) -> MeshGeometry:
+    """Make a square from -1/2 to 1/2 in xz, facing up."""
     steps = np.linspace(-0.5, 0.5, detail + 1)
     x, z = np.meshgrid(steps, -steps)
     return sheet(np.stack([x, np.zeros_like(x), z], axis=-1), (np.stack([x, z], axis=-1) + 0.5) * uv_scale)
 
 
-def lathe(profile: ArrayLike, segments: int) -> Geometry:
-    """A surface of revolution about y: `profile` (k, 2) holds (radius, y), from the bottom up.
+def lathe(profile: ArrayLike, segments: int) -> MeshGeometry:
+    """Make a surface of revolution about y: `profile` (k, 2) holds (radius, y), from the bottom up.
 
     Normals are smooth around and flat along the profile; `segments` * k * 2 triangles at most.
     """
@@ -110,23 +110,23 @@ def lathe(profile: ArrayLike, segments: int) -> Geometry:
     return join(parts)
 
 
-def cylinder(segments: int = 24) -> Geometry:
-    """Radius 1/2, y from -1/2 to 1/2, with caps."""
+def cylinder(segments: int = 24) -> MeshGeometry:
+    """Make a cylinder of radius 1/2 with caps, y from -1/2 to 1/2."""
     return lathe([(0.0, -0.5), (0.5, -0.5), (0.5, 0.5), (0.0, 0.5)], segments)
 
 
-def cone(segments: int = 24) -> Geometry:
-    """Base radius 1/2 at y = -1/2, tip at y = 1/2."""
+def cone(segments: int = 24) -> MeshGeometry:
+    """Make a cone with a base of radius 1/2 at y = -1/2 and its tip at y = 1/2."""
     return lathe([(0.0, -0.5), (0.5, -0.5), (0.0, 0.5)], segments)
 
 
-def sphere(segments: int = 24) -> Geometry:
-    """Radius 1/2, smooth; `segments` around and half as many from pole to pole."""
+def sphere(segments: int = 24) -> MeshGeometry:
+    """Make a smooth sphere of radius 1/2, with `segments` around and half as many from pole to pole."""
     return _smooth_surface(lambda u, v: _sphere_point(u, v), segments, max(segments // 2, 3))
 
 
-def torus(segments: int = 32) -> Geometry:
-    """A ring in xz that fits into a unit cube, tube radius 1/8."""
+def torus(segments: int = 32) -> MeshGeometry:
+    """Make a torus in xz that fits into a unit cube, with a tube radius of 1/8."""
 
     def point(u: Floats, v: Floats) -> tuple[Floats, Floats]:
         out = np.stack([np.cos(u), np.zeros_like(u), -np.sin(u)], axis=-1)
@@ -136,7 +136,7 @@ def torus(segments: int = 32) -> Geometry:
     return _smooth_surface(lambda u, v: point(u, 2.0 * v), segments, max(segments // 2, 3))
 
 
-BUILT_IN: Final[dict[str, Callable[[], Geometry]]] = {
+BUILT_IN: Final[dict[str, Callable[[], MeshGeometry]]] = {
     "box": box,
     "plane": plane,
     "cylinder": cylinder,
@@ -144,7 +144,7 @@ BUILT_IN: Final[dict[str, Callable[[], Geometry]]] = {
     "sphere": sphere,
     "torus": torus,
 }
-"""The meshes that can be asked for by name."""
+"""The built-in meshes by name."""
 
 
 def loft(
@@ -153,11 +153,11 @@ def loft(
     walls: tuple[float, float],
     roof_uv: tuple[float, float] = (0.0, 0.0),
     smooth: bool = False,
-) -> Geometry:
-    """Walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
+) -> MeshGeometry:
+    """Make walls through `rings` (y, scale x, scale z) of an outline (k, 2), closed by a cap at the last ring.
 
-    Texture coordinates of steep parts run `walls` = (times around, times up per unit of y); flatter parts
-    all get `roof_uv`. `smooth` gives steep parts that face outwards normals away from the axis.
+    On steep parts the texture repeats `walls` = (times around, times per unit of y); flatter parts all get
+    `roof_uv`. With `smooth`, steep parts that face outwards have normals away from the axis.
     """
     shape = np.asarray(outline, np.float64)
     closed = np.concatenate([shape, shape[:1]])
@@ -175,7 +175,7 @@ def loft(
         radial /= np.maximum(np.linalg.norm(radial, axis=1, keepdims=True), 1e-9)
         outward = ~level & ((vertices["normal"] * radial).sum(1) > 0.0)
         vertices["normal"][outward] = radial[outward]
-    parts = [Geometry(vertices, side.indices)]
+    parts = [MeshGeometry(vertices, side.indices)]
     y, sx, sz = rings[-1]
     if sx > 0.0 and sz > 0.0:
         parts.append(fan(shape * (sx, sz), y, roof_uv))
@@ -184,7 +184,7 @@ def loft(
 
 def _smooth_surface(
     point: Callable[[Floats, Floats], tuple[Floats, Floats]], columns: int, rows: int
-) -> Geometry:
+) -> MeshGeometry:
     u, v = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, columns + 1), np.linspace(-0.5, 0.5, rows + 1) * np.pi)
     positions, normals = point(u, v)
     return sheet(positions, np.stack([u / (2.0 * np.pi), 0.5 - v / np.pi], axis=-1), normals)

@@ -1,7 +1,7 @@
 """Scene text: the grammar of generators, `name:key=value,key=value`.
 
-A generator lists its options with defaults and ranges; the text is parsed against that list, so that
-what is refused, what `--help` prints and what a generator receives come from one table.
+A generator lists its options with defaults and ranges. The text is parsed by that list, so that error messages, the
+output of `scenes` and the arguments of a generator come from one table.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from rhi.errors import refuse
 
 __rhi_internal__ = True
 
-Value = int | float | str
+OptionValue = int | float | str
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """One key of a generator; its type is that of `default`, `low` and `high` bound numbers."""
+    """An option of a generator. Its type is that of `default`; numbers must be from `low` to `high`."""
 
     name: str
-    default: Value
+    default: OptionValue
     meaning: str
     low: float = 0.0
     high: float = 0.0
 
     @property
     def allowed(self) -> str:
-        """What may be given, as text."""
+        """The allowed values, as text."""
         if isinstance(self.default, str):
             return self.meaning
         kind = "a whole number" if isinstance(self.default, int) else "a number"
         low, high = (f"{int(end):,}" if end == int(end) else f"{end:g}" for end in (self.low, self.high))
         return f"{kind} from {low} to {high}"
 
-    def parse(self, call: str, text: str) -> Value:
-        """`text` as this option's type, or a refusal."""
+    def parse(self, call: str, text: str) -> OptionValue:
+        """Convert `text` to this option's type; refuse values that aren't allowed."""
         if isinstance(self.default, str):
             if not text:
                 refuse(rules.BAD_VALUE, call, f"{self.name}=", self.allowed)
@@ -55,18 +55,18 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Generator:
-    """A scene made by a function of options: `build` takes every option by name."""
+    """A function that makes a scene: `build` takes every option by name."""
 
     name: str
     summary: str
     options: tuple[Option, ...]
     build: Callable[..., Scene]
 
-    def parse(self, text: str) -> dict[str, Value]:
-        """Every option's value, from `key=value,key=value` or defaults."""
+    def parse(self, text: str) -> dict[str, OptionValue]:
+        """Parse `key=value,key=value`; return the values of all options, defaults included."""
         call = f"{self.name}:{text}"
         known = {option.name: option for option in self.options}
-        values: dict[str, Value] = {option.name: option.default for option in self.options}
+        values: dict[str, OptionValue] = {option.name: option.default for option in self.options}
         seen: set[str] = set()
         for part in text.split(",") if text else []:
             key, equals, value = (piece.strip() for piece in part.partition("="))

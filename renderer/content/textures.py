@@ -1,4 +1,4 @@
-"""Textures painted with NumPy: facades with windows, streets. All are `IMAGE_SIZE` square."""
+"""Textures painted with NumPy: facades with windows, streets, flags. All are squares of `IMAGE_SIZE`."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ from typing import Final
 
 import numpy as np
 
-from renderer.scene.materials import Image
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats
+from renderer.scene.materials import ImagePixels
 
 __rhi_internal__ = True
 
 IMAGE_SIZE: Final = 256
-"""Width and height of every generated texture: one size, so that they can be layers of one array."""
+"""Width and height of all generated textures: one size, so that they can be layers of one array."""
 
 WINDOWS: Final = 4
-"""A facade texture is this many windows wide and high."""
+"""Number of windows in a facade texture, in each direction."""
 
 ROOF_UV: Final = (0.125, 0.125)
-"""The middle of a facade's one shuttered window, of an even grey: where roofs take their colour."""
+"""Texture coordinates for roofs: the middle of a facade's only shuttered window, which is a uniform grey."""
 
 _CELL = IMAGE_SIZE // WINDOWS
 
 
-def paint_facade(style: str, seed: int) -> Image:
-    """A facade of `WINDOWS` x `WINDOWS` windows, near white, to be tinted by a material's base colour.
+def paint_facade(style: str, seed: int) -> ImagePixels:
+    """Paint a facade of `WINDOWS` x `WINDOWS` windows, almost white, to be tinted by a material's base colour.
 
     Styles: "punched" windows in a wall, "ribbon" windows between bands, "glass" panes in thin frames.
     """
@@ -36,14 +36,14 @@ def paint_facade(style: str, seed: int) -> Image:
     }[style]
     wall = 0.86 + 0.05 * rng.standard_normal((IMAGE_SIZE // 4, IMAGE_SIZE // 4)).repeat(4, 0).repeat(4, 1)
     pixels = np.repeat(wall[..., None], 3, axis=2)
-    ramp = np.linspace(1.15, 0.8, _CELL)[:, None, None]  # the sky in the upper part of a pane
+    ramp = np.linspace(1.15, 0.8, _CELL)[:, None, None]  # the sky is reflected in the upper part of a pane
     for row in range(WINDOWS):
         for column in range(WINDOWS):
             cell = pixels[row * _CELL : (row + 1) * _CELL, column * _CELL : (column + 1) * _CELL]
             x0, x1, y0, y1 = (int(edge * _CELL) for edge in (left, right, top, bottom))
             tint = np.array([0.20, 0.27, 0.34]) * rng.uniform(0.75, 1.35)
             if rng.random() < 0.12:
-                tint = np.array([0.78, 0.68, 0.45])  # someone is at home
+                tint = np.array([0.78, 0.68, 0.45])  # a lit window
             cell[y0:y1, x0:x1] = tint * ramp[y0:y1]
             cell[y1 : y1 + 3, x0:x1] *= 0.7  # the shadow under the sill
             middle = (x0 + x1) // 2
@@ -53,11 +53,11 @@ def paint_facade(style: str, seed: int) -> Image:
     return _image(pixels)
 
 
-def paint_street(street: float, seed: int) -> Image:
-    """One block of ground, the street along its edges: `street` is the street's share of the width.
+def paint_street(street: float, seed: int) -> ImagePixels:
+    """Paint one block of ground with streets along its edges; `street` is the fraction of the width that they take.
 
-    Pavement in the middle, asphalt around it with a dashed centre line on the texture's border, and
-    stripes to cross on.
+    There is pavement in the middle, and around it asphalt with a dashed centre line on the texture's border and
+    zebra crossings.
     """
     rng = np.random.default_rng([seed, 17])
     noise = rng.standard_normal((IMAGE_SIZE, IMAGE_SIZE))
@@ -86,14 +86,16 @@ def paint_street(street: float, seed: int) -> Image:
     return _image(pixels)
 
 
-def paint_stripes(first: tuple[float, float, float], second: tuple[float, float, float], count: int) -> Image:
-    """`count` pairs of level stripes in two sRGB colours: a flag."""
+def paint_stripes(
+    first: tuple[float, float, float], second: tuple[float, float, float], count: int
+) -> ImagePixels:
+    """Paint a flag: `count` pairs of horizontal stripes in two sRGB colours."""
     bands = (np.arange(IMAGE_SIZE) * 2 * count // IMAGE_SIZE) % 2 == 0
     column = np.where(bands[:, None], first, second)
     return _image(np.repeat(column[:, None], IMAGE_SIZE, axis=1))
 
 
-def _image(pixels: Floats) -> Image:
+def _image(pixels: Floats) -> ImagePixels:
     opaque = np.full((*pixels.shape[:2], 4), 255, np.uint8)
     opaque[..., :3] = np.clip(np.round(pixels * 255.0), 0, 255)
     return opaque

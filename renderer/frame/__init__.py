@@ -1,7 +1,7 @@
-"""A frame: the scene on a device, what is drawn to, and what a technique is given."""
+"""A frame: the scene on a device, the targets, and the pass in which a technique draws the scene."""
 
 from renderer.frame.frame import Frame, Targets
-from renderer.frame.passes import Drawn, ScenePass
+from renderer.frame.passes import Drawn, TechniquePass
 from renderer.frame.resources import MirroredArray, SceneResources
 
-__all__ = ["Drawn", "Frame", "MirroredArray", "ScenePass", "SceneResources", "Targets"]
+__all__ = ["Drawn", "Frame", "MirroredArray", "SceneResources", "Targets", "TechniquePass"]

@@ -1,4 +1,5 @@
-"""A technique's pass over the scene, drawn as the visibility algorithm says, and what was drawn in it."""
+"""The pass in which a technique draws the scene as the visibility algorithm decides, and a record of what was
+drawn."""
 
 from __future__ import annotations
 
@@ -14,20 +15,20 @@ from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
-from renderer.visibility.boxes.volumes import Side, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
 
 _DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}
-"""What depth is cleared to, and the test that the nearer fragment passes."""
+"""The depth to clear to, and the depth function that nearer fragments pass."""
 
 _WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
 
 
 class Drawn:
-    """What was drawn: rows that the CPU chose, and lists that the device made.
+    """The objects drawn in a frame: rows that the CPU has chosen, and lists that the device has made.
 
-    A list is read when it is first asked for, which waits for the device, and only as long as the next frame
-    hasn't made another.
+    A list is read back when it is first needed, which waits for the device. It is available until the next frame
+    makes another one.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -36,36 +37,38 @@ class Drawn:
         self._lists: list[tuple[DeviceList, int]] = []
 
     def add_list(self, draws: DeviceList) -> None:
-        """A list that was drawn."""
+        """Record that a list was drawn."""
         self._lists.append((draws, draws.generation))
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """Of all objects drawn, in the order of their batches."""
+        """The rows of all objects drawn, in the order of their batches."""
         for draws, generation in self._lists:
             if draws.generation != generation:
                 refuse(
-                    rules.STALE_LIST, "FrameResult.visible", f"after {draws.generation - generation} others"
+                    rules.STALE_LIST,
+                    "FrameResult.visible",
+                    f"a list that was replaced {draws.generation - generation} times",
                 )
         lists = [draws.read_rows() for draws, _ in self._lists]
         return np.concatenate([np.zeros(0, np.int64), *self.batches, *lists])
 
     @cached_property
     def triangles(self) -> int:
-        """Of all objects drawn."""
+        """The number of triangles of all objects drawn."""
         return self._scene.count_triangles(self.rows)
 
 
-class ScenePass:
-    """The scene drawn with one program to one set of targets; a visibility algorithm decides what and when.
+class TechniquePass:
+    """A `ScenePass`: draws the scene with one program to one set of targets, as a visibility algorithm decides.
 
-    The pass may be closed and opened again; it is cleared when it is first opened. Rows are drawn in one call,
-    front to back, for what is near hides what is drawn after it: by the depth of their boxes' farthest corners, so
-    that what stands on a wide ground is drawn before the ground. Those whose transform mirrors them need the other
-    winding, and another call.
+    The pass may be closed and opened again; its targets are cleared when it is first opened. The rows of a batch are
+    drawn in one call, front to back, because near objects hide what is drawn after them. They are sorted by the depth
+    of their boxes' farthest corners, so that objects on a wide ground are drawn before the ground. Objects whose
+    transform mirrors them need the other winding, and another call.
 
     Attributes:
-        depth: the depth target. drawn: what was drawn. was_opened: whether the pass was ever open.
+        depth: the depth target. drawn: the objects drawn. was_opened: whether the pass has ever been open.
     """
 
     def __init__(
@@ -94,11 +97,11 @@ class ScenePass:
 
     @property
     def arrays(self) -> SceneArrays:
-        """The scene, up to date."""
+        """The scene's buffers, up to date."""
         return self._resources.arrays
 
     def open(self) -> None:
-        """Begin the pass, unless it is open."""
+        """Begin the pass unless it is open."""
         if self._scopes is not None:
             return
         far, nearer = _DEPTH[self._camera.projection.depth]
@@ -117,11 +120,11 @@ class ScenePass:
         self.was_opened = True
 
     def close(self) -> None:
-        """End the pass, if it is open; what was drawn is kept."""
+        """End the pass if it is open. What was drawn is kept."""
         self.__exit__(None, None, None)
 
-    def __call__(self, rows: NDArray[np.int64]) -> None:
-        """Draw the objects with these rows."""
+    def draw(self, rows: NDArray[np.int64]) -> None:
+        """Draw the objects `rows` (k,)."""
         self.open()
         self.drawn.batches.append(rows)
         resources = self._resources
@@ -130,8 +133,8 @@ class ScenePass:
             objects, forward = resources.scene.objects, self._camera.forward
             far = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
             rows = rows[np.argsort(far, kind="stable")]
-        for turned, winding in _WINDINGS:
-            part = resources.take_winding(rows, mirrored=turned)
+        for mirrored, winding in _WINDINGS:
+            part = resources.take_winding(rows, mirrored=mirrored)
             if part.size:
                 with self._device.states(winding):
                     self._device.draw_many(
@@ -139,20 +142,21 @@ class ScenePass:
                     )
 
     def draw_list(self, draws: DeviceList) -> None:
-        """Draw what the device has listed; of what is simulated, it may list all that is not outside the view."""
+        """Draw the objects that the device has listed. Simulated objects that are not outside the view are stepped,
+        since any of them may be on the list."""
         self.open()
         simulated = self._resources.simulator.objects
         if len(simulated):
             side = classify(self._camera.frustum.planes, fit_aligned(self._resources.scene, simulated))
-            self._resources.simulate(simulated[side != Side.OUTSIDE])
+            self._resources.simulate(simulated[side != Containment.OUTSIDE])
         self.drawn.add_list(draws)
-        for turned, winding in _WINDINGS:
-            if self._resources.has_winding(mirrored=turned):
+        for mirrored, winding in _WINDINGS:
+            if self._resources.has_winding(mirrored=mirrored):
                 with self._device.states(winding):
                     self._device.draw_indirect(
                         self._program,
                         self._resources.mesh,
-                        draws.arguments(mirrored=turned),
+                        draws.arguments(mirrored=mirrored),
                         **self._bindings,
                     )
 

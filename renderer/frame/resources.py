@@ -1,10 +1,11 @@
-"""A scene's arrays on a device: written when they differ from what the device has, and only then.
+"""The buffers of a scene on a device. They are written only where they differ from what the device holds.
 
-- All meshes are one mesh, all images the layers of one array texture, per-object data one row each: a whole
-  scene can be one `draw_many`, in which an object's row is its draw's base instance.
-- An object is a row of two arrays: `places` (32 bytes) says where it is and which mesh, `objects` (112 bytes)
-  all else. Positions are pairs of floats, from which shaders subtract the eye's: a moved eye is one constant.
-- What can't move isn't looked at again, so that a frame costs the CPU the same however many objects stand still.
+- All meshes are one mesh, all images are the layers of one array texture, and per-object data is one row each. So a
+  whole scene can be one `draw_many`, in which an object's row is the base instance of its draw.
+- An object is a row of two arrays: `places` (32 bytes) has its position and mesh, `objects` (112 bytes) all else.
+  Positions are pairs of floats, from which shaders subtract the eye's position: a moved eye changes one constant.
+- Objects that can't move aren't examined again, so that a frame costs the CPU the same however many of them there
+  are.
 """
 
 from __future__ import annotations
@@ -25,20 +26,20 @@ from rhi import Device, Format, Mesh, StorageBuffer, Texture, TextureKind, Unifo
 from rhi.shading import Struct
 
 
-class _Made(Protocol):
+class _Destroyable(Protocol):
     def destroy(self) -> None: ...
 
 
-R = TypeVar("R", bound=_Made)
+R = TypeVar("R", bound=_Destroyable)
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 
 LARGEST_IMAGE = 2048
-"""Images are scaled down to this many texels on a side."""
+"""The largest width and height of images in texels; larger ones are scaled down."""
 
 
 class MirroredArray(Generic[T]):
-    """A storage buffer that follows an array; there is none while the array is empty."""
+    """A storage buffer that mirrors an array. There is no buffer while the array is empty."""
 
     def __init__(self, device: Device, element: type[T], label: str) -> None:
         self.buffer: StorageBuffer[T] | None = None
@@ -51,10 +52,10 @@ class MirroredArray(Generic[T]):
         return 0 if self.buffer is None else self.buffer.count
 
     def write(self, array: NDArray[Any], begin: int = 0, end: int | None = None) -> None:
-        """Let the buffer hold `array`: of the element's std430 layout, names aside.
+        """Make the buffer hold `array`, whose dtype must have the element's std430 layout, names aside.
 
-        From the first to the last row that differ, rows are uploaded. Only rows from `begin` to `end` are looked
-        at: the others are known to be what they were.
+        The rows from the first to the last that differ are uploaded. Only the rows from `begin` to `end` are
+        compared: the others must be unchanged.
         """
         if not len(array):
             self.destroy()
@@ -78,59 +79,59 @@ class MirroredArray(Generic[T]):
         buffer.write(rows.reshape(-1).view(base).reshape(-1, *shape), first)
 
     def destroy(self) -> None:
-        """Give the buffer back."""
+        """Destroy the buffer."""
         if self.buffer is not None:
             self.buffer.destroy()
             self.buffer = None
 
 
 class MirroredValue(Generic[S]):
-    """A uniform buffer that follows a struct's value."""
+    """A uniform buffer that mirrors the value of a struct."""
 
     def __init__(self, device: Device, value: S) -> None:
         self.buffer: UniformBuffer[S] = device.uniform(value)
         self._value = value
 
     def write(self, value: S) -> None:
-        """Let the buffer hold `value`; uploads it if it differs."""
+        """Make the buffer hold `value`; it is uploaded if it has changed."""
         if value != self._value:
             self.buffer.write(value)
             self._value = value
 
     def destroy(self) -> None:
-        """Give the buffer back."""
+        """Destroy the buffer."""
         self.buffer.destroy()
 
 
 class SceneResources:
-    """One scene on one device; techniques share it.
+    """One scene on one device, shared by techniques.
 
     Attributes:
-        mesh: all meshes in one; draws: (n,) of `rhi.DRAW`, one for each object.
-        mirrored: (n,) bool, whether an object's transform turns its triangles round.
-        images: the scene's images as layers, None without any.
-        objects, places, materials, directional, point, spot, light_rows: what shaders read, row by row;
-            point and spot lights are left out if none of them reaches an object.
-        view, ambient, haze: constants of the frame.
-        simulator: steps what is simulated, of what is drawn.
+        mesh: all meshes in one. draws: (n,) of `rhi.DRAW`, one for each object.
+        mirrored: (n,) bool, whether an object's transform mirrors it, which reverses the winding of its triangles.
+        images: the scene's images as layers; None if there are none.
+        objects, places, materials, directional, point, spot, light_rows: the arrays that shaders read; point and spot
+            lights are left out if none of them reaches an object.
+        view, ambient, haze: the constants of the frame.
+        simulator: steps the simulated objects that are drawn.
     """
 
     def __init__(self, device: Device, scene: Scene) -> None:
-        """What can't be made whole leaves nothing on the device."""
+        """If anything can't be created, nothing is left on the device."""
         with ExitStack() as made:
             self._made = made
             self._make(device, scene)
             self._made = made.pop_all()
 
     def _keep(self, resource: R) -> R:
-        """To be given back with the others."""
+        """Destroy the resource together with the others; return it."""
         self._made.callback(resource.destroy)
         return resource
 
     def _make(self, device: Device, scene: Scene) -> None:
         self.scene = scene
         self.simulator = Simulator(scene.simulated, len(scene.objects))
-        self._simulated: dict[int, int] = {}  # by object, the step whose vertices the device has
+        self._simulated: dict[int, int] = {}  # by object, the step of the vertices on the device
         self._device = device
         meshes, objects = scene.meshes, scene.objects
         self.mesh: Mesh = self._keep(device.mesh(meshes.vertices, meshes.indices, label=scene.name))
@@ -151,8 +152,8 @@ class SceneResources:
         self.point = keep(MirroredArray(device, shaders.PointLight, "point lights"))
         self.spot = keep(MirroredArray(device, shaders.SpotLight, "spot lights"))
         self.light_rows = keep(MirroredArray(device, int, "light rows"))
-        self._lit: tuple[NDArray[Any], ...] = ()  # what the lists were made from
-        self._reaching = (False, False)  # whether point lights are on them, and spot lights
+        self._lit: tuple[NDArray[Any], ...] = ()  # the state that the light lists were made from
+        self._reaching = (False, False)  # whether any point light is on a list, and any spot light
         self.view = keep(MirroredValue(device, _view(np.eye(4), np.zeros(3))))
         self.ambient = keep(MirroredValue(device, _ambient(scene)))
         self.haze = keep(MirroredValue(device, _haze(scene)))
@@ -168,7 +169,7 @@ class SceneResources:
 
     @cached_property
     def parts(self) -> StorageBuffer[shaders.MeshPart]:
-        """The meshes, for who makes draws on the device; made when first asked for."""
+        """The meshes' boxes and index ranges, for shaders that make draws; created on first use."""
         meshes = self.scene.meshes
         parts = np.zeros(len(meshes), shaders.MeshPart.dtype)
         parts["lower"], parts["upper"] = meshes.lower, meshes.upper
@@ -178,14 +179,14 @@ class SceneResources:
 
     @property
     def arrays(self) -> SceneArrays:
-        """The objects and meshes, as visibility algorithms of the device read them."""
+        """The buffers of objects and meshes, as visibility algorithms on the device read them."""
         objects, places = self.objects.buffer, self.places.buffer
-        assert objects is not None, "a scene has an object"
+        assert objects is not None, "a scene has at least one object"
         assert places is not None
         return SceneArrays(self.view.buffer, objects, places, self.parts)
 
     def simulate(self, rows: NDArray[np.int64]) -> None:
-        """Before the objects `rows` are drawn: let those that are simulated be as they are at this time."""
+        """Bring the simulated ones of the objects `rows` to the frame's time. Call it before they are drawn."""
         meshes, mesh_of = self.scene.meshes, self.scene.objects.mesh
         for one in self.simulator.advance(rows):
             if self._simulated.get(one.row) != one.number:
@@ -196,17 +197,18 @@ class SceneResources:
                 self._simulated[one.row] = one.number
 
     def has_winding(self, *, mirrored: bool) -> bool:
-        """Whether some object's transform turns its triangles round, or doesn't."""
+        """Return whether there are objects of one winding: mirrored ones, or others."""
         return self._windings[mirrored]
 
     def take_winding(self, rows: NDArray[np.int64], *, mirrored: bool) -> NDArray[np.int64]:
-        """Those of `rows` whose objects are mirrored, or aren't; scenes of one winding have them without a look."""
+        """Return those of `rows` whose objects are mirrored, or those that aren't. In a scene with only one winding
+        this takes no test."""
         if not self.has_winding(mirrored=mirrored):
             return rows[:0]
         return rows[self.mirrored[rows] == mirrored] if self.has_winding(mirrored=not mirrored) else rows
 
     def update(self, camera: Camera) -> None:
-        """Bring the device up to date with the scene as `camera` sees it."""
+        """Update the buffers to the scene as `camera` sees it."""
         scene, eye = self.scene, camera.position
         self._transform(scene.objects.dynamic_rows)
         self.objects.write(self._rows, *((0, None) if self._list_lights() else self._moving))
@@ -221,7 +223,7 @@ class SceneResources:
         self.haze.write(_haze(scene))
 
     def _transform(self, rows: NDArray[np.int64]) -> None:
-        """What says where the objects `rows` are."""
+        """Update the rows of the arrays that hold the transforms of the objects `rows`."""
         if not len(rows):
             return
         world = self.scene.nodes.world[self.scene.objects.node[rows]]
@@ -239,9 +241,9 @@ class SceneResources:
         self._places[rows] = place
 
     def _list_lights(self) -> bool:
-        """Give each object the lights that reach it; whether that may have changed.
+        """List the lights that reach each object, and return whether the lists may have changed.
 
-        Lists of what can't move come first, so that what moves doesn't move them.
+        The lists of static objects come first, so that lists of moving objects don't shift them.
         """
         objects, lights = self.scene.objects, self.scene.lights
         positions = np.concatenate([lights.point["position"], lights.spot["position"]])
@@ -258,7 +260,8 @@ class SceneResources:
         self._rows["lights_begin"][order] = ends[:-1]
         self._rows["points_end"][order] = ends[1:] - np.diff(spots)
         self._rows["lights_end"][order] = ends[1:]
-        room = 1 << (len(listed) - 1).bit_length() if len(listed) else 0  # not another buffer for each frame
+        # A power of two, so that the buffer isn't replaced in each frame.
+        room = 1 << (len(listed) - 1).bit_length() if len(listed) else 0
         light_rows = np.zeros(room, np.int32)
         light_rows[: len(listed)] = np.where(is_spot, listed - points, listed)
         self.light_rows.write(light_rows)
@@ -266,12 +269,12 @@ class SceneResources:
         return True
 
     def destroy(self) -> None:
-        """Give everything back."""
+        """Destroy all resources."""
         self._made.close()
 
 
 def _split(positions: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Doubles as pairs of floats whose sums they are, to 48 bits."""
+    """Split doubles into pairs of floats whose sums equal them to 48 bits."""
     high = positions.astype(np.float32)
     return high, (positions - high).astype(np.float32)
 
@@ -290,8 +293,8 @@ def _haze(scene: Scene) -> shaders.Haze:
 
 
 def _make_images(device: Device, scene: Scene) -> Texture | None:
-    """The scene's images as layers of the largest one's size: smaller ones are stretched, which leaves
-    texture coordinates as they are."""
+    """Create a texture with the scene's images as layers, of the largest one's size. Smaller images are stretched, so
+    that texture coordinates hold."""
     if not scene.images:
         return None
     limit = min(LARGEST_IMAGE, device.capabilities.max_texture_size)

@@ -1,1 +1,1 @@
-"""Which lights reach what."""
+"""Assignment of lights to the objects that they reach."""

@@ -1,24 +1,22 @@
-"""Which lights reach which objects: so that a fragment asks only the lights that may reach it."""
+"""Lists of the lights that reach each object, so that a fragment evaluates only lights that may reach it."""
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
+from renderer.scene.arrays import Floats, Rows
 
-_PAIRS = 1 << 20  # (object, light) pairs looked at together: 60 MB
+_PAIRS = 1 << 20  # (object, light) pairs tested at a time: 60 MB
 
 
 def list_lights(lower: Floats, upper: Floats, positions: Floats, ranges: Floats) -> tuple[Rows, Rows]:
-    """Lists of the lights within whose range a box begins, ascending, one after the other.
+    """List, for each box, the lights within whose range it lies at least in part, ascending.
 
     Args:
-        lower, upper: (n, 3) boxes. positions, ranges: (l, 3) and (l,) of the lights.
+        lower, upper: (n, 3) corners of the boxes. positions, ranges: (l, 3) and (l,) of the lights.
 
     Returns:
-        Where each list ends (n + 1,), from 0 on: object i has `lights[ends[i]:ends[i + 1]]`; and the lights.
+        `ends` (n + 1,) and `lights`, the concatenated lists: that of box i is `lights[ends[i]:ends[i + 1]]`.
     """
     step = max(_PAIRS // max(len(positions), 1), 1)
     counts, lists = [np.zeros(1, np.int64)], [np.zeros(0, np.int64)]

@@ -1,4 +1,4 @@
-"""Measurements: alternate what is compared, in one process; quote medians and ratios."""
+"""Measurements: what is compared alternates in one process, and results are medians and ratios."""
 
 from renderer.measure.alternate import Measurement, alternate
 from renderer.measure.frames import FrameCost, measure_frame

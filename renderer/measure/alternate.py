@@ -1,4 +1,4 @@
-"""Comparing times: one round runs everything once, so that whatever disturbs a machine disturbs all alike."""
+"""Comparison of times: each round runs all candidates once, so that disturbances of the machine affect all alike."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from time import perf_counter
 
 @dataclass(frozen=True, slots=True)
 class Measurement:
-    """The times of one of the things compared, in seconds, round by round."""
+    """The times of one candidate in seconds, round by round."""
 
     name: str
     seconds: tuple[float, ...]
 
     @property
     def median(self) -> float:
-        """Seconds."""
+        """The median time in seconds."""
         return median(self.seconds)
 
     def ratio_to(self, other: Measurement) -> float:
-        """The median over the rounds of this time to the other's of the same round."""
+        """Return the median over the rounds of the ratio of this time to the other's in the same round."""
         return median(a / b for a, b in zip(self.seconds, other.seconds, strict=True))
 
 
@@ -29,13 +29,13 @@ def alternate(
     work: Mapping[str, Callable[[int], object]], rounds: Iterable[int], warm_ups: int = 1,
     before: Callable[[str], object] = lambda name: None,
 ) -> dict[str, Measurement]:  # fmt: skip
-    """Time each of `work` once a round; each round starts with the next of them.
+    """Time each entry of `work` once per round; each round starts with another one.
 
     Args:
-        work: what to time, by name; called with the round's number. It must wait for what it starts.
+        work: the functions to time, by name; called with the round's number. They must wait for what they start.
         rounds: the rounds' numbers, at least one: a `range`, or a progress bar around one.
-        warm_ups: how often all are run before, untimed, with the number 0.
-        before: what is done untimed before each run, given its name.
+        warm_ups: how often all are run beforehand, untimed, with the number 0.
+        before: called before each run with its name, untimed.
     """
     names = list(work)
     for _ in range(warm_ups):

@@ -1,8 +1,8 @@
-"""The same passes on several backends: what a scene's depth, its light, its textures and its queries cost on each.
+"""The same passes on several backends: the cost of a scene's depth, lighting, textures and queries on each.
 
-Each pass does one kind of work, the same on all backends: all objects, no culling, front to back, one fixed camera.
-The CPU's share is what the device needs to be told; scene and camera are uploaded before. A time is from the first
-command until the device is done.
+Each pass does one kind of work, the same on all backends: all objects, without culling, front to back, one fixed
+camera. The CPU's part is only to record the commands; scene and camera are uploaded before. A time is from the first
+command until the device is finished.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ import numpy as np
 
 import rhi
 from renderer import rules
-from renderer.frame import SceneResources, Targets
-from renderer.frame.passes import ScenePass
+from renderer.frame import SceneResources, Targets, TechniquePass
 from renderer.measure.alternate import alternate
 from renderer.scene import Camera, Depth, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
@@ -38,13 +37,13 @@ from rhi import (
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, vec3, vec4
 
 PASSES: Final = {
-    "depth": "depth alone",
+    "depth": "depth only",
     "lit": "the forward shader without images",
     "textured": "the forward shader with the scene's images",
-    "queries": "a query for each of up to 1,000 objects' boxes, asked and read as one query set",
-    "waited": "the same one by one, each read before the next is asked",
+    "queries": "a query for each of up to 1,000 objects' boxes, issued and read as one query set",
+    "waited": "the same queries one by one, each read before the next is issued",
 }
-"""What can be timed."""
+"""The passes that can be timed."""
 _QUERIES: Final = 1000
 _CORNERS: Final = np.array([(x, y, z) for z in (0, 1) for y in (0, 1) for x in (0, 1)], bool)
 _FACES: Final = np.array([(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)])
@@ -53,8 +52,8 @@ _TRIANGLES: Final = _FACES[:, [0, 1, 2, 0, 2, 3]].reshape(-1)  # counter-clockwi
 
 @dataclass(frozen=True, slots=True)
 class BackendRow:
-    """A pass on a backend: the median time, and how many times as fast as the first backend it is: the median over
-    the rounds."""
+    """The cost of a pass on a backend: the median time, and `speed`, how many times as fast as the first backend it
+    is (the median over the rounds)."""
 
     name: str
     backend: str
@@ -63,7 +62,7 @@ class BackendRow:
 
 
 class DepthShader(Shader):
-    """The forward shader's positions alone."""
+    """Draws the forward shader's positions with no output but depth."""
 
     view: Uniform[View]
     objects: Storage[Object]
@@ -79,18 +78,18 @@ class DepthShader(Shader):
         pass
 
 
-class Corner(Struct):
-    """Of a box, relative to the eye."""
+class BoxVertex(Struct):
+    """A corner of a box, relative to the eye."""
 
     position: vec3
 
 
-class BoxShader(Shader):
-    """Boxes' depth."""
+class BoxDepthShader(Shader):
+    """Draws boxes with no output but depth."""
 
     view: Uniform[View]
 
-    def vertex(self, v: Corner) -> vec4:
+    def vertex(self, v: BoxVertex) -> vec4:
         return self.view.relative_view_projection @ vec4(v.position, 1.0)
 
     def fragment(self) -> None:
@@ -101,7 +100,7 @@ class BackendPasses:
     """The passes of one scene on one device, seen by one camera.
 
     Attributes:
-        targets: what is drawn to. resources: the scene. camera: with the targets' aspect.
+        targets: the targets. resources: the scene. camera: the camera, with the targets' aspect.
     """
 
     def __init__(self, device: Device, scene: Scene, camera: Camera, size: tuple[int, int]) -> None:
@@ -115,7 +114,7 @@ class BackendPasses:
         self.resources.simulate(self._rows)
         self._depth = device.program(DepthShader)
         self._forward: dict[bool, tuple[Program[Any], dict[str, Any]]] = {}
-        self._box = device.program(BoxShader)
+        self._box = device.program(BoxDepthShader)
         self._boxes: Mesh | None = None
         self._parts: list[Mesh] = []
         self._draws = np.zeros(0, rhi.DRAW)
@@ -123,7 +122,7 @@ class BackendPasses:
         self._queries: QuerySet | None = None
 
     def work(self, name: str) -> Callable[[int], object]:
-        """What to time for a pass of `PASSES`; it takes a round's number, and waits for the device."""
+        """Return the function to time for a pass of `PASSES`; it takes a round's number, and waits for the device."""
         if name in ("lit", "textured"):
             return lambda _: self._draw_lit(images=name == "textured")
         if name == "depth":
@@ -133,7 +132,7 @@ class BackendPasses:
         return lambda _: self.wait_for_boxes() if name == "waited" else self.count_boxes()
 
     def draw_depth(self) -> None:
-        """All objects' depth."""
+        """Draw the depth of all objects."""
         arrays = self.resources.arrays
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
         self._draw(self._depth, bindings, color=False)
@@ -149,11 +148,11 @@ class BackendPasses:
 
     def _draw(self, program: Program[Any], bindings: dict[str, Any], color: bool) -> None:
         image = self.targets.color if color else None
-        with ScenePass(
+        with TechniquePass(
             self.device, self.resources, self.camera, program, bindings,
             color=image, depth=self.targets.depth, clear=(*self.resources.scene.background, 1.0),
-        ) as scene:  # fmt: skip
-            scene(self._rows)
+        ) as scene_pass:  # fmt: skip
+            scene_pass.draw(self._rows)
         self.device.finish()
 
     def _prepare_boxes(self) -> None:
@@ -161,7 +160,7 @@ class BackendPasses:
             return
         objects = self.resources.scene.objects
         count = min(_QUERIES, len(objects))
-        # Spread over the scene: the first 1,000 of a generated city are one of its sides.
+        # Spread over the scene: the first 1,000 objects of a generated city are on one side of it.
         rows = np.linspace(0, len(objects) - 1, count).astype(np.int64)
         low, high, _ = pad_boxes(self.camera, objects.lower[rows], objects.upper[rows])
         corners = np.where(_CORNERS, high[:, None], low[:, None]) - self.camera.position
@@ -175,7 +174,7 @@ class BackendPasses:
         self._queries = self.device.query_set(count)
 
     def count_boxes(self) -> list[int]:
-        """Samples of each box that are nearer than the depth that was drawn last, all at once."""
+        """Return for each box the number of samples nearer than the last drawn depth, queried as one set."""
         boxes, queries = self._boxes, self._queries
         assert boxes is not None
         assert queries is not None
@@ -185,7 +184,7 @@ class BackendPasses:
         return samples
 
     def wait_for_boxes(self) -> list[int]:
-        """The same, one by one."""
+        """Return the same as `count_boxes`, waiting for each query before the next."""
         device, view, program, query = self.device, self.resources.view.buffer, self._box, self._query
         assert query is not None
         samples = []
@@ -202,7 +201,7 @@ class BackendPasses:
         return self.device.states(ColorWrite.OFF, DepthWrite.OFF, nearer)
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         if self._boxes is not None:
             self._boxes.destroy()
         for queries in (self._query, self._queries):
@@ -216,11 +215,12 @@ def compare_backends(
     scene: Scene, camera: Camera, backends: Sequence[str], passes: Sequence[str], size: tuple[int, int],
     rounds: Callable[[str], Iterable[int]],
 ) -> tuple[dict[str, str], list[BackendRow]]:  # fmt: skip
-    """A row for each pass on each backend, alternating within a pass; and the backends' devices by name.
+    """Return the backends' devices by name, and a row for each pass on each backend. Backends alternate within a
+    pass.
 
     Args:
-        backends: the first is what the others are compared with.
-        passes: of `PASSES`.
+        backends: names of backends; the others are compared with the first.
+        passes: names in `PASSES`.
         rounds: the rounds of a pass, by its name: a `range`, or a progress bar around one.
 
     Raises:

@@ -1,41 +1,41 @@
-"""Which objects are seen, exactly: each is drawn with its number as colour, and the nearest of each pixel is kept."""
+"""The exact set of visible objects: each object is drawn with its row as colour, and each pixel keeps the nearest."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from renderer.frame import ScenePass, SceneResources
+from renderer.frame import SceneResources, TechniquePass
 from renderer.scene import Camera, Scene
 from renderer.shaders import Object, ObjectPosition, Vertex, View, relative_position
 from rhi import Device, Format
 from rhi.shading import Shader, Storage, Struct, Uniform, instance_index, uint, vec4
 
 
-class Number(Struct):
-    """From vertex to fragment."""
+class RowVarying(Struct):
+    """The varyings of `RowShader`."""
 
     clip: vec4
     row: int
 
 
-class Numbered(Shader):
-    """An object's row + 1 as colour."""
+class RowShader(Shader):
+    """Draws an object's row + 1 as colour."""
 
     view: Uniform[View]
     objects: Storage[Object]
     places: Storage[ObjectPosition]
 
-    def vertex(self, v: Vertex) -> Number:
+    def vertex(self, v: Vertex) -> RowVarying:
         row = instance_index()
         position = self.objects[row].linear @ v.position + relative_position(self.places[row], self.view)
-        return Number(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
+        return RowVarying(clip=self.view.relative_view_projection @ vec4(position, 1.0), row=row)
 
-    def fragment(self, v: Number) -> uint:
+    def fragment(self, v: RowVarying) -> uint:
         return uint(v.row + 1)
 
 
 class ExactVisibility:
-    """Which objects a camera sees, pixel by pixel; where two surfaces tie, one of both."""
+    """Finds the objects that a camera sees, pixel by pixel; of two surfaces at equal depth, one."""
 
     def __init__(self, device: Device, scene: Scene, size: tuple[int, int]) -> None:
         """`size` is (width, height) in pixels."""
@@ -45,22 +45,22 @@ class ExactVisibility:
         self._depth = device.texture(size, Format.D32F)
 
     def find(self, camera: Camera) -> set[int]:
-        """Rows of the objects that cover a pixel; the scene must be up to date."""
+        """Return the rows of the objects that cover a pixel. The scene must be up to date."""
         resources = self._resources
         width, height = self._numbers.size
         camera = camera.with_aspect(width / height)
         resources.update(camera)
         arrays = resources.arrays
         bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-        program = self._device.program(Numbered)
-        with ScenePass(
+        program = self._device.program(RowShader)
+        with TechniquePass(
             self._device, resources, camera, program, bindings,
             color=self._numbers, depth=self._depth, clear=(0, 0, 0, 0),
-        ) as draw:  # fmt: skip
-            draw(np.arange(len(self._scene.objects)))
+        ) as scene_pass:  # fmt: skip
+            scene_pass.draw(np.arange(len(self._scene.objects)))
         return set((np.unique(self._numbers.read()).astype(np.int64) - 1).tolist()) - {-1}
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         for part in (self._resources, self._numbers, self._depth):
             part.destroy()

@@ -1,4 +1,4 @@
-"""What frames cost: the time until the GPU is done, and the counters."""
+"""The cost of frames: the time until the GPU is finished, and the counters."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from renderer.scene import Camera
 
 @dataclass(frozen=True, slots=True)
 class FrameCost:
-    """Milliseconds of one frame, from the scene's update until the GPU is done, and its counters."""
+    """The cost of one frame: milliseconds from the scene's update until the GPU is finished, and counters."""
 
     milliseconds: float
     statistics: FrameStatistics
 
     @staticmethod
     def summarize(costs: Sequence[FrameCost]) -> dict[str, float | dict[str, float]]:
-        """Least, median and greatest milliseconds, and the mean of each counter in whole numbers, of at least
-        one frame."""
+        """Return the minimum, median and maximum of the milliseconds, and the rounded mean of each counter.
+
+        There must be at least one frame.
+        """
         times = [cost.milliseconds for cost in costs]
         return {
             "milliseconds": {"min": min(times), "median": median(times), "max": max(times)},
@@ -32,7 +34,7 @@ class FrameCost:
 
 
 def measure_frame(renderer: Renderer, camera: Camera, seconds: float) -> tuple[FrameResult, FrameCost]:
-    """Render one frame and wait for it."""
+    """Render one frame, wait for the device, and return the result and its cost."""
     began = perf_counter()
     result = renderer.render(camera, seconds)
     renderer.device.finish()

@@ -1,8 +1,8 @@
 """Pictures of what was culled and why (thesis, Figures 6.1 and 6.3): from the camera, and from above.
 
-Each object's bounding box has the colour of its fate. The camera's picture is what the algorithm drew, with boxes
-as edges: those of hidden objects are seen through what hides them. From above boxes are solid, and white lines
-are the edges of what the camera sees.
+Each object's bounding box is coloured by the object's outcome. The picture from the camera is the frame that the
+algorithm drew, with the edges of the boxes; those of hidden objects are drawn over what hides them. In the picture
+from above the boxes are solid, and white lines mark the edges of the camera's view.
 """
 
 from __future__ import annotations
@@ -19,16 +19,15 @@ from numpy.typing import NDArray
 from renderer.content import BUILT_IN
 from renderer.renderer import FrameResult, Renderer
 from renderer.scene import Camera, Depth, Orthographic, Scene
+from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.bounds import find_near, pad_boxes
-from renderer.visibility.boxes.volumes import Side, classify, fit_aligned
+from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, Format, Mesh, Primitive, Program
 from rhi.shading import Shader, Storage, Struct, Uniform, dot, instance_index, mat4, vec3, vec4
 
-Rows = NDArray[np.int64]
-
 
 class CullingOutcome(IntEnum):
-    """What became of an object."""
+    """The outcome of culling for an object."""
 
     OUTSIDE = 0
     CROSSING = 1
@@ -44,18 +43,18 @@ COLORS: Final = {
     CullingOutcome.OCCLUDED: (0.12, 0.25, 0.95),
     CullingOutcome.NEAR: (0.10, 0.90, 0.95),
 }
-"""As in the thesis, linear."""
+"""Linear colours of the outcomes, as in the thesis."""
 
 MEANINGS: Final = {
     CullingOutcome.OUTSIDE: "outside the frustum",
     CullingOutcome.CROSSING: "across its edge, drawn",
     CullingOutcome.INSIDE: "inside it, drawn",
     CullingOutcome.OCCLUDED: "hidden by others",
-    CullingOutcome.NEAR: "too near to be asked for, drawn",
+    CullingOutcome.NEAR: "too near for a query, drawn",
 }
 
-_THROUGH: Final = (CullingOutcome.OCCLUDED, CullingOutcome.NEAR)  # whose edges are seen through everything
-_SPREAD: Final = 0.05  # of the picture from above: what covers more of it, streets say, isn't shown there
+_THROUGH: Final = (CullingOutcome.OCCLUDED, CullingOutcome.NEAR)  # whose edges are drawn without a depth test
+_SPREAD: Final = 0.05  # of the picture from above: boxes that cover more of it, such as streets, aren't shown
 _NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
 
 
@@ -68,27 +67,27 @@ class Mark(Struct):
 
 
 class MarkCamera(Struct):
-    """From positions relative to the eye to clip space."""
+    """The matrix from positions relative to the eye to clip space."""
 
     relative_view_projection: mat4
 
 
 class MarkCorner(Struct):
-    """Of a cube from -1/2 to 1/2."""
+    """A vertex of a cube from -1/2 to 1/2."""
 
     position: vec3
     normal: vec3
 
 
 class MarkVarying(Struct):
-    """Where a mark is and what it looks like there."""
+    """The varyings of `MarkShader`."""
 
     clip: vec4
     color: vec3
 
 
 class MarkShader(Shader):
-    """Boxes lit from one side, so that their shape shows."""
+    """Draws boxes lit from one side, so that their shape can be seen."""
 
     camera: Uniform[MarkCamera]
     marks: Storage[Mark]
@@ -105,22 +104,22 @@ class MarkShader(Shader):
         return vec4(v.color, 1.0)
 
 
-def find_fates(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
-    """(n,) of `CullingOutcome`: of all objects, when those with the rows `drawn` were drawn."""
+def find_outcomes(scene: Scene, camera: Camera, drawn: Rows) -> NDArray[np.uint8]:
+    """Return the outcomes (n,) of `CullingOutcome` of all objects, given the rows of those `drawn`."""
     everything = np.arange(len(scene.objects))
     boxes = fit_aligned(scene, everything)
     side = classify(camera.frustum.planes, boxes)
     near = find_near(camera, *pad_boxes(camera, boxes.lower, boxes.upper))
     is_drawn = np.isin(everything, drawn)
-    fate = np.where(side == Side.INSIDE, CullingOutcome.INSIDE, CullingOutcome.CROSSING)
-    fate = np.where(near, CullingOutcome.NEAR, np.where(is_drawn, fate, CullingOutcome.OCCLUDED))
-    return np.where(side == Side.OUTSIDE, CullingOutcome.OUTSIDE, fate).astype(np.uint8)
+    outcome = np.where(side == Containment.INSIDE, CullingOutcome.INSIDE, CullingOutcome.CROSSING)
+    outcome = np.where(near, CullingOutcome.NEAR, np.where(is_drawn, outcome, CullingOutcome.OCCLUDED))
+    return np.where(side == Containment.OUTSIDE, CullingOutcome.OUTSIDE, outcome).astype(np.uint8)
 
 
 def picture_from_camera(
-    renderer: Renderer, camera: Camera, result: FrameResult, fates: NDArray[np.uint8]
+    renderer: Renderer, camera: Camera, result: FrameResult, outcomes: NDArray[np.uint8]
 ) -> NDArray[np.uint8]:
-    """(h, w, 4) sRGB: the frame as it came out, and the edges of all boxes that aren't outside."""
+    """Return (h, w, 4) sRGB: the frame as it was drawn, with the edges of all boxes that aren't outside."""
     device, scene = renderer.device, renderer.scene
     camera = camera.with_aspect(renderer.size[0] / renderer.size[1])
     nearer = _NEARER[camera.projection.depth]
@@ -129,14 +128,19 @@ def picture_from_camera(
         device.render_pass(result.image, result.depth),
         device.states(CullMode.NONE, DepthWrite.OFF, nearer),
     ):
-        for fate in (CullingOutcome.OCCLUDED, CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR):
-            with device.states(DepthTest.OFF if fate in _THROUGH else DepthTest.ON):
-                marks.draw_boxes(scene, camera, np.flatnonzero(fates == fate), fates, solid=False)
+        for outcome in (
+            CullingOutcome.OCCLUDED,
+            CullingOutcome.CROSSING,
+            CullingOutcome.INSIDE,
+            CullingOutcome.NEAR,
+        ):
+            with device.states(DepthTest.OFF if outcome in _THROUGH else DepthTest.ON):
+                marks.draw_boxes(scene, camera, np.flatnonzero(outcomes == outcome), outcomes, solid=False)
     return np.asarray(result.image.read())
 
 
-def picture_from_above(renderer: Renderer, camera: Camera, fates: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """(h, w, 4) sRGB: all boxes but those that cover more than a twentieth of the picture, the widest."""
+def picture_from_above(renderer: Renderer, camera: Camera, outcomes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return (h, w, 4) sRGB: all boxes except those that cover more than a twentieth of the picture."""
     device, scene, (width, height) = renderer.device, renderer.scene, renderer.size
     rows, above = look_from_above(scene, width / height)
     with (
@@ -148,19 +152,21 @@ def picture_from_above(renderer: Renderer, camera: Camera, fates: NDArray[np.uin
             device.states(DepthTest.OFF, DepthWrite.OFF),
         ):
             with device.states(CullMode.BACK):
-                marks.draw_boxes(scene, above, rows, fates, solid=True)
+                marks.draw_boxes(scene, above, rows, outcomes, solid=True)
             with device.states(CullMode.NONE):
                 marks.draw_lines(above, find_edges(camera.with_aspect(width / height), above))
         return np.asarray(color.read())
 
 
 def look_from_above(scene: Scene, aspect: float) -> tuple[Rows, Camera]:
-    """The objects to show from above, the widest first so that no roof hides what is below it, and a camera that
-    sees them all."""
+    """Return the objects to show from above, and a camera that sees them all.
+
+    The widest objects come first, so that no roof hides what is below it.
+    """
     lower, upper = scene.objects.lower, scene.objects.upper
     size = upper - lower
     rows = np.arange(len(lower))
-    while True:  # the widest go, and the picture becomes smaller
+    while True:  # without the widest objects the picture covers less ground
         low, high = lower[rows].min(axis=0), upper[rows].max(axis=0)
         ground = max(float((high - low)[0] * (high - low)[2]), 1e-12)
         kept = rows[size[rows, 0] * size[rows, 2] <= _SPREAD * ground]
@@ -176,9 +182,9 @@ def look_from_above(scene: Scene, aspect: float) -> tuple[Rows, Camera]:
 
 
 def find_edges(camera: Camera, above: Camera) -> NDArray[np.float64]:
-    """(8, 2, 3) lines: the sides of the near plane, and the edges from there across the picture from above.
+    """Return lines (8, 2, 3): the sides of the near plane, and the edges of the view from there across the picture.
 
-    All are laid into one level, within what is seen from above.
+    All lie at one height, which the camera above sees.
     """
     inverse = np.linalg.inv(camera.projection.matrix)
     near_depth = 1.0 if camera.projection.depth is Depth.REVERSED else 0.0
@@ -223,20 +229,20 @@ class _Marks:
         )
 
     def draw_boxes(
-        self, scene: Scene, camera: Camera, rows: Rows, fates: NDArray[np.uint8], *, solid: bool
+        self, scene: Scene, camera: Camera, rows: Rows, outcomes: NDArray[np.uint8], *, solid: bool
     ) -> None:
-        """The boxes of the objects `rows`."""
+        """Draw the boxes of the objects `rows`."""
         if not len(rows):
             return
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
-        table = np.array([COLORS[fate] for fate in CullingOutcome])
+        table = np.array([COLORS[outcome] for outcome in CullingOutcome])
         with self._bound(
-            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower), table[fates[rows]]
+            0.5 * (lower + upper) - camera.position, 0.5 * (upper - lower), table[outcomes[rows]]
         ) as marks:
             self._draw(self._solid if solid else self._edges, camera, marks, len(rows))
 
     def draw_lines(self, camera: Camera, lines: NDArray[np.float64]) -> None:
-        """White lines (k, 2, 3)."""
+        """Draw white lines (k, 2, 3)."""
         points = (0.5 * (lines.reshape(-1, 3) - camera.position)).astype(np.float32)
         with (
             self._lines_of(points) as mesh,

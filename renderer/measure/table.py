@@ -1,4 +1,4 @@
-"""Tables of text."""
+"""Tables as text."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 
 def format_table(header: Sequence[str], rows: Sequence[Sequence[object]], *, markdown: bool = False) -> str:
-    """Aligned columns: text to the left, numbers to the right, whole ones in groups of three. In Markdown, bars
-    between them."""
+    """Format a table with aligned columns, or as Markdown.
+
+    Text is aligned to the left, numbers to the right; whole numbers have their digits in groups of three.
+    """
     if markdown:
         lines = [header, ["---"] * len(header), *([_shown(value) for value in row] for row in rows)]
         return "\n".join("| " + " | ".join(line) + " |" for line in lines)

@@ -1,13 +1,13 @@
-"""Finding b and n of CHC++ (thesis 6.5.1): what to try next, and what a trial is.
+"""The search for b and n of CHC++ (thesis 6.5.1): trials, and which values to try next.
 
-A trial renders a walk through the scene with one pair (b, n), and in turn, frame by frame in the same process,
-with the default pair. What counts is the mean of the frames' ratios, the quarter at either end left out. So
-another load on the machine, other trials beside this one above all, slows both alike, and times from different
-machines can be compared. Counters don't depend on time but for answers that come early or late.
+A trial renders a walk through the scene with one pair (b, n) and, in turn, frame by frame in the same process, with
+the default pair. Its result is the mean of the frames' ratios without the quarter at either end. So other load on the
+machine, above all trials at the same time, slows both alike, and results from different machines can be compared.
+Counters don't depend on the time, except through query results that arrive early or late.
 
-The search begins with a lattice over both ranges, evenly spaced by ratio, and looks ever more closely around the
-best (the thesis's binary search, on both axes at once). All trials of a round may run at the same time. The last
-word is a trial of the best few against each other, in one process with nothing beside it.
+The search begins with a grid over both ranges, evenly spaced by ratio, and refines it around the best pair (the
+thesis's binary search, on both axes at once). All trials of a round may run at the same time. Finally, a trial
+compares the best few pairs with each other, in one process with nothing beside it.
 """
 
 from __future__ import annotations
@@ -27,23 +27,25 @@ from renderer.renderer import FrameStatistics, Renderer
 from renderer.scene import FRAMES_PER_SECOND, CameraPath
 from renderer.visibility import Settings, make_visibility
 
-Pair = tuple[int, int]
-"""b and n."""
+ParameterPair = tuple[int, int]
+"""Values of b and n; or the least and greatest value of either."""
 
-_FIRST: Final = 4  # values of either in the first round
+_FIRST: Final = 4  # number of values of b and of n in the first round
 _FINALISTS: Final = 3
 _TRIMMED: Final = 0.25
-_TURN: Final = (
-    Lock()
-)  # trials on threads of one process would share its interpreter, and a driver's one context
+_LOCK: Final = Lock()  # trials on threads of one process would share the interpreter and the driver's context
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """What every trial renders; small enough to be sent to another machine, which makes the scene itself.
+    """The frames that every trial renders. It is small enough to be sent to other machines, which load the scene
+    themselves.
 
-    `scene` is its text, `path` has the frames to render and one before them, `first` is its first frame's
-    number; `backend` None is the machine's own choice.
+    Attributes:
+        scene: the scene's text.
+        path: the frames to render, and one before them. first: the number of that frame.
+        backend: the backend's name; None for the machine's own choice.
+        size: (width, height) of the image in pixels.
     """
 
     scene: str
@@ -55,7 +57,8 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """What a pair came to: medians of the times, `ratio` to the default's, and means of the counters."""
+    """The result for a pair: medians of the times, the `ratio` to the default pair's time, and means of the
+    counters."""
 
     batch: int
     persistence: int
@@ -68,15 +71,15 @@ class Trial:
     hardware_state_changes: int
 
 
-def try_pairs(walk: Walk, pairs: Sequence[Pair], threshold: int = 0) -> list[Trial]:
-    """A trial of each pair, the frames of all and of the default pair taking turns; on a device of its own.
+def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], threshold: int = 0) -> list[Trial]:
+    """Return a trial of each pair, on a device of its own. The frames of all pairs and of the default pair alternate.
 
-    A process makes one call at a time; more of them wait.
+    A process executes one call at a time; other calls wait.
     """
     scene = load_scene(walk.scene)
     default = Settings(threshold=threshold)
     with (
-        _TURN,
+        _LOCK,
         rhi.create_device(walk.backend) as device,
         Renderer(device, scene, size=walk.size) as renderer,
     ):
@@ -114,14 +117,17 @@ def try_pairs(walk: Walk, pairs: Sequence[Pair], threshold: int = 0) -> list[Tri
 
 
 def search(
-    batches: Pair, persistences: Pair, rounds: int, try_all: Callable[[list[Pair]], list[Trial]]
+    batches: ParameterPair,
+    persistences: ParameterPair,
+    rounds: int,
+    try_all: Callable[[list[ParameterPair]], list[Trial]],
 ) -> Iterator[Trial]:
-    """Trials of what looks best within both ranges, ends included; `try_all` makes those of a round.
+    """Yield trials of pairs within both ranges, ends included; `try_all` returns those of a round.
 
-    The first round is a lattice over the ranges, each further one spans the square root of the last one's spans
-    around the best so far. No pair is tried twice.
+    The first round is a grid over the ranges. Each further round is centred at the best pair so far and spans the
+    square root of the last round's spans. No pair is tried twice.
     """
-    known: dict[Pair, Trial] = {}
+    known: dict[ParameterPair, Trial] = {}
     default = Settings()
     spans = [high / low for low, high in (batches, persistences)]
     wanted = {
@@ -143,7 +149,8 @@ def search(
 
 
 def find_best(trials: Sequence[Trial], count: int = _FINALISTS) -> list[Trial]:
-    """The trials with the least ratios, the best first; of equal ones those with fewer queries."""
+    """Return the `count` trials with the least ratios, best first; of equal ones those with fewer queries come
+    first."""
     return sorted(trials, key=lambda trial: (trial.ratio, trial.queries))[:count]
 
 
@@ -151,8 +158,8 @@ def _spaced(low: int, high: int, count: int) -> list[int]:
     return sorted({round(value) for value in np.geomspace(low, high, count).tolist()})
 
 
-def _around(middle: int, span: float, limits: Pair) -> list[int]:
-    """The value itself and one on either side, a different one where the limits leave room."""
+def _around(middle: int, span: float, limits: ParameterPair) -> list[int]:
+    """Return the value and one on either side of it, different ones where the limits leave room."""
     step = span**0.5
     below, above = min(round(middle / step), middle - 1), max(round(middle * step), middle + 1)
     return sorted({min(max(value, limits[0]), limits[1]) for value in (below, middle, above)})

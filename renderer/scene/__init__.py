@@ -1,11 +1,11 @@
-"""The scene as arrays: what there is, where it is, what lights it and who looks at it.
+"""The scene as arrays: objects, transforms, meshes, materials, lights and cameras.
 
 scene = load_scene("city:blocks=12,seed=3")
 camera = parse_camera("ground", scene, frame=600).with_aspect(16 / 9)
 moved = scene.update(seconds=10.0)
 """
 
-from renderer.scene.camera import Camera, Depth, Frustum, Orthographic, Perspective, Plane, Projection
+from renderer.scene.camera import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective, Projection
 from renderer.scene.lights import (
     DIRECTIONAL,
     POINT,
@@ -15,12 +15,12 @@ from renderer.scene.lights import (
     Lights,
     RelativeLights,
 )
-from renderer.scene.materials import MATERIAL, Image, make_material
-from renderer.scene.meshes import RANGE, VERTEX, Geometry, Meshes, make_geometry
+from renderer.scene.materials import MATERIAL, ImagePixels, make_material
+from renderer.scene.meshes import RANGE, VERTEX, Meshes, MeshGeometry, make_geometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.paths import FRAME_COUNT, FRAMES_PER_SECOND, CameraPath, make_path
 from renderer.scene.scene import Objects, Scene, SceneBuilder
-from renderer.scene.simulation import Simulated, Simulation, Simulator
+from renderer.scene.simulation import ObjectSimulation, Simulated, Simulator
 from renderer.scene.transforms import normal_matrices, relative_to, rotation, scaling, translation
 
 __rhi_internal__ = True
@@ -40,21 +40,21 @@ __all__ = [
     "CameraPath",
     "Depth",
     "Frustum",
-    "Geometry",
-    "Image",
+    "FrustumPlane",
+    "ImagePixels",
     "Lights",
+    "MeshGeometry",
     "Meshes",
     "Nodes",
+    "ObjectSimulation",
     "Objects",
     "Orthographic",
     "Perspective",
-    "Plane",
     "Projection",
     "RelativeLights",
     "Scene",
     "SceneBuilder",
     "Simulated",
-    "Simulation",
     "Simulator",
     "make_geometry",
     "make_material",

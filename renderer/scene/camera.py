@@ -2,7 +2,7 @@
 
 The world is right-handed, view space looks along -Z with +Y up, vectors are columns (`matrix @ vector`).
 Clip depth runs from 0 to 1: reversed by default (near 1, far 0), standard on request so that its cost in
-accuracy can be shown. A camera is a value: changing one makes another.
+accuracy can be shown. A camera is an immutable value.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.transforms import Floats
+from renderer.scene.arrays import Floats
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
 
 class Depth(Enum):
-    """Which way clip depth runs."""
+    """The direction of clip depth."""
 
     REVERSED = "reversed"
     """Near 1, far 0: in floats, precise at every distance. Test with GREATER."""
@@ -30,8 +30,8 @@ class Depth(Enum):
     """Near 0, far 1. Test with LESS."""
 
 
-class Plane(IntEnum):
-    """Rows of `Frustum.planes`. FAR is missing when the projection reaches to infinity."""
+class FrustumPlane(IntEnum):
+    """The rows of `Frustum.planes`. FAR is missing when the projection reaches to infinity."""
 
     LEFT = 0
     RIGHT = 1
@@ -42,19 +42,19 @@ class Plane(IntEnum):
 
 
 class Projection(Protocol):
-    """What a camera needs of its lens."""
+    """The lens of a camera."""
 
     @property
     def depth(self) -> Depth:
-        """Which way depth runs."""
+        """The direction of depth."""
 
     @property
     def matrix(self) -> Floats:
-        """(4, 4) float64, view space to clip space."""
+        """The matrix (4, 4) float64 from view space to clip space."""
         ...
 
     def with_aspect(self, aspect: float) -> Projection:
-        """The same lens for an image of width / height = `aspect`."""
+        """Return the same lens for an image of width / height = `aspect`."""
         ...
 
 
@@ -76,7 +76,7 @@ class Perspective:
 
     @property
     def matrix(self) -> Floats:
-        """(4, 4) float64: view to clip space."""
+        """The matrix (4, 4) float64 from view space to clip space."""
         focal = 1.0 / np.tan(0.5 * self.fov)
         near, far = self.near, self.far
         m = np.zeros((4, 4))
@@ -92,7 +92,7 @@ class Perspective:
         return m
 
     def with_aspect(self, aspect: float) -> Perspective:
-        """The same for another width over height."""
+        """Return the same lens for an image of width / height = `aspect`."""
         return replace(self, aspect=aspect)
 
 
@@ -114,7 +114,7 @@ class Orthographic:
 
     @property
     def matrix(self) -> Floats:
-        """(4, 4) float64: view to clip space."""
+        """The matrix (4, 4) float64 from view space to clip space."""
         length = self.far - self.near
         m = np.zeros((4, 4))
         m[0, 0], m[1, 1], m[3, 3] = 2.0 / (self.height * self.aspect), 2.0 / self.height, 1.0
@@ -125,13 +125,13 @@ class Orthographic:
         return m
 
     def with_aspect(self, aspect: float) -> Orthographic:
-        """The same for another width over height."""
+        """Return the same lens for an image of width / height = `aspect`."""
         return replace(self, aspect=aspect)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Frustum:
-    """The visible volume: `planes` (5 or 6, 4) float64 in the order of `Plane`, unit normals inward.
+    """The visible volume: `planes` (5 or 6, 4) float64 in the order of `FrustumPlane`, unit normals inward.
 
     A point p is inside a plane when `n · p + d >= 0`. Five planes when the far plane is at infinity.
     """
@@ -140,7 +140,7 @@ class Frustum:
 
     @classmethod
     def from_matrix(cls, matrix: ArrayLike, depth: Depth = Depth.REVERSED) -> Frustum:
-        """The planes of a clip matrix (4, 4), by its rows (Gribb and Hartmann, 2001)."""
+        """Extract the planes of a clip matrix (4, 4) from its rows (Gribb and Hartmann, 2001)."""
         x, y, z, w = np.asarray(matrix, np.float64)
         ends = (w - z, z) if depth is Depth.REVERSED else (z, w - z)
         rows = np.stack([w + x, w - x, w + y, w - y, *ends])
@@ -151,7 +151,7 @@ class Frustum:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Camera:
-    """An eye, where it looks, and its lens.
+    """A position, an orientation, and a lens.
 
     Attributes:
         position: (3,) float64, world.
@@ -171,29 +171,29 @@ class Camera:
         up: ArrayLike = (0.0, 1.0, 0.0),
         projection: Projection | None = None,
     ) -> Camera:
-        """A camera at `position` that looks at `target`; looking along `up` is allowed."""
+        """Create a camera at `position` that looks at `target`; looking along `up` is allowed."""
         eye, aim, above = (np.array(v, np.float64) for v in (position, target, up))
         for name, value in (("position", eye), ("target", aim), ("up", above)):
             fine = value.shape == (3,) and bool(np.isfinite(value).all())
             _check(f"look_at({name}=...)", value, fine, "three finite numbers")
-        _check("look_at(target=...)", target, bool((eye != aim).any()), "a place other than the position")
+        _check("look_at(target=...)", target, bool((eye != aim).any()), "a point other than the position")
         _check("look_at(up=...)", up, bool(above.any()), "not all 0")
         back = _normalised(eye - aim)
         right = np.cross(_normalised(above), back)
-        if np.linalg.norm(right) < 1e-9:  # looking straight up or down: any right angle serves
+        if np.linalg.norm(right) < 1e-9:  # looking straight up or down: any perpendicular vector will do
             right = np.cross(np.eye(3)[np.argmin(np.abs(back))], back)
         right = _normalised(right)
         return cls(eye, np.stack([right, np.cross(back, right), back]), projection or Perspective())
 
     @property
     def forward(self) -> Floats:
-        """(3,) unit vector along which the camera looks."""
+        """The unit vector (3,) along which the camera looks."""
         x, y, z = self.rotation[2]
         return np.array([-x, -y, -z])
 
     @property
     def view(self) -> Floats:
-        """(4, 4) float64, world space to view space."""
+        """The matrix (4, 4) float64 from world space to view space."""
         m = np.eye(4)
         m[:3, :3] = self.rotation
         m[:3, 3] = -(self.rotation @ self.position)
@@ -201,12 +201,12 @@ class Camera:
 
     @property
     def view_projection(self) -> Floats:
-        """(4, 4) float64, world space to clip space."""
+        """The matrix (4, 4) float64 from world space to clip space."""
         return self.projection.matrix @ self.view
 
     @property
     def relative_view_projection(self) -> NDArray[np.float32]:
-        """(4, 4) float32, from world axes with the eye as origin to clip space: what shaders use."""
+        """The matrix (4, 4) float32 that shaders use: from world axes with the eye as origin to clip space."""
         m = np.eye(4)
         m[:3, :3] = self.rotation
         return (self.projection.matrix @ m).astype(np.float32)
@@ -221,11 +221,11 @@ class Camera:
         return Frustum(planes)
 
     def with_projection(self, projection: Projection) -> Camera:
-        """The same place and view through another projection."""
+        """Return the same camera with another projection."""
         return replace(self, projection=projection)
 
     def with_aspect(self, aspect: float) -> Camera:
-        """The same camera for an image of width / height = `aspect`."""
+        """Return the same camera for an image of width / height = `aspect`."""
         return replace(self, projection=self.projection.with_aspect(aspect))
 
 

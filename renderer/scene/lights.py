@@ -1,7 +1,7 @@
-"""Lights: a structured array per kind, positions in float64, packed relative to the eye for the device.
+"""Lights: a structured array for each kind, with positions in float64, which are uploaded relative to the eye.
 
 A point or spot light of intensity i gives i / d² at d metres, windowed to reach exactly 0 at its range,
-so that a light has a volume outside which it need not be looked at. A spot fades from its inner to its
+so that a light has a volume outside which it can be ignored. A spot fades from its inner to its
 outer half angle. Ambient light is a hemisphere: sky colour from above, ground colour from below.
 """
 
@@ -22,7 +22,7 @@ __rhi_internal__ = True
 DIRECTIONAL: Final = np.dtype(
     [("direction", "<f4", 3), ("intensity", "<f4"), ("color", "<f4", 3), ("pad", "<f4")]
 )
-"""32 bytes. `direction` is the way the light travels, unit length."""
+"""32 bytes. `direction` is the unit vector along which the light travels."""
 
 POINT: Final = np.dtype([("position", "<f8", 3), ("range", "<f4"), ("color", "<f4", 3), ("intensity", "<f4")])
 SPOT: Final = np.dtype(
@@ -63,7 +63,7 @@ class RelativeLights:
 
 @dataclass(eq=False, slots=True)
 class Lights:
-    """All lights of a scene; added one by one, read as arrays.
+    """All lights of a scene: added one by one, read as arrays.
 
     Attributes:
         directional, point, spot: (k,) of `DIRECTIONAL`, `POINT`, `SPOT`; may be written to.
@@ -124,7 +124,7 @@ class Lights:
         return len(self.spot) - 1
 
     def relative_to(self, eye: ArrayLike) -> RelativeLights:
-        """All lights in float32, positions relative to `eye` (3,) and subtracted in float64."""
+        """Return all lights in float32, with positions relative to `eye` (3,), subtracted in float64."""
         point = np.zeros(len(self.point), RELATIVE_POINT)
         spot = np.zeros(len(self.spot), RELATIVE_SPOT)
         for packed, lights in ((point, self.point), (spot, self.spot)):

@@ -1,4 +1,4 @@
-"""Materials: one structured array, laid out so that it is a storage buffer as it stands (std430)."""
+"""Materials: one structured array in std430 layout, so that it can be uploaded unchanged."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ MATERIAL: Final = np.dtype(
         ("rim_strength", "<f4"),  # Fresnel rim term: strength * (1 - n.v) ** power
         ("rim_power", "<f4"),
         ("texture", "<i4"),  # index into the scene's images, or -1
-        ("emission", "<f4"),  # how much of the base colour shines by itself
+        ("emission", "<f4"),  # emitted light, as a multiple of the base colour
     ]
 )
 """48 bytes: a std430 struct {vec4, vec3, float, float, float, int, float} without padding."""
 
-Image = NDArray[np.uint8]
+ImagePixels = NDArray[np.uint8]
 """A texture's pixels: (height, width, 4), sRGB with linear alpha, top row first."""
 
 _RANGES: Final = {
@@ -48,7 +48,7 @@ def make_material(
     texture: int = -1,
     emission: float = 0.0,
 ) -> NDArray[Any]:
-    """One material, () of `MATERIAL`; a base colour of three numbers gets alpha 1."""
+    """Create one material, () of `MATERIAL`; a base colour of three numbers gets alpha 1."""
     color = (*base_color, 1.0) if len(base_color) == 3 else tuple(base_color)
     values: dict[str, object] = {
         "base_color": color,
@@ -71,8 +71,8 @@ def make_material(
     return material
 
 
-def check_image(image: NDArray[Any]) -> Image:
-    """`image` as the scene keeps it, or a refusal."""
+def check_image(image: NDArray[Any]) -> ImagePixels:
+    """Return `image` as the scene keeps it; refuse arrays that aren't images."""
     if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] != 4 or not image.size:
         refuse(rules.BAD_IMAGE, "add_image", f"{image.dtype}, shape {image.shape}")
     return np.ascontiguousarray(image)

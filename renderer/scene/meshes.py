@@ -1,8 +1,7 @@
 """Meshes: triangles in one shared vertex array and one shared index array.
 
-A `Geometry` is one mesh as its maker hands it over. `Meshes` holds all of a scene's: index ranges with
-base vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw
-serve every object.
+A `MeshGeometry` is one mesh with arrays of its own. `Meshes` holds all meshes of a scene: index ranges with base
+vertices into the shared arrays, so that one vertex buffer, one index buffer and one multi-draw serve every object.
 """
 
 from __future__ import annotations
@@ -15,30 +14,31 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.transforms import Floats, normal_matrices
+from renderer.scene.arrays import Floats
+from renderer.scene.transforms import normal_matrices
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
 VERTEX: Final = np.dtype([("position", "<f4", 3), ("normal", "<f4", 3), ("uv", "<f4", 2)])
-"""32 bytes, tightly packed: what every mesh of the renderer is made of."""
+"""The vertex format of all meshes of the renderer: 32 bytes, tightly packed."""
 
 RANGE: Final = np.dtype([("first_index", "<u4"), ("index_count", "<u4"), ("base_vertex", "<i4")])
-"""One mesh's part of the shared arrays; the names and meanings of an indexed draw."""
+"""The part of the shared arrays that a mesh uses; the fields are those of an indexed draw."""
 
-Bounds = tuple[Floats, Floats]
-"""Lower and upper corner, (3,)."""
+MeshBounds = tuple[Floats, Floats]
+"""The lower and the upper corner (3,) of a mesh's bounding box."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Geometry:
-    """One mesh: `vertices` (v,) of `VERTEX`, `indices` (3 * triangles,) uint32, counter-clockwise outside."""
+class MeshGeometry:
+    """One mesh: `vertices` (v,) of `VERTEX` and `indices` (3 * triangles,) uint32, counter-clockwise from outside."""
 
     vertices: NDArray[Any]
     indices: NDArray[np.uint32]
 
     def __post_init__(self) -> None:
-        call = "Geometry"
+        call = "MeshGeometry"
         if self.vertices.dtype != VERTEX:
             refuse(rules.BAD_MESH, call, f"vertices of {self.vertices.dtype}", "meshes.VERTEX")
         if self.indices.dtype != np.uint32 or self.indices.ndim != 1 or len(self.indices) % 3:
@@ -55,24 +55,24 @@ class Geometry:
 
     @property
     def triangle_count(self) -> int:
-        """Triangles of the geometry."""
+        """The number of triangles."""
         return len(self.indices) // 3
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner, (3,) float64."""
+        """The lower and the upper corner (3,) float64 of the bounding box."""
         position = self.vertices["position"]
         return position.min(0).astype(np.float64), position.max(0).astype(np.float64)
 
     @property
     def radius(self) -> float:
-        """Of the sphere around the middle of the bounds that holds all vertices."""
+        """The radius of the sphere around the centre of the bounding box that holds all vertices."""
         lower, upper = self.bounds
         away = self.vertices["position"] - 0.5 * (lower + upper)
         return float(np.sqrt(np.einsum("ij,ij->i", away, away).max()))
 
-    def transformed(self, matrix: ArrayLike) -> Geometry:
-        """The same mesh moved by one affine matrix (4, 4); mirroring turns the triangles round."""
+    def transformed(self, matrix: ArrayLike) -> MeshGeometry:
+        """Return the mesh transformed by an affine matrix (4, 4); a mirroring one reverses the triangles' winding."""
         m = np.asarray(matrix, np.float64)
         vertices = self.vertices.copy()
         vertices["position"] = self.vertices["position"] @ m[:3, :3].T + m[:3, 3]
@@ -80,20 +80,22 @@ class Geometry:
         vertices["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
         mirrored = np.linalg.det(m[:3, :3]) < 0.0
         corners = self.indices.reshape(-1, 3)
-        return Geometry(vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1))
+        return MeshGeometry(
+            vertices, np.ascontiguousarray(corners[:, ::-1] if mirrored else corners).reshape(-1)
+        )
 
 
-def join(parts: Sequence[Geometry]) -> Geometry:
-    """One mesh of several."""
+def join(parts: Sequence[MeshGeometry]) -> MeshGeometry:
+    """Join several meshes to one."""
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     indices = [part.indices + np.uint32(offset) for part, offset in zip(parts, offsets, strict=True)]
-    return Geometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
+    return MeshGeometry(np.concatenate([part.vertices for part in parts]), np.concatenate(indices))
 
 
 def make_geometry(
     positions: ArrayLike, indices: ArrayLike, normals: ArrayLike | None = None, uv: ArrayLike | None = None
-) -> Geometry:
-    """A mesh from plain arrays: positions (v, 3), indices (3t,) or (t, 3), normals (v, 3), uv (v, 2).
+) -> MeshGeometry:
+    """Create a mesh from plain arrays: positions (v, 3), indices (3t,) or (t, 3), normals (v, 3), uv (v, 2).
 
     Missing normals are computed, weighted by area; missing texture coordinates are 0.
     """
@@ -106,13 +108,13 @@ def make_geometry(
     vertices["normal"] = compute_normals(points, corners) if normals is None else normals
     if uv is not None:
         vertices["uv"] = uv
-    return Geometry(vertices, corners.astype(np.uint32))
+    return MeshGeometry(vertices, corners.astype(np.uint32))
 
 
 def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
-    """Unit vertex normals (v, 3), weighted by the area of the triangles around each vertex.
+    """Return unit vertex normals (v, 3), weighted by the area of the triangles around each vertex.
 
-    A vertex that only degenerate triangles use gets +Y: a unit vector, so that nothing divides by 0.
+    A vertex that only degenerate triangles use gets +Y, so that all normals are unit vectors.
     """
     points = np.asarray(positions, np.float64)
     corners = np.asarray(indices).reshape(-1, 3)
@@ -128,19 +130,22 @@ def compute_normals(positions: ArrayLike, indices: ArrayLike) -> Floats:
 
 
 class Meshes:
-    """All meshes of a scene in shared arrays.
+    """All meshes of a scene, in shared arrays.
 
     Attributes:
-        vertices: (v,) of `VERTEX`; indices: (i,) uint32, relative to each mesh's base vertex.
+        vertices: (v,) of `VERTEX`. indices: (i,) uint32, relative to each mesh's base vertex.
         ranges: (m,) of `RANGE`.
-        lower, upper: (m, 3) float64, local bounds; radius: (m,) around the middle of these.
-        names: (m,) names.
+        lower, upper: (m, 3) float64, local bounds. radius: (m,) of the spheres around their centres.
+        names: the names of the meshes, m of them.
     """
 
     def __init__(
-        self, geometries: Sequence[Geometry], names: Sequence[str], bounds: Sequence[Bounds | None] = ()
+        self,
+        geometries: Sequence[MeshGeometry],
+        names: Sequence[str],
+        bounds: Sequence[MeshBounds | None] = (),
     ) -> None:
-        """`bounds` replace those of the geometries where they aren't None: of meshes that change."""
+        """`bounds` that aren't None replace those of the geometries, for meshes that change."""
         count = len(geometries)
         fixed = bounds or [None] * count
         self.vertices: NDArray[Any] = np.concatenate(
@@ -170,5 +175,5 @@ class Meshes:
 
     @property
     def triangle_counts(self) -> NDArray[np.int64]:
-        """(m,) triangles of each mesh."""
+        """The number of triangles of each mesh, (m,)."""
         return self.ranges["index_count"].astype(np.int64) // 3

@@ -1,9 +1,9 @@
-"""The node hierarchy as arrays, sorted by depth and updated by whole levels.
+"""The node hierarchy as arrays, sorted by depth and updated level by level.
 
-Rows are sorted by level, so the parents of a level all lie before it, and its world transforms are one
-multiplication of stacks. Only rows that moved, or whose parent moved, are multiplied; a level without any
-is skipped. A row is static unless it or an ancestor was declared dynamic, and a static row can't move:
-hierarchies over static objects are built once and may rely on it.
+Rows are sorted by level, so the parents of a level precede it, and its world transforms are one multiplication of
+stacks of matrices. Only rows that moved, or whose parent moved, are multiplied; a level without such rows is skipped.
+A row is static unless it or an ancestor was declared dynamic, and a static row can't move. So hierarchies over static
+objects are built once.
 """
 
 from __future__ import annotations
@@ -16,23 +16,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
-from renderer.scene.transforms import Floats, is_affine, multiply
+from renderer.scene.arrays import Floats
+from renderer.scene.transforms import is_affine, multiply
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
 
 class Nodes:
-    """Parents, local and world transforms of all nodes.
+    """The parents and the local and world transforms of all nodes.
 
     Attributes:
-        parents: (n,) int32, the parent's row, or -1.
-        local: (n, 4, 4) float64, node to parent; read-only, changed by `set_local`.
-        world: (n, 4, 4) float64, node to world; read-only, brought up to date by `update`.
-        dynamic: (n,) bool.
+        parents: (n,) int32, the rows of the parents, -1 for none.
+        local: (n, 4, 4) float64, transforms from node to parent; read-only, changed by `set_local`.
+        world: (n, 4, 4) float64, transforms from node to world; read-only, updated by `update`.
+        dynamic: (n,) bool, whether a node may move.
         level_starts: (levels + 1,) int64; level l is the rows level_starts[l] to level_starts[l + 1].
         rows: (n,) int64, the row of each id in the order in which the constructor was given them.
-        names: name of each row; may be empty.
+        names: the name of each row; may be empty.
     """
 
     def __init__(
@@ -73,22 +74,22 @@ class Nodes:
 
     @property
     def local(self) -> Floats:
-        """(n, 4, 4) float64: each node relative to its parent."""
+        """The transforms from node to parent, (n, 4, 4) float64."""
         return _read_only(self._local)
 
     @property
     def world(self) -> Floats:
-        """(n, 4, 4) float64: node to world, as of the latest update."""
+        """The transforms from node to world as of the last update, (n, 4, 4) float64."""
         return _read_only(self._world)
 
     def find(self, name: str) -> int:
-        """The row of the first node with this name."""
+        """Return the row of the first node with this name."""
         if name not in self.names:
             rules.refuse_name(rules.UNKNOWN_NODE, "find", name, [n for n in self.names if n][:20])
         return self.names.index(name)
 
     def set_local(self, rows: ArrayLike, local: ArrayLike) -> None:
-        """Give dynamic `rows` (k,) new local transforms (k, 4, 4) or (4, 4); `update` makes them count."""
+        """Set the local transforms (k, 4, 4) or (4, 4) of the dynamic `rows` (k,); `update` applies them."""
         chosen = np.atleast_1d(np.asarray(rows, np.int64))
         matrices = np.asarray(local, np.float64)
         if chosen.size and (chosen.min() < 0 or chosen.max() >= len(self)):
@@ -102,7 +103,7 @@ class Nodes:
         self._dirty[chosen] = True
 
     def update(self) -> NDArray[np.bool_]:
-        """Bring world transforms up to date; returns which rows changed, (n,) bool."""
+        """Update the world transforms; return which rows changed, (n,) bool."""
         changed = self._dirty
         for start, end in self._levels():
             level = changed[start:end]
@@ -124,7 +125,7 @@ class Nodes:
 
 
 def _depths(parents: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Depth of each node, by pointer doubling: log2(depth) passes over all nodes."""
+    """Compute the depth of each node by pointer doubling: log2(depth) passes over all nodes."""
     depth = (parents >= 0).astype(np.int64)
     ancestor = parents.copy()
     while (ancestor >= 0).any():

@@ -1,9 +1,9 @@
-"""Camera paths: a way through the scene as arrays, one row a frame at 60 Hz.
+"""Camera paths: cameras along a route through the scene as arrays, one row for each frame at 60 Hz.
 
-`make_path` makes one of 30 seconds from corners. It is walked at constant speed, its corners are rounded by
-averaging over a window of the way, and the camera looks at a point of the route ahead of it: turns are
-smooth, and the same input gives the same frames. `CameraPath.record` makes one of cameras that were: a
-walk-through, which `save` keeps in a file.
+`make_path` makes a path of 30 seconds from the corners of a route. The speed is constant, corners are rounded by
+averaging over a window of the route, and the camera looks at a point of the route ahead of it. So turns are smooth,
+and the same input gives the same frames. `CameraPath.record` makes a path of given cameras: a walk-through, which
+`save` writes to a file.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from renderer import rules
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera, Depth, Orthographic, Perspective, Projection
-from renderer.scene.transforms import Floats
 from rhi.errors import RhiError, refuse
 
 __rhi_internal__ = True
 
 FRAMES_PER_SECOND: Final = 60
 FRAME_COUNT: Final = 30 * FRAMES_PER_SECOND
-_SAMPLES: Final = 8192  # per route, before it is cut into frames: 22 cm of a 1.8 km route
+_SAMPLES: Final = 8192  # of a route, before it is divided into frames: every 22 cm of a 1.8 km route
 
 
 _LENSES: Final = {"perspective": Perspective, "orthographic": Orthographic}
@@ -34,8 +34,13 @@ _LENSES: Final = {"perspective": Perspective, "orthographic": Orthographic}
 
 @dataclass(frozen=True, eq=False, slots=True)
 class CameraPath:
-    """`positions` and `targets`, (frames, 3) float64; `projection` is the lens; `ups`, (frames, 3) or (3,), is
-    where up is."""
+    """The cameras of a path.
+
+    Attributes:
+        positions, targets: (frames, 3) float64, where the cameras are and points that they look at.
+        projection: the lens of all cameras.
+        ups: (frames, 3) or (3,), the cameras' up directions.
+    """
 
     positions: Floats
     targets: Floats
@@ -46,7 +51,7 @@ class CameraPath:
         return len(self.positions)
 
     def camera(self, frame: int) -> Camera:
-        """The camera of one frame, 0 to len - 1."""
+        """Return the camera of one frame, 0 to len - 1."""
         if not 0 <= frame < len(self):
             refuse(rules.FRAME_RANGE, "camera(frame=...)", frame, f"0 to {len(self) - 1}")
         up = np.broadcast_to(self.ups, self.positions.shape)[frame]
@@ -54,9 +59,9 @@ class CameraPath:
 
     @classmethod
     def record(cls, cameras: Sequence[Camera]) -> Self:
-        """The way that these cameras went, one or more, a frame each, with the first one's lens.
+        """Create a path of one or more cameras, one for each frame, with the lens of the first.
 
-        Directions come back to within float64's rounding of a point a metre ahead.
+        Directions are reproduced to within the float64 rounding of a point a metre ahead.
         """
         if not cameras:
             refuse(rules.BAD_WALK, "CameraPath.record", "no camera", "one or more")
@@ -80,11 +85,11 @@ class CameraPath:
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """What `save` wrote.
+        """Read a file that `save` has written.
 
         Raises:
-            ValidationError: `camera-bad-walk` for what is no such file, `camera-bad-value` for a bad lens.
-            OSError: it can't be read.
+            ValidationError: `camera-bad-walk` if the file is not a walk-through, `camera-bad-value` for a bad lens.
+            OSError: the file can't be read.
         """
         call = f"CameraPath.load({str(path)!r})"
         try:
@@ -92,7 +97,7 @@ class CameraPath:
             lens = dict(held["lens"])
             projection = _LENSES[lens.pop("kind")](**lens | {"depth": Depth(lens["depth"])})
             rows = np.array(held["frames"], np.float64)
-        except RhiError:  # a lens's own refusal
+        except RhiError:  # the lens refuses a value
             raise
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             refuse(rules.BAD_WALK, call, f"{type(error).__name__}: {error}")
@@ -109,15 +114,15 @@ def make_path(
     sink: float = 0.0,
     frames: int = FRAME_COUNT,
 ) -> CameraPath:
-    """A path along `corners` (k, 3), k >= 2.
+    """Create a path along a route with the `corners` (k, 3), k >= 2.
 
-    `rounding` is how many metres of the way a corner is spread over, `ahead` how many metres before the
-    camera its target lies, and `sink` how far below the route.
+    `rounding` is the length of the route in metres over which a corner is spread, `ahead` the distance in metres from
+    the camera to its target along the route, and `sink` how far the target lies below the route.
     """
     route = np.asarray(corners, np.float64)
     lengths = np.linalg.norm(np.diff(route, axis=0), axis=1)
     total = float(lengths.sum())
-    # Lead-in and lead-out along the end pieces keep the averages centred, and give the last frames a target.
+    # The route is extended at both ends, to keep the averages centred and to give the last frames a target.
     reach = rounding + ahead
     first, last = (route[1] - route[0]) / lengths[0], (route[-1] - route[-2]) / lengths[-1]
     route = np.concatenate([[route[0] - reach * first], route, [route[-1] + reach * last]])

@@ -1,8 +1,8 @@
 """The scene: nodes, objects, meshes, materials, images, lights and cameras, all as arrays.
 
-A `SceneBuilder` takes things one by one or by arrays and checks them; `build` gives a `Scene`, whose
-make-up is fixed: transforms of dynamic nodes, lights and materials may change, what there is may not.
-An object is a mesh with a material at a node. `Scene.update` is the one call a frame needs.
+A `SceneBuilder` collects and checks the parts, one by one or as arrays, and `build` makes a `Scene` of them. The set
+of parts is then fixed: transforms of dynamic nodes, lights and materials may change, but nothing can be added or
+removed. An object is a mesh with a material at a node. `Scene.update` is the only call that a frame needs.
 """
 
 from __future__ import annotations
@@ -15,20 +15,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from renderer import rules
+from renderer.scene.arrays import Floats
 from renderer.scene.camera import Camera
 from renderer.scene.lights import Lights
-from renderer.scene.materials import MATERIAL, Image, check_image, make_material
-from renderer.scene.meshes import Bounds, Geometry, Meshes
+from renderer.scene.materials import MATERIAL, ImagePixels, check_image, make_material
+from renderer.scene.meshes import MeshBounds, Meshes, MeshGeometry
 from renderer.scene.nodes import Nodes
 from renderer.scene.paths import CameraPath
-from renderer.scene.simulation import Simulated, Simulation
-from renderer.scene.transforms import Floats, is_affine, relative_to, transform_bounds
+from renderer.scene.simulation import ObjectSimulation, Simulated
+from renderer.scene.transforms import is_affine, relative_to, transform_bounds
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
 Animation = Callable[[Nodes, float], None]
-"""Moves dynamic nodes to where they are at a time in seconds; depends on nothing but the time."""
+"""A function that sets the transforms of dynamic nodes for a time in seconds; it depends on nothing but the time."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,10 +37,10 @@ class Objects:
     """All objects, one row each.
 
     Attributes:
-        node, mesh, material: (n,) int32 rows of nodes, meshes, materials.
-        lower, upper: (n, 3) float64 world bounds, kept up to date by `Scene.update`.
+        node, mesh, material: (n,) int32, rows of nodes, meshes and materials.
+        lower, upper: (n, 3) float64, world bounds, kept up to date by `Scene.update`.
         dynamic: (n,) bool, whether the object's node can move.
-        static_rows, dynamic_rows: int64 rows of either kind, ascending.
+        static_rows, dynamic_rows: int64, the rows of objects of either kind, ascending.
     """
 
     node: NDArray[np.int32]
@@ -56,16 +57,16 @@ class Objects:
 
 
 class Scene:
-    """What there is to draw; made by `SceneBuilder.build`, `load_scene` or a generator.
+    """A scene, made by `SceneBuilder.build`, `load_scene` or a generator.
 
     Attributes:
-        name: what it was made from.
+        name: the text that it was made from.
         nodes, objects, meshes, lights: see their classes.
-        materials: (k,) of `MATERIAL`; images: the textures that they index.
-        background: linear colour where there is nothing.
-        haze: how much light air takes away, per metre (e^-haze is left after one), and replaces by background.
-        simulated: simulations and the objects they are of, as they begin; a renderer's `Simulator` steps copies.
-        views: named cameras, the first of which is the default; paths: named camera paths.
+        materials: (k,) of `MATERIAL`. images: the textures that they refer to by index.
+        background: linear colour of pixels that show nothing.
+        haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
+        simulated: the simulations and their objects in their initial state; a renderer's `Simulator` steps copies.
+        views: named cameras, the first of which is the default. paths: named camera paths.
     """
 
     def __init__(
@@ -75,7 +76,7 @@ class Scene:
         objects: Objects,
         meshes: Meshes,
         materials: NDArray[Any],
-        images: tuple[Image, ...],
+        images: tuple[ImagePixels, ...],
         lights: Lights,
         views: Mapping[str, Camera],
         paths: Mapping[str, CameraPath],
@@ -103,9 +104,9 @@ class Scene:
             self.views["overview"] = self._fitting_camera()
 
     def update(self, seconds: float = 0.0) -> NDArray[np.int64]:
-        """Move what is animated to `seconds`, then bring transforms and bounds up to date.
+        """Apply the animations for the time `seconds`, then update transforms and bounds.
 
-        Returns the rows of the objects whose transform was computed again.
+        Return the rows of the objects whose transform was computed again.
         """
         for animate in self._animations:
             animate(self.nodes, seconds)
@@ -118,25 +119,25 @@ class Scene:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Lower and upper corner (3,) of all objects."""
+        """The lower and the upper corner (3,) of the bounds of all objects."""
         return self.objects.lower.min(0), self.objects.upper.max(0)
 
     @property
     def triangle_count(self) -> int:
-        """Triangles drawn when every object is."""
+        """The number of triangles of all objects."""
         return self.count_triangles(np.arange(len(self.objects)))
 
     def count_triangles(self, objects: NDArray[np.int64]) -> int:
-        """Triangles of the objects with these rows."""
+        """Return the number of triangles of the objects with these rows."""
         return int(self.meshes.triangle_counts[self.objects.mesh[objects]].sum())
 
     def relative_transforms(
         self, eye: ArrayLike, objects: NDArray[np.int64] | None = None
     ) -> NDArray[np.float32]:
-        """(k, 4, 4) float32 transforms of `objects` (all, without) from mesh space to the eye's axes.
+        """Return the transforms (k, 4, 4) float32 of `objects`, or of all, from mesh space to the eye's axes.
 
-        World axes with `eye` (3,) as origin, subtracted in float64: multiply with the camera's
-        `relative_view_projection`.
+        These are the world's axes with `eye` (3,) as origin, subtracted in float64. Multiply the transforms with the
+        camera's `relative_view_projection`.
         """
         nodes = self.objects.node if objects is None else self.objects.node[objects]
         return relative_to(self.nodes.world[nodes], eye)
@@ -154,7 +155,7 @@ class Scene:
 
 
 class SceneBuilder:
-    """Gathers a scene. Ids that it returns are what later calls take; `build` may be called once."""
+    """Collects the parts of a scene. Later calls refer to parts by the ids returned; `build` may be called once."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -163,11 +164,11 @@ class SceneBuilder:
         self.haze = 0.0
         self.views: dict[str, Camera] = {}
         self.paths: dict[str, CameraPath] = {}
-        self._geometries: list[Geometry] = []
-        self._bounds: list[Bounds | None] = []
+        self._geometries: list[MeshGeometry] = []
+        self._bounds: list[MeshBounds | None] = []
         self._mesh_names: list[str] = []
         self._materials: list[NDArray[Any]] = []
-        self._images: list[Image] = []
+        self._images: list[ImagePixels] = []
         self._parents: list[NDArray[np.int64]] = []
         self._locals: list[Floats] = []
         self._dynamic: list[NDArray[np.bool_]] = []
@@ -177,8 +178,8 @@ class SceneBuilder:
         self._simulated: list[Simulated] = []
         self._animations: list[tuple[NDArray[np.int64], Callable[[float], Floats]]] = []
 
-    def add_mesh(self, geometry: Geometry, name: str = "", bounds: Bounds | None = None) -> int:
-        """Add a mesh; returns its id. `bounds` are what one that is simulated never leaves."""
+    def add_mesh(self, geometry: MeshGeometry, name: str = "", bounds: MeshBounds | None = None) -> int:
+        """Add a mesh and return its id. The vertices of a simulated mesh must never leave `bounds`."""
         if bounds is not None:
             lower, upper = geometry.bounds
             if not ((bounds[0] <= lower) & (upper <= bounds[1])).all():
@@ -190,12 +191,12 @@ class SceneBuilder:
         return len(self._geometries) - 1
 
     def add_image(self, image: NDArray[Any]) -> int:
-        """Add a texture's pixels (height, width, 4) uint8; returns its id."""
+        """Add a texture's pixels (height, width, 4) uint8 and return its id."""
         self._images.append(check_image(image))
         return len(self._images) - 1
 
     def add_material(self, **values: Any) -> int:
-        """Add a material from the arguments of `make_material`; returns its id."""
+        """Add a material from the arguments of `make_material` and return its id."""
         material = make_material(**values)
         if material["texture"] >= len(self._images):
             refuse(rules.BAD_INDEX, "add_material(texture=...)", int(material["texture"]), "an image's id")
@@ -205,7 +206,7 @@ class SceneBuilder:
     def add_node(
         self, local: ArrayLike | None = None, parent: int = -1, dynamic: bool = False, name: str = ""
     ) -> int:
-        """Add one node with a local transform (4, 4), the identity without; returns its id."""
+        """Add one node with a local transform (4, 4), by default the identity, and return its id."""
         matrix = np.eye(4) if local is None else np.asarray(local, np.float64)
         first = self.add_nodes(matrix[None], parent, dynamic)[0]
         self._node_names[-1] = name
@@ -214,7 +215,7 @@ class SceneBuilder:
     def add_nodes(
         self, locals: ArrayLike, parents: ArrayLike = -1, dynamic: ArrayLike = False
     ) -> NDArray[np.int64]:
-        """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one; returns their ids (k,)."""
+        """Add nodes with local transforms (k, 4, 4) under `parents` (k,) or one parent; return their ids (k,)."""
         matrices = np.asarray(locals, np.float64)
         if matrices.ndim != 3 or matrices.shape[1:] != (4, 4) or not is_affine(matrices):
             refuse(rules.BAD_TRANSFORM, "add_nodes(locals=...)", f"shape {matrices.shape}", "(k, 4, 4)")
@@ -229,7 +230,7 @@ class SceneBuilder:
         return np.arange(first, first + count)
 
     def add_objects(self, nodes: ArrayLike, meshes: ArrayLike, materials: ArrayLike) -> NDArray[np.int64]:
-        """Add objects: node, mesh and material ids, (k,) or one for all; returns their rows (k,)."""
+        """Add objects, given ids of nodes, meshes and materials, (k,) or one for all; return their rows (k,)."""
         columns = np.broadcast_arrays(
             *(np.atleast_1d(np.asarray(v, np.int64)) for v in (nodes, meshes, materials))
         )
@@ -243,14 +244,14 @@ class SceneBuilder:
         return np.arange(first, self._object_count)
 
     def animate(self, nodes: ArrayLike, motion: Callable[[float], Floats]) -> None:
-        """Let dynamic `nodes` (k,) follow `motion`: seconds to local transforms (k, 4, 4)."""
+        """Animate dynamic `nodes` (k,) by `motion`, which maps seconds to local transforms (k, 4, 4)."""
         self._animations.append((np.atleast_1d(np.asarray(nodes, np.int64)), motion))
 
-    def simulate(self, objects: ArrayLike, simulation: Simulation) -> None:
-        """Let `simulation` make the vertices of `objects` (k,), its members in this order.
+    def simulate(self, objects: ArrayLike, simulation: ObjectSimulation) -> None:
+        """Let `simulation` compute the vertices of `objects` (k,), which are its members in this order.
 
-        Each has a mesh of its own, added with bounds that hold at all times. The scene's time 0 is the
-        simulation's beginning, whose vertices are the meshes'.
+        Each object has a mesh of its own, added with bounds that hold at all times. The simulation begins at the
+        scene's time 0, with the vertices of the meshes.
         """
         rows = np.atleast_1d(np.asarray(objects, np.int64))
         if rows.size and (rows.min() < 0 or rows.max() >= self._object_count):
@@ -258,7 +259,7 @@ class SceneBuilder:
         self._simulated.append(Simulated(simulation, rows))
 
     def _check_simulated(self, mesh: NDArray[np.int64]) -> None:
-        """Refuse objects that two simulations or two objects would change; `mesh` (n,) is that of each object."""
+        """Refuse objects that share a mesh or have two simulations; `mesh` (n,) is the mesh of each object."""
         rows = np.concatenate([np.zeros(0, np.int64), *(one.objects for one in self._simulated)])
         meshes, uses = np.unique(mesh, return_counts=True)
         shared = uses[np.searchsorted(meshes, mesh[rows])] > 1
@@ -270,7 +271,7 @@ class SceneBuilder:
                 refuse(rules.UNBOUND_MESH, "simulate(objects=...)", f"object {row}")
 
     def build(self) -> Scene:
-        """The scene. It must have at least one object."""
+        """Create the scene. It must have at least one object."""
         if not self._object_count:
             refuse(rules.EMPTY_MODEL, "build", f"{self.name!r} without an object")
         nodes = Nodes(

@@ -1,12 +1,13 @@
-"""What happens over time and is only worth working out where it is seen: particles, cloth, skinning.
+"""Simulations of objects (particles, cloth, skinning) that are only stepped where the objects are drawn.
 
-A simulation has members, each an object with a mesh of its own, whose vertices it makes. It goes in steps of one
-length, so that what was left out can be made up for: a member that isn't drawn isn't stepped, and one that is
-drawn again takes the steps that it missed, and looks as if it had never been away. Where a state is forgotten
-after some steps, as a drop's once the drop is thrown anew, it takes these at most.
+A simulation has members: objects with a mesh of their own, whose vertices it computes. It goes in steps of constant
+length, so that skipped steps can be made up for: a member that isn't drawn isn't stepped. When it is drawn again, it
+takes the steps that it has missed, and looks as if it had been stepped all the time. A state may be forgotten after a
+number of steps, such as that of a drop after the drop is thrown again; then a member takes that number of steps at
+most.
 
-Whether something is seen depends on bounds, and those of what isn't stepped aren't known. So a simulated mesh is
-added with bounds that hold at all times (`SceneBuilder.add_mesh(..., bounds=...)`).
+Whether an object is visible depends on its bounds, and those of objects that aren't stepped aren't known. So a
+simulated mesh is added with bounds that hold at all times (`SceneBuilder.add_mesh(..., bounds=...)`).
 """
 
 from __future__ import annotations
@@ -19,61 +20,62 @@ from typing import Any, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from renderer.scene.arrays import Rows
+
 __rhi_internal__ = True
 
-Rows = NDArray[np.int64]
 
-_EARLY: Final = 1e-6  # of a step: a time that rounding put just before one counts as on it
+_EARLY: Final = 1e-6  # of a step: a time that rounding has put just before a step counts as the step
 
 
-class Simulation(Protocol):
-    """What k members do. A copy (`deepcopy`) goes its own way.
+class ObjectSimulation(Protocol):
+    """A simulation of k objects, its members. A `deepcopy` is independent of the original.
 
     Attributes:
-        interval: seconds of a step.
-        memory: after how many steps nothing is left of an earlier state; None if something always is.
+        interval: the length of a step in seconds.
+        memory: the number of steps after which an earlier state has no effect any more; None if it always has one.
     """
 
     interval: float
     memory: int | None
 
     def step(self, members: Rows, numbers: Rows) -> None:
-        """Let `members` (j,) go one `interval` on, each to its step of `numbers` (j,), of which 1 is the first.
+        """Advance `members` (j,) by one `interval`, each to its step of `numbers` (j,), of which the first is 1.
 
-        The same steps give the same state to the last bit, whoever else takes them.
+        The same steps must give the same state to the last bit, whatever other members take them.
         """
         ...
 
     def vertices(self, member: int) -> NDArray[Any]:
-        """(v,) of `VERTEX`: its mesh as it is now, as many as it has always had."""
+        """Return the present vertices of a member, (v,) of `VERTEX`; their number never changes."""
         ...
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Simulated:
-    """A simulation of a scene at its beginning, and the objects (k,) that its members are."""
+    """A simulation in its initial state, and the rows (k,) of the objects that are its members."""
 
-    simulation: Simulation
+    simulation: ObjectSimulation
     objects: Rows
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Advanced:
-    """The object `row`, `member` of `simulation`, is at its step `number`: which says all about its vertices."""
+    """The state of the object `row`, `member` of `simulation`: its step `number` determines its vertices."""
 
     row: int
     number: int
-    simulation: Simulation
+    simulation: ObjectSimulation
     member: int
 
 
 class Simulator:
-    """Steps the simulations of a scene, of what is drawn alone; a renderer has one.
+    """Steps those members of a scene's simulations that are drawn; a renderer has one.
 
     Attributes:
-        objects: rows of the objects that are simulated, ascending.
-        seconds: the time that what is drawn is brought to.
-        steps: that members took since `begin_frame`; seen: members that were drawn since.
+        objects: rows of the simulated objects, ascending.
+        seconds: the time of the frame.
+        steps: number of steps that members took since `begin_frame`. seen: number of members drawn since then.
     """
 
     def __init__(self, simulated: Sequence[Simulated], object_count: int) -> None:
@@ -94,12 +96,12 @@ class Simulator:
 
     @property
     def seen(self) -> int:
-        """How many members were drawn since `begin_frame`."""
+        """The number of members drawn since `begin_frame`."""
         return int(self._seen[self.objects].sum())
 
     def begin_frame(self, seconds: float) -> None:
-        """What is drawn from now on is drawn at this time; if that is before the last frame's, from the beginning
-        on."""
+        """Begin a frame at the time `seconds`. If that is before the last frame's time, all simulations start
+        again."""
         if seconds < self.seconds:
             self._restart()
         self.seconds = seconds
@@ -107,7 +109,7 @@ class Simulator:
         self._seen[self.objects] = False
 
     def advance(self, rows: Rows) -> list[Advanced]:
-        """Bring what is simulated among the objects `rows` up to the frame's time; those, and where they are."""
+        """Step the simulated ones of the objects `rows` to the frame's time, and return their states."""
         advanced: list[Advanced] = []
         if not self._begin:
             return advanced

@@ -1,7 +1,7 @@
-"""Affine transforms as stacks of matrices: built, multiplied and applied to whole arrays.
+"""Affine transforms as stacks of matrices, so that whole arrays are built, multiplied and applied at once.
 
-Matrices are (..., 4, 4) float64 for column vectors: `matrix @ vector`. Every function takes and returns
-stacks, so that no caller loops over objects.
+Matrices are (..., 4, 4) float64 for column vectors: `matrix @ vector`. Every function takes and returns stacks, so
+that no caller loops over objects.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-__rhi_internal__ = True
+from renderer.scene.arrays import Floats
 
-Floats = NDArray[np.float64]
+__rhi_internal__ = True
 
 
 def translation(offset: ArrayLike) -> Floats:
-    """(..., 4, 4) matrices that move by `offset` (..., 3)."""
+    """Return matrices (..., 4, 4) that translate by `offset` (..., 3)."""
     moved = np.asarray(offset, np.float64)
     matrix = _identity(moved.shape[:-1])
     matrix[..., :3, 3] = moved
@@ -25,7 +25,7 @@ def translation(offset: ArrayLike) -> Floats:
 
 
 def scaling(factors: ArrayLike) -> Floats:
-    """(..., 4, 4) matrices that scale the axes by `factors` (..., 3)."""
+    """Return matrices (..., 4, 4) that scale the axes by `factors` (..., 3)."""
     scaled = np.asarray(factors, np.float64)
     matrix = _identity(scaled.shape[:-1])
     for axis in range(3):
@@ -34,7 +34,7 @@ def scaling(factors: ArrayLike) -> Floats:
 
 
 def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
-    """(..., 4, 4) matrices that turn by `angle` (...) radians about the unit `axis` (3,), right-handed."""
+    """Return matrices (..., 4, 4) that rotate by `angle` (...) radians about the unit `axis` (3,), right-handed."""
     x, y, z = np.asarray(axis, np.float64)
     turned = np.asarray(angle, np.float64)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
@@ -45,7 +45,7 @@ def rotation(axis: ArrayLike, angle: ArrayLike) -> Floats:
 
 
 def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
-    """`left @ right` for stacks of affine matrices, with the last row kept exactly 0 0 0 1."""
+    """Return `left @ right` for stacks of affine matrices, with a last row of exactly 0 0 0 1."""
     a, b = np.asarray(left, np.float64), np.asarray(right, np.float64)
     product = a @ b
     product[..., 3, :] = (0.0, 0.0, 0.0, 1.0)
@@ -53,15 +53,15 @@ def multiply(left: ArrayLike, right: ArrayLike) -> Floats:
 
 
 def is_affine(matrices: Floats) -> bool:
-    """Whether all of (..., 4, 4) are finite with last row 0 0 0 1."""
+    """Return whether all `matrices` (..., 4, 4) are finite and have the last row 0 0 0 1."""
     return bool(np.isfinite(matrices).all() and (matrices[..., 3, :] == (0.0, 0.0, 0.0, 1.0)).all())
 
 
 def transform_bounds(matrices: Floats, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-    """Axis-aligned bounds of transformed boxes, by the absolute matrix (Arvo, Graphics Gems, 1990).
+    """Return axis-aligned bounds of transformed boxes, using the absolute matrix (Arvo, Graphics Gems, 1990).
 
-    `matrices` is (n, 4, 4), `lower` and `upper` are (n, 3). The centre goes through the matrix and the
-    half extents through its absolute values, which gives the bounds of the eight transformed corners.
+    `matrices` is (n, 4, 4), `lower` and `upper` are (n, 3). The centre is multiplied by the matrix and the
+    half extents by its absolute values, which gives the bounds of the eight transformed corners.
     Values are rounded outwards by the error of that sum, so that no corner lies outside.
     """
     centre, extent = 0.5 * (lower + upper), 0.5 * (upper - lower)
@@ -75,9 +75,10 @@ def transform_bounds(matrices: Floats, lower: Floats, upper: Floats) -> tuple[Fl
 
 
 def normal_matrices(matrices: NDArray[Any]) -> Floats:
-    """(..., 3, 3) matrices for normals of (..., 4, 4) transforms: cofactors, right for singular ones too.
+    """Return the matrices (..., 3, 3) for normals under the transforms (..., 4, 4): cofactors, which also suit
+    singular ones.
 
-    The cofactor matrix is the inverse transpose times the determinant; its sign is taken out so that
+    The cofactor matrix is the inverse transpose times the determinant, whose sign is removed so that
     mirrored objects keep outward normals. Results are not normalised.
     """
     linear = np.asarray(matrices, np.float64)[..., :3, :3]
@@ -88,9 +89,9 @@ def normal_matrices(matrices: NDArray[Any]) -> Floats:
 
 
 def relative_to(matrices: Floats, eye: ArrayLike) -> NDArray[np.float32]:
-    """World transforms (..., 4, 4) made relative to `eye` (3,), in float32.
+    """Return world transforms (..., 4, 4) relative to `eye` (3,), in float32.
 
-    The subtraction happens in float64 before anything is rounded: near the eye float32 is then as fine
+    The subtraction is done in float64, before rounding: near the eye, float32 is then as fine
     at 1e6 m from the origin as at the origin.
     """
     moved = np.array(matrices, np.float64)

@@ -1,4 +1,4 @@
-"""Shaders of the renderer, in the shading language: shared structs, the lighting model, one class a technique."""
+"""Shared parts of the renderer's shaders, in the shading language: structs and the lighting model."""
 
 from renderer.shaders.lighting import (
     ambient_light,
@@ -21,8 +21,8 @@ from renderer.shaders.structs import (
     ObjectPosition,
     PointLight,
     SpotLight,
-    Surface,
-    Varying,
+    SurfacePoint,
+    SurfaceVarying,
     Vertex,
     View,
     relative_position,
@@ -38,8 +38,8 @@ __all__ = [
     "ObjectPosition",
     "PointLight",
     "SpotLight",
-    "Surface",
-    "Varying",
+    "SurfacePoint",
+    "SurfaceVarying",
     "Vertex",
     "View",
     "ambient_light",

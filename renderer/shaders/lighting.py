@@ -1,26 +1,26 @@
 """The lighting model: Blinn-Phong, in linear light.
 
-Reflected light is `base + specular · (s + 8) / 8 · (n · h)^s` per unit of irradiance, times `n · l`: the
+The reflected light is `base + specular · (s + 8) / 8 · (n · h)^s` per unit of irradiance, times `n · l`: the
 factor keeps a highlight's energy as its exponent s grows (Akenine-Möller, Haines and Hoffman, Real-Time
-Rendering, 3rd ed., 7.6). Colours are of surfaces in full light, so no π appears. Every function is finite for
-every finite input: directions of no length, lights at the surface, ranges and cones of 0.
+Rendering, 3rd ed., 7.6). Colours are those of fully lit surfaces, so no π appears. Every function is finite for
+every finite input: directions of length 0, lights at the surface, ranges and cones of 0.
 """
 
 from __future__ import annotations
 
-from renderer.shaders.structs import Ambient, DirectionalLight, PointLight, SpotLight, Surface
+from renderer.shaders.structs import Ambient, DirectionalLight, PointLight, SpotLight, SurfacePoint
 from rhi.shading import dot, function, inversesqrt, max, min, mix, pow, reflect, saturate, vec3
 
 
 @function
 def safe_normalize(v: vec3) -> vec3:
-    """`v` with length 1; a vector of no length stays (nearly) so, where `normalize` would give NaN."""
+    """Return `v` scaled to length 1. A zero vector stays (almost) zero, where `normalize` would give NaN."""
     return v * inversesqrt(max(dot(v, v), 1e-30))
 
 
 @function
-def reflected_light(surface: Surface, to_light: vec3, irradiance: vec3) -> vec3:
-    """What the surface sends to the eye of light that arrives from the unit direction `to_light`."""
+def reflected_light(surface: SurfacePoint, to_light: vec3, irradiance: vec3) -> vec3:
+    """Return the light that the surface reflects to the eye, of light from the unit direction `to_light`."""
     facing = dot(surface.normal, to_light)
     if facing <= 0.0:
         return vec3(0.0)
@@ -31,14 +31,14 @@ def reflected_light(surface: Surface, to_light: vec3, irradiance: vec3) -> vec3:
 
 
 @function
-def directional_light(surface: Surface, light: DirectionalLight) -> vec3:
-    """Light of the same direction everywhere."""
+def directional_light(surface: SurfacePoint, light: DirectionalLight) -> vec3:
+    """Return the reflected light of a directional light."""
     return reflected_light(surface, -light.direction, light.color * light.intensity)
 
 
 @function
 def attenuation(distance_squared: float, range: float) -> float:
-    """1 / d², windowed by (1 - (d / range)⁴)² to reach 0 at `range`, and bounded within a centimetre.
+    """Return 1 / d², windowed by (1 - (d / range)⁴)² to reach 0 at `range`, and bounded within a centimetre.
 
     The window is that of Karis, Real Shading in Unreal Engine 4 (2013).
     """
@@ -48,15 +48,15 @@ def attenuation(distance_squared: float, range: float) -> float:
 
 
 @function
-def in_range(surface: Surface, position: vec3, range: float) -> bool:
-    """Whether the surface is within a light's range. Ask before reading the rest of the light."""
+def in_range(surface: SurfacePoint, position: vec3, range: float) -> bool:
+    """Return whether the surface is within a light's range. Test this before reading the rest of the light."""
     to_light = position - surface.position
     return dot(to_light, to_light) < range * range
 
 
 @function
-def point_light(surface: Surface, light: PointLight) -> vec3:
-    """Light from a point, 0 from its range on."""
+def point_light(surface: SurfacePoint, light: PointLight) -> vec3:
+    """Return the reflected light of a point light; 0 beyond its range."""
     to_light = light.position - surface.position
     distance_squared = dot(to_light, to_light)
     irradiance = light.color * (light.intensity * attenuation(distance_squared, light.range))
@@ -64,8 +64,9 @@ def point_light(surface: Surface, light: PointLight) -> vec3:
 
 
 @function
-def spot_light(surface: Surface, light: SpotLight) -> vec3:
-    """Light from a point within a cone: full inside the inner angle, 0 outside the outer, squared between."""
+def spot_light(surface: SurfacePoint, light: SpotLight) -> vec3:
+    """Return the reflected light of a spot light: full inside the inner angle, 0 outside the outer, squared
+    between."""
     to_light = light.position - surface.position
     distance_squared = dot(to_light, to_light)
     direction = safe_normalize(to_light)
@@ -79,16 +80,16 @@ def spot_light(surface: Surface, light: SpotLight) -> vec3:
 
 @function
 def hemisphere(ambient: Ambient, direction: vec3) -> vec3:
-    """Ambient light from around the unit `direction`."""
+    """Return the ambient light from the unit `direction`."""
     return mix(ambient.ground, ambient.sky, 0.5 + 0.5 * direction.y)
 
 
 @function
-def ambient_light(surface: Surface, ambient: Ambient, rim_strength: float, rim_power: float) -> vec3:
-    """What the surface sends to the eye of light from everywhere: scattered, and mirrored.
+def ambient_light(surface: SurfacePoint, ambient: Ambient, rim_strength: float, rim_power: float) -> vec3:
+    """Return the ambient light that the surface sends to the eye, scattered and mirrored.
 
-    It mirrors `specular + strength · (1 - n · v)^power` of what lies in the mirrored direction: the Fresnel
-    rim term (Duality Engine 4.2.2), with the ambient hemisphere for surroundings.
+    It mirrors `specular + strength · (1 - n · v)^power` of the light from the mirrored direction: the Fresnel
+    rim term (Duality Engine 4.2.2), with the ambient hemisphere as surroundings.
     """
     mirrored = surface.specular_color
     if rim_strength > 0.0:
@@ -100,8 +101,7 @@ def ambient_light(surface: Surface, ambient: Ambient, rim_strength: float, rim_p
 
 @function
 def tone_map(color: vec3) -> vec3:
-    """Linear light of any strength to linear 0…1: Narkowicz's fit of the ACES filmic curve (2016)."""
-    color = min(
-        color * 0.6, 1e4
-    )  # 0.6 is the exposure of the fit; 1e4 is far beyond white and can be squared
+    """Map linear light of any strength to linear 0…1 by Narkowicz's fit of the ACES filmic curve (2016)."""
+    # 0.6 is the exposure of the fit; 1e4 is far beyond white and can be squared.
+    color = min(color * 0.6, 1e4)
     return saturate((color * (2.51 * color + 0.03)) / (color * (2.43 * color + 0.59) + 0.14))

@@ -1,8 +1,8 @@
-"""What the renderer's shaders share with the CPU and with each other.
+"""Structs that the renderer's shaders share with the CPU and with each other.
 
-Lengths are metres, colours linear. Positions are relative to the eye, with the world's axes: float32 is then
+Lengths are in metres, colours linear. Positions are relative to the eye, along the world's axes: float32 is then
 as fine far from the world's origin as near it. Structs that mirror an array of `renderer.scene` have its
-std430 layout, so that the array is uploaded as it stands.
+std430 layout, so that the array is uploaded unchanged.
 """
 
 from __future__ import annotations
@@ -11,8 +11,10 @@ from rhi.shading import Struct, function, ivec3, mat3, mat4, uint, vec2, vec3, v
 
 
 class View(Struct):
-    """A camera: from positions relative to the eye to clip space, and where in the world the eye is: at
-    `eye_high` + `eye_low`, two floats for each double."""
+    """A camera: the matrix from positions relative to the eye to clip space, and the eye's world position.
+
+    The position is `eye_high` + `eye_low`: two floats for each double.
+    """
 
     relative_view_projection: mat4
     eye_high: vec3
@@ -20,21 +22,21 @@ class View(Struct):
 
 
 class Ambient(Struct):
-    """Light from everywhere: `sky` from above, `ground` from below."""
+    """Ambient light: `sky` from above, `ground` from below."""
 
     sky: vec3
     ground: vec3
 
 
 class Haze(Struct):
-    """Air that lets e^-density of light through a metre, and shows `color` instead."""
+    """Haze: e^-density of the light passes a metre of air; the rest is replaced by `color`."""
 
     color: vec3
     density: float
 
 
 class Object(Struct):
-    """All of an object's transform but the position, its material and its lights.
+    """An object's material, lights and transform, except its position.
 
     `normal` is the cofactor matrix of `linear`, which keeps normals upright under nonuniform scale. The
     object's lights are `light_rows[lights_begin:points_end]`, rows of the point lights, and
@@ -50,9 +52,9 @@ class Object(Struct):
 
 
 class ObjectPosition(Struct):
-    """Where in the world an object is, and which mesh: at `high` + `low`, two floats for each double.
+    """An object's world position, `high` + `low` (two floats for each double), and its mesh.
 
-    `mirrored` is 1 where the object's transform turns its triangles round.
+    `mirrored` is 1 if the object's transform mirrors it, which reverses the winding of its triangles.
     """
 
     high: vec3
@@ -62,7 +64,7 @@ class ObjectPosition(Struct):
 
 
 class MeshPart(Struct):
-    """A mesh: its box in mesh space, and what a draw of it takes from the arrays that all meshes share."""
+    """A mesh: its box in mesh space, and its range of the arrays that all meshes share."""
 
     lower: vec3
     first: uint
@@ -73,13 +75,13 @@ class MeshPart(Struct):
 
 @function
 def relative_position(place: ObjectPosition, view: View) -> vec3:
-    """Where an object's origin is from the eye: as exact near the eye as doubles are, far from the world's
-    origin too."""
+    """Return an object's position relative to the eye. Near the eye it is as exact as with doubles, even far from the
+    world's origin."""
     return (place.high - view.eye_high) + (place.low - view.eye_low)
 
 
 class Material(Struct):
-    """`renderer.scene.MATERIAL`."""
+    """A material, laid out as `renderer.scene.MATERIAL`."""
 
     base_color: vec4
     specular_color: vec3
@@ -91,7 +93,7 @@ class Material(Struct):
 
 
 class DirectionalLight(Struct):
-    """`renderer.scene.DIRECTIONAL`; `direction` is the way the light travels, unit length."""
+    """A directional light, laid out as `renderer.scene.DIRECTIONAL`; it travels along the unit vector `direction`."""
 
     direction: vec3
     intensity: float
@@ -99,7 +101,7 @@ class DirectionalLight(Struct):
 
 
 class PointLight(Struct):
-    """`renderer.scene.RELATIVE_POINT`."""
+    """A point light, laid out as `renderer.scene.RELATIVE_POINT`."""
 
     position: vec3
     range: float
@@ -108,7 +110,7 @@ class PointLight(Struct):
 
 
 class SpotLight(Struct):
-    """`renderer.scene.RELATIVE_SPOT`."""
+    """A spot light, laid out as `renderer.scene.RELATIVE_SPOT`."""
 
     position: vec3
     range: float
@@ -120,15 +122,15 @@ class SpotLight(Struct):
 
 
 class Vertex(Struct):
-    """A mesh's vertex (`renderer.scene.VERTEX`), in mesh space; v = 0 is an image's top row."""
+    """A vertex in mesh space, laid out as `renderer.scene.VERTEX`; v = 0 is the top row of an image."""
 
     position: vec3
     normal: vec3
     uv: vec2
 
 
-class Varying(Struct):
-    """From vertex to fragment."""
+class SurfaceVarying(Struct):
+    """The varyings of the forward shader."""
 
     clip: vec4
     position: vec3
@@ -138,8 +140,8 @@ class Varying(Struct):
     lights: ivec3
 
 
-class Surface(Struct):
-    """A point to be lit; `normal` and `to_eye` are unit vectors."""
+class SurfacePoint(Struct):
+    """A point of a surface to be lit; `normal` and `to_eye` are unit vectors."""
 
     position: vec3
     normal: vec3

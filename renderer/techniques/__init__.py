@@ -1,4 +1,4 @@
-"""Techniques: ways to draw a frame. Each is one object, interchangeable at run time."""
+"""Techniques: ways to draw a frame. Each is one object, and can be exchanged at run time."""
 
 from collections.abc import Callable
 from typing import Final
@@ -7,6 +7,6 @@ from renderer.techniques.forward import Forward
 from renderer.techniques.technique import Technique
 
 TECHNIQUES: Final[dict[str, Callable[[], Technique]]] = {Forward.name: Forward}
-"""What makes each technique, by name."""
+"""Constructors of all techniques, by name."""
 
 __all__ = ["TECHNIQUES", "Forward", "Technique"]

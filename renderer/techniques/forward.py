@@ -1,29 +1,30 @@
 """Forward shading: one pass, in which each fragment is lit by all lights that reach its object.
 
-Objects are drawn front to back, so that early depth tests spare the shading of what is hidden.
+Objects are drawn front to back, so that early depth tests avoid the shading of hidden fragments.
 """
 
 from __future__ import annotations
 
 from typing import Any, Final
 
-from renderer.frame import Frame, ScenePass, SceneResources
+from renderer.frame import Frame, SceneResources, TechniquePass
 from renderer.techniques.forward_shader import forward_variant
 from rhi import Device, Program
 
 
 class Forward:
-    """Lit in one pass; the shader has only the kinds of lights and textures that the scene has."""
+    """Draws the scene lit in one pass; the shader handles only the kinds of lights and textures that the scene
+    has."""
 
     name: Final = "forward"
 
     def render(self, device: Device, frame: Frame) -> None:
-        """One pass: what the algorithm lets through, lit as it is drawn."""
+        """Draw the visible objects in one pass, lit."""
         resources, targets = frame.resources, frame.targets
         program, bindings = bind_forward(device, resources)
         with device.event("forward"):
             frame.draw_visible(
-                ScenePass(
+                TechniquePass(
                     device,
                     resources,
                     frame.camera,
@@ -37,7 +38,7 @@ class Forward:
 
 
 def bind_forward(device: Device, resources: SceneResources) -> tuple[Program[Any], dict[str, Any]]:
-    """The forward program for what the scene has, and what it reads."""
+    """Return the forward program for the features that the scene has, and its bindings."""
     optional = {
         "images": resources.images,
         "directional_lights": resources.directional.buffer,

@@ -1,7 +1,7 @@
 """The forward shader: each fragment is lit by all lights that reach its object, in one pass.
 
-What a scene hasn't got costs nothing: `ForwardShader` knows no lights and no textures, each of the classes
-below adds one kind of them with its binding, and `forward_variant` combines what is needed.
+A feature that a scene lacks costs nothing: `ForwardShader` has no lights and no textures, each of the classes
+below adds one feature with its binding, and `forward_variant` combines those that are needed.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ from renderer.shaders.structs import (
     ObjectPosition,
     PointLight,
     SpotLight,
-    Surface,
-    Varying,
+    SurfacePoint,
+    SurfaceVarying,
     Vertex,
     View,
     relative_position,
@@ -51,9 +51,9 @@ from rhi.shading import (
 
 
 class ForwardShader(Shader):
-    """Ambient light with the rim term, and emission; the base of all variants."""
+    """The base of all variants: ambient light with the rim term, and emission."""
 
-    # Highlights end in 8 bits: a pow as exact as GL's (128 units in the last place) halves a lit pass on OpenCL.
+    # Highlights end up in 8 bits: a pow as exact as GL's (128 ulp) halves the time of a lit pass on OpenCL.
     precision = Precision.FAST
 
     view: Uniform[View]
@@ -62,11 +62,11 @@ class ForwardShader(Shader):
     places: Storage[ObjectPosition]
     materials: Storage[Material]
 
-    def vertex(self, v: Vertex) -> Varying:
+    def vertex(self, v: Vertex) -> SurfaceVarying:
         row = instance_index()
         thing = self.objects[row]
         position = thing.linear @ v.position + relative_position(self.places[row], self.view)
-        return Varying(
+        return SurfaceVarying(
             clip=self.view.relative_view_projection @ vec4(position, 1.0),
             position=position,
             normal=thing.normal @ v.normal,
@@ -75,9 +75,9 @@ class ForwardShader(Shader):
             lights=ivec3(thing.lights_begin, thing.points_end, thing.lights_end),
         )
 
-    def fragment(self, v: Varying) -> vec4:
+    def fragment(self, v: SurfaceVarying) -> vec4:
         material = self.materials[v.material]
-        surface = Surface(
+        surface = SurfacePoint(
             position=v.position,
             normal=safe_normalize(v.normal),
             to_eye=safe_normalize(-v.position),
@@ -95,13 +95,13 @@ class ForwardShader(Shader):
     def texel(self, image: int, uv: vec2) -> vec3:
         return vec3(1.0)
 
-    def sunlight(self, surface: Surface) -> vec3:
+    def sunlight(self, surface: SurfacePoint) -> vec3:
         return vec3(0.0)
 
-    def pointlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
-    def spotlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         return vec3(0.0)
 
     def through_air(self, color: vec3, position: vec3) -> vec3:
@@ -109,7 +109,7 @@ class ForwardShader(Shader):
 
 
 class Textured(ForwardShader):
-    """Adds images, the layers of one texture."""
+    """Adds images: the layers of one texture."""
 
     images: Texture2DArray
 
@@ -125,7 +125,7 @@ class WithDirectionalLights(ForwardShader):
 
     directional_lights: Storage[DirectionalLight]
 
-    def sunlight(self, surface: Surface) -> vec3:
+    def sunlight(self, surface: SurfacePoint) -> vec3:
         color = vec3(0.0)
         for i in range(len(self.directional_lights)):
             color += directional_light(surface, self.directional_lights[i])
@@ -133,12 +133,12 @@ class WithDirectionalLights(ForwardShader):
 
 
 class WithSun(ForwardShader):
-    """Adds the only directional light there is: without a loop a compiler sees that it is the same for all fragments,
+    """Adds a single directional light. Without a loop, a compiler sees that the light is the same for all fragments,
     which saves llvmpipe a twentieth of the pass."""
 
     directional_lights: Storage[DirectionalLight]
 
-    def sunlight(self, surface: Surface) -> vec3:
+    def sunlight(self, surface: SurfacePoint) -> vec3:
         return directional_light(surface, self.directional_lights[0])
 
 
@@ -148,7 +148,7 @@ class WithPointLights(ForwardShader):
     point_lights: Storage[PointLight]
     light_rows: Storage[int]
 
-    def pointlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def pointlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         color = vec3(0.0)
         for i in range(begin, end):
             row = self.light_rows[i]
@@ -163,7 +163,7 @@ class WithSpotLights(ForwardShader):
     spot_lights: Storage[SpotLight]
     light_rows: Storage[int]
 
-    def spotlight(self, surface: Surface, begin: int, end: int) -> vec3:
+    def spotlight(self, surface: SurfacePoint, begin: int, end: int) -> vec3:
         color = vec3(0.0)
         for i in range(begin, end):
             row = self.light_rows[i]
@@ -173,7 +173,7 @@ class WithSpotLights(ForwardShader):
 
 
 class WithHaze(ForwardShader):
-    """Adds haze, which fades to the background: a colour as it is shown, so it is mixed in at the end."""
+    """Adds haze, which fades to the background. That is a final colour, so it is mixed in after tone mapping."""
 
     haze: Uniform[Haze]
 
@@ -188,13 +188,13 @@ PARTS: Final[dict[str, type[ForwardShader]]] = {
     "spot_lights": WithSpotLights,
     "haze": WithHaze,
 }
-"""What can be added to the forward shader, by the name of its binding."""
+"""The features that can be added to the forward shader, by the names of their bindings."""
 
 
 @cache
 def forward_variant(*parts: str, has_sun: bool = False) -> type[ForwardShader]:
-    """The forward shader with these of `PARTS`, and the bindings of those alone; `has_sun`: of directional lights there
-    is one."""
+    """Return the forward shader with these of `PARTS`, and only their bindings. `has_sun` says that there is exactly
+    one directional light."""
     known = PARTS | {"directional_lights": WithSun} if has_sun else PARTS
     bases = tuple(known[part] for part in parts)
     return type("Forward", (*bases, ForwardShader), {"__module__": __name__})

@@ -1,4 +1,4 @@
-"""What a technique is."""
+"""The protocol of techniques."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ from rhi import Device
 
 
 class Technique(Protocol):
-    """A way to draw a frame: which passes, with which shaders.
+    """A way to draw a frame: its passes and their shaders.
 
-    It keeps no state of a scene or a device: one object can serve several renderers, and be exchanged between
-    two frames.
+    A technique keeps no state of a scene or a device. So one object can serve several renderers, and can be exchanged
+    between two frames.
     """
 
     @property
     def name(self) -> str:
-        """What the command line calls it."""
+        """The name on the command line."""
         ...
 
     def render(self, device: Device, frame: Frame) -> None:
-        """Draw what `frame.draw_visible` finds into `frame.targets`, which hold nothing of use before."""
+        """Draw the frame to `frame.targets`, whose contents are undefined. Draw the scene with
+        `frame.draw_visible`."""
         ...

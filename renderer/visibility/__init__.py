@@ -1,7 +1,7 @@
-"""Visibility: which objects are drawn.
+"""Visibility algorithms: they decide which objects are drawn.
 
 visibility = make_visibility("chc_plus_plus", scene, device)
-statistics = visibility.render(camera, lambda rows: technique.draw(rows))
+statistics = visibility.render(camera, scene_pass)      # `scene_pass`: a `ScenePass`
 """
 
 from collections.abc import Callable
@@ -11,11 +11,11 @@ from typing import Final
 
 from renderer import rules
 from renderer.scene import Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics, VisibilityAlgorithm, find_visible_objects
+from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics, find_visible_objects
 from renderer.visibility.auto import AutoCulling
-from renderer.visibility.boxes.culling import Counts, Culler, find_visible
+from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
 from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
-from renderer.visibility.frustum import FrustumCulling, NoCulling, VolumeCulling
+from renderer.visibility.frustum import FrustumCulling, NoCulling
 from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.two_pass import TwoPassCulling
@@ -23,7 +23,7 @@ from renderer.visibility.queries.chc import Chc
 from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
 from renderer.visibility.queries.conditional import ConditionalCulling
 from renderer.visibility.queries.stop_and_wait import StopAndWait
-from renderer.visibility.scene_pass import DeviceList, SceneArrays
+from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
 from renderer.visibility.settings import Settings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
 from rhi import Device
@@ -34,26 +34,26 @@ __all__ = [
     "ALGORITHMS",
     "CANDIDATES",
     "AutoCulling",
+    "CallbackPass",
     "Chc",
     "ChcPlusPlus",
     "ConditionalCulling",
-    "Counts",
     "Culler",
+    "CullingCounts",
     "DepthPyramidCulling",
     "DeviceCulling",
     "DeviceList",
-    "DrawObjects",
     "FrustumCulling",
     "Hierarchy",
     "NoCulling",
     "SceneArrays",
+    "ScenePass",
     "Settings",
     "SoftwareDepth",
-    "Statistics",
     "StopAndWait",
     "TwoPassCulling",
     "VisibilityAlgorithm",
-    "VolumeCulling",
+    "VisibilityStatistics",
     "build_by_area",
     "build_by_median",
     "find_visible",
@@ -63,7 +63,8 @@ __all__ = [
 ]
 
 CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "frustum", "depth_pyramid", "two_pass", "none")
-"""What `auto` tries, in this order: each is the fastest for some scene, view and device, and no other is."""
+"""The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
+is."""
 
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
     "none": lambda scene, _device, _settings: NoCulling(scene),
@@ -87,35 +88,35 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         },
     ),
 }
-"""Visibility algorithms by the names of the command line."""
+"""All visibility algorithms, by the names of the command line."""
 
 
 def list_algorithms(device: Device) -> list[str]:
-    """The names of the algorithms that `device` can run without help: the null device answers no queries, and runs no
-    shaders."""
+    """Return the names of the algorithms that `device` can run. The null device answers no queries and runs no
+    shaders, unless it is told how (see `count_samples` and `run_shaders`)."""
     return [name for name in ALGORITHMS if _can_run(name, device)]
 
 
 def _can_run(name: str, device: Device) -> bool:
     can = device.capabilities
-    asks = can.shading and (can.occlusion_queries or can.sample_counter)
+    queries = can.shading and (can.occlusion_queries or can.sample_counter)
     match name:
         case "none" | "frustum" | "auto":
             return True
         case "conditional":
-            return asks and can.conditional_rendering
+            return queries and can.conditional_rendering
         case "software_depth":
             return can_rasterise()
         case "depth_pyramid" | "two_pass":
             return can.renders and can.compute
         case _:
-            return asks
+            return queries
 
 
 def make_visibility(
     name: str, scene: Scene, device: Device, settings: Settings | None = None
 ) -> VisibilityAlgorithm:
-    """The algorithm of this name, made for `scene` and for passes on `device` with `settings`."""
+    """Create the algorithm of this name for `scene` and for passes on `device`, with `settings` or the defaults."""
     if name not in ALGORITHMS:
         rules.refuse_name(rules.UNKNOWN_ALGORITHM, f"make_visibility({name!r})", name, ALGORITHMS)
     return ALGORITHMS[name](scene, device, settings or Settings())

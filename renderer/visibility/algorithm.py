@@ -1,40 +1,37 @@
-"""What a visibility algorithm is: it decides what is drawn, and draws it.
+"""The protocol of visibility algorithms: an algorithm decides which objects are drawn, and has them drawn.
 
-An algorithm is one object, made for one scene, with one method. It hands the technique batches of objects
-through a function, as soon as it knows them to be visible. Culling against the frustum calls it once;
-algorithms that ask the GPU (stop-and-wait, CHC, CHC++) call it many times, with occlusion queries of their
-own in between, on the same device and in the order in which they are to happen. What such an algorithm
-needs beyond the scene, the device above all, it gets when it is made; so all stay exchangeable at run time.
+An algorithm is one object, made for one scene, with one method. It draws batches of objects in a technique's pass, as
+soon as it knows them to be visible. Frustum culling draws one batch. Algorithms that use occlusion queries
+(stop-and-wait, CHC, CHC++) draw many, with queries of their own in between, on the same device and in the order in
+which they are to be executed. Whatever else an algorithm needs, above all the device, its constructor takes, so all
+algorithms can be exchanged at run time.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from renderer.scene import Camera
+from renderer.scene.arrays import Rows
+from renderer.visibility.scene_pass import CallbackPass, ScenePass
 
 __rhi_internal__ = True
 
-DrawObjects = Callable[[NDArray[np.int64]], None]
-"""Draws the objects with these rows (k,), now, before anything that is issued later."""
-
 
 @dataclass(frozen=True, slots=True)
-class Statistics:
-    """What one frame cost.
+class VisibilityStatistics:
+    """The cost of finding the visible objects of one frame.
 
     Attributes:
-        objects: how many there are; visible: how many were drawn; batches: in how many calls.
-        nodes_tested, objects_tested: boxes of either kind that were tested against planes.
-        plane_tests: (box, plane) pairs.
-        queries: occlusion queries issued.
-        box_draws, boxes: draws of bounding boxes inside queries, and how many boxes; they are no objects.
-        stalled_milliseconds: how long the CPU waited for answers.
+        objects: number of objects in the scene. visible: number of objects drawn. batches: number of batches.
+        nodes_tested, objects_tested: boxes of nodes and of objects that were tested against planes.
+        plane_tests: number of (box, plane) pairs tested.
+        queries: number of occlusion queries issued.
+        box_draws, boxes: draws of bounding boxes inside queries, and the number of boxes drawn; not objects.
+        stalled_milliseconds: how long the CPU waited for query results.
     """
 
     objects: int
@@ -50,9 +47,14 @@ class Statistics:
 
 
 class VisibilityAlgorithm(Protocol):
-    """Decides which objects of its scene a camera sees."""
+    """Decides which objects of its scene a camera sees, and draws them."""
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    @property
+    def opens_pass(self) -> bool:
+        """Whether the algorithm opens the pass itself. Otherwise the pass must be open when `render` is called."""
+        ...
+
+    def render(self, camera: Camera, scene: ScenePass) -> VisibilityStatistics:
         """Draw all that `camera` may see, each object once, in one batch or several.
 
         The scene must be up to date (`Scene.update`). The rows of a batch are ascending. An object that
@@ -61,12 +63,12 @@ class VisibilityAlgorithm(Protocol):
         ...
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the algorithm's resources on the device."""
         ...
 
 
-def find_visible_objects(algorithm: VisibilityAlgorithm, camera: Camera) -> NDArray[np.int64]:
-    """The rows, ascending, of all objects that `algorithm` would draw; for tools and tests."""
-    batches: list[NDArray[np.int64]] = [np.zeros(0, np.int64)]
-    algorithm.render(camera, batches.append)
+def find_visible_objects(algorithm: VisibilityAlgorithm, camera: Camera) -> Rows:
+    """Return the rows (k,), ascending, of all objects that `algorithm` would draw; for tools and tests."""
+    batches: list[Rows] = [np.zeros(0, np.int64)]
+    algorithm.render(camera, CallbackPass(batches.append))
     return np.sort(np.concatenate(batches))

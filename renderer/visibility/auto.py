@@ -1,4 +1,4 @@
-"""The algorithm that measures: which one is fastest depends on the scene, the view and the device."""
+"""The algorithm that measures others: which one is fastest depends on the scene, the view and the device."""
 
 from __future__ import annotations
 
@@ -10,33 +10,37 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics, VisibilityAlgorithm
+from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device
 
 __rhi_internal__ = True
 
 _TURNED: Final = float(np.cos(np.pi / 4))
 _MOVED: Final = 0.15  # of the scene's diagonal
-_CHANGED: Final = 1.5  # times as many objects drawn, or as few
-_SETTLES: Final = 2  # frames
-_HOPELESS: Final = 1.5  # times the best time so far
-_CLOSE: Final = 1.25  # times the best
-_LONGEST_REST: Final = 8  # times the shortest
+_CHANGED: Final = 1.5  # ratio of the numbers of objects drawn
+_SETTLES: Final = 2  # first frames of a candidate, which aren't counted
+_HOPELESS: Final = 1.5  # ratio to the best time so far, from which a candidate is given up
+_CLOSE: Final = 1.25  # ratio of the second best time to the best, below which both are tried again
+_LONGEST_REST: Final = 8  # ratio to the shortest rest
 
 
 class AutoCulling:
-    """Tries each candidate for some frames, then stays with the fastest until the view is another.
+    """Tries each candidate for some frames, then stays with the fastest until the view has changed.
 
-    In a frame on trial the CPU waits for the GPU, so that the frame's cost is known; it counts as stalled. The
-    view is another when the eye has moved by 0.15 of the scene's diagonal or turned by 45°, or when the number of
-    objects drawn has become 1.5 times as large or as small. After a trial there is none for some frames, and for
-    twice as many each time that it comes to the same end.
+    In a trial frame the CPU waits for the GPU, so that the frame's cost is known; the wait counts as stalled. The
+    view has changed when the eye has moved by 0.15 of the scene's diagonal or turned by 45°, or when the number of
+    objects drawn has grown or shrunk by a factor of 1.5. After a trial there is none for a number of frames, which
+    doubles each time that a trial has the same result.
+
+    The scene pass is opened for it, because most candidates need that.
 
     Attributes:
-        names: of what is tried; candidates: those of them that were made, each when it is first tried.
-        chosen: the name of the fastest; the one on trial while there is a trial.
-        is_trying: whether the next frame is on trial.
+        names: the names of all candidates. candidates: those that were made, each when it is first tried.
+        chosen: the name of the fastest, or during a trial of the one on trial.
     """
+
+    opens_pass: Final = False
 
     def __init__(
         self,
@@ -47,10 +51,13 @@ class AutoCulling:
         frames: int = 5,
         rest: int = 120,
     ) -> None:
-        """`makers` make the candidates. `frames`, 3 or more, is how long each is tried: in two it settles, of the
-        others the least time counts; it is given up when they leave it no hope. When the second is close to the
-        fastest, both are tried again: what disturbs a machine lasts for some frames. `rest`: frames without a trial
-        after one, at least."""
+        """`makers` make the candidates.
+
+        Each is tried for `frames` frames, 3 or more: the first two aren't counted, and the least time of the others
+        counts. A candidate is given up when they leave no hope that it is the fastest. When the second best is close
+        to the fastest, both are tried again, because disturbances of a machine last for some frames. `rest` is the
+        least number of frames without a trial after a trial.
+        """
         self.names = tuple(makers)
         self.candidates: dict[str, VisibilityAlgorithm] = {}
         self.chosen = self.names[0]
@@ -59,28 +66,28 @@ class AutoCulling:
         self._frames = max(frames, _SETTLES + 1)
         lower, upper = scene.bounds
         self._reach = _MOVED * float(np.linalg.norm(upper - lower))
-        self._untried: list[str] = []  # last first
-        self._times: list[float] = []  # of the one on trial
-        self._least: dict[str, float] = {}  # of each that was tried
+        self._untried: list[str] = []  # in reverse order
+        self._times: list[float] = []  # of the candidate on trial
+        self._least: dict[str, float] = {}  # the least time of each candidate that was tried
         self._is_final = False
-        self._last = ""  # what the last trial came to
+        self._last = ""  # the choice of the last trial
         self._shortest = self._rest = self._left = rest
-        self._camera: Camera | None = None  # where the trial ended
-        self._drawn = 0  # in the frame after it
+        self._camera: Camera | None = None  # the camera at the end of the trial
+        self._drawn = 0  # number of objects in the frame after the trial
         self._begin_trial()
 
     @property
     def is_trying(self) -> bool:
-        """Whether the next frame is one of a trial."""
+        """Whether the next frame is a trial frame."""
         return bool(self._untried)
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what the chosen algorithm draws."""
         if not self._untried and self._left <= 0 and self._is_elsewhere(camera):
             self._begin_trial()
         if self._untried:
-            return self._try_next(camera, draw)
-        statistics = self._find(self.chosen).render(camera, draw)
+            return self._try_next(camera, scene_pass)
+        statistics = self._find(self.chosen).render(camera, scene_pass)
         self._left -= 1
         self._drawn = self._drawn or statistics.visible
         if self._left < 0 and max(statistics.visible, self._drawn) > _CHANGED * min(
@@ -90,7 +97,7 @@ class AutoCulling:
         return statistics
 
     def destroy(self) -> None:
-        """Give back what the candidates made on the device."""
+        """Destroy the candidates."""
         for candidate in self.candidates.values():
             candidate.destroy()
 
@@ -102,12 +109,12 @@ class AutoCulling:
         if len(self.names) > 1:
             self._untried = list(self.names)[::-1]
 
-    def _try_next(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def _try_next(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         device, self.chosen = self._device, self._untried[-1]
         candidate = self._find(self.chosen)
         device.finish()
         began = perf_counter()
-        statistics = candidate.render(camera, draw)
+        statistics = candidate.render(camera, scene_pass)
         submitted = perf_counter()
         device.finish()
         done = perf_counter()

@@ -1,41 +1,46 @@
-"""No culling, and hierarchical view-frustum culling (thesis 6.1)."""
+"""Drawing without culling, and hierarchical view-frustum culling (thesis 6.1)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics
-from renderer.visibility.boxes.culling import Counts, Culler
-from renderer.visibility.boxes.hierarchy import Floats, Rows, build_by_area, build_by_median
-from renderer.visibility.boxes.volumes import Fit, Side, classify, fit_aligned, fit_oriented, fit_spheres
+from renderer.scene.arrays import Floats, Rows
+from renderer.visibility.algorithm import VisibilityStatistics
+from renderer.visibility.boxes.culling import Culler, CullingCounts
+from renderer.visibility.boxes.hierarchy import build_by_area, build_by_median
+from renderer.visibility.scene_pass import ScenePass
 
 __rhi_internal__ = True
 
 
 class NoCulling:
-    """Draws everything: what the others are measured against."""
+    """Draws all objects: the reference that other algorithms are measured against."""
+
+    opens_pass: Final = False
 
     def __init__(self, scene: Scene) -> None:
         self._rows: Rows = np.arange(len(scene.objects))
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw every object."""
-        draw(self._rows)
-        return Statistics(len(self._rows), len(self._rows))
+        scene_pass.draw(self._rows)
+        return VisibilityStatistics(len(self._rows), len(self._rows))
 
     def destroy(self) -> None:
-        """Nothing was made on the device."""
+        """Do nothing: there are no resources on the device."""
 
 
 class FrustumCulling:
     """Draws the objects whose bounds are not outside the frustum.
 
-    Static objects are in a hierarchy built once by surface area, dynamic ones in one built each frame at
-    medians. The set is the one that `culling.find_visible` gives for all objects.
+    Static objects are in a hierarchy built once by surface area, dynamic ones in a hierarchy built each frame by
+    median splits. The result is the set that `boxes.culling.find_visible` gives for all objects.
     """
+
+    opens_pass: Final = False
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -44,8 +49,8 @@ class FrustumCulling:
         self.hierarchy = build_by_area(lower, upper)
         self._static = Culler(self.hierarchy, lower, upper)
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
-        """Draw the objects whose bounds meet the frustum."""
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+        """Draw the objects whose bounds are not outside the frustum."""
         objects = self._scene.objects
         planes = camera.frustum.planes
         static, counts = self._static.find_visible(planes)
@@ -55,8 +60,8 @@ class FrustumCulling:
             visible = np.sort(np.concatenate([visible, objects.dynamic_rows.take(moving)]))
             counts = counts + more
         if len(visible):
-            draw(visible)
-        return Statistics(
+            scene_pass.draw(visible)
+        return VisibilityStatistics(
             objects=len(objects),
             visible=len(visible),
             batches=int(len(visible) > 0),
@@ -66,44 +71,9 @@ class FrustumCulling:
         )
 
     def destroy(self) -> None:
-        """Nothing was made on the device."""
+        """Do nothing: there are no resources on the device."""
 
-    def _find_moving(self, planes: Floats) -> tuple[Rows, Counts]:
+    def _find_moving(self, planes: Floats) -> tuple[Rows, CullingCounts]:
         rows = self._scene.objects.dynamic_rows
         lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
         return Culler(build_by_median(lower, upper, leaf_size=16), lower, upper).find_visible(planes)
-
-
-class VolumeCulling:
-    """Draws the objects of which no bounding volume is outside the frustum: each kind of volume for all objects at
-    once. The more kinds, the fewer objects."""
-
-    def __init__(self, scene: Scene, fits: Sequence[Fit] = (fit_aligned, fit_oriented, fit_spheres)) -> None:
-        """`fits` make the volumes, one kind or several."""
-        self._scene = scene
-        self._fits = tuple(fits)
-        self._static = [fit(scene, scene.objects.static_rows) for fit in fits]
-
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
-        """Draw the objects that may meet the frustum."""
-        objects, planes = self._scene.objects, camera.frustum.planes
-        seen = np.ones(len(objects), bool)
-        for fit, static in zip(self._fits, self._static, strict=True):
-            seen[objects.static_rows] &= classify(planes, static) != Side.OUTSIDE
-            if len(objects.dynamic_rows):
-                moving = fit(self._scene, objects.dynamic_rows)
-                seen[objects.dynamic_rows] &= classify(planes, moving) != Side.OUTSIDE
-        visible = np.flatnonzero(seen)
-        if len(visible):
-            draw(visible)
-        tested = len(objects) * len(self._fits)
-        return Statistics(
-            objects=len(objects),
-            visible=len(visible),
-            batches=int(len(visible) > 0),
-            objects_tested=tested,
-            plane_tests=tested * len(planes),
-        )
-
-    def destroy(self) -> None:
-        """Nothing was made on the device."""

@@ -1,20 +1,21 @@
-"""What an algorithm that runs on the device gets from a renderer: the scene's arrays, and the pass it is drawn in.
+"""The pass that a visibility algorithm draws the scene in, and the scene's arrays on the device.
 
-An algorithm of the CPU needs no more than a function that draws rows. One of the device lists draws itself, works
-between them outside of passes, and looks at the depth that is there; so it opens and closes the pass as it needs.
+`ScenePass` is all that an algorithm gets of a renderer. An algorithm of the CPU is given an open pass and draws rows.
+One that runs on the device opens and closes the pass itself: it draws lists that the device has made, dispatches
+compute work between them, which has to happen outside of passes, and reads the pass's depth.
+
+Techniques implement `ScenePass` with `renderer.frame.TechniquePass`. `CallbackPass` is for tools and tests.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, cast
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NoReturn, Protocol
 
 from renderer import rules
+from renderer.scene.arrays import Rows
 from renderer.shaders import MeshPart, Object, ObjectPosition, View
-from renderer.visibility.algorithm import DrawObjects
 from rhi import IndirectDraws, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
 
@@ -23,9 +24,10 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class SceneArrays:
-    """A scene on a device, as its shaders read it.
+    """The buffers of a scene on a device, as shaders read them.
 
-    An object is a row of `objects` and `places`, and the base instance of its draw; a mesh is a row of `parts`.
+    An object is a row of `objects` and of `places`; its row is the base instance of its draw. A mesh is a row of
+    `parts`.
     """
 
     view: UniformRange[View]
@@ -35,51 +37,82 @@ class SceneArrays:
 
 
 class DeviceList(Protocol):
-    """Draws that the device has listed.
+    """A list of draws that the device has made.
 
     Attributes:
-        generation: how often it was made; another number is another list.
+        generation: how often the list was made; a different number means a different list.
     """
 
     generation: int
 
     def arguments(self, *, mirrored: bool) -> IndirectDraws:
-        """Those of one winding."""
+        """Return the draws of the objects of one winding: those that are mirrored, or those that aren't."""
         ...
 
-    def read_rows(self) -> NDArray[np.int64]:
-        """The objects' rows, once the list is made; waits for the device."""
+    def read_rows(self) -> Rows:
+        """Return the rows of the listed objects. Waits for the device."""
         ...
 
 
 class ScenePass(Protocol):
-    """A pass in which a technique draws the scene."""
+    """The render pass in which a technique draws the scene.
+
+    The pass may be closed and opened again: what was drawn is kept.
+    """
 
     @property
     def arrays(self) -> SceneArrays:
-        """The scene, up to date."""
+        """The scene's buffers, up to date for this frame."""
         ...
 
     @property
     def depth(self) -> Texture:
-        """What is drawn to, in depth; to be read, or used in another pass, while this one is closed."""
+        """The depth target. It may be read, or used in another pass, while this pass is closed."""
         ...
 
     def close(self) -> None:
-        """End the pass, if it is open; what was drawn is kept. The next draw opens it again."""
+        """End the pass if it is open. The next draw opens it again."""
         ...
 
-    def __call__(self, rows: NDArray[np.int64]) -> None:
-        """Draw the objects with these rows, now."""
+    def draw(self, rows: Rows) -> None:
+        """Draw the objects `rows` (k,) now, before anything that is issued later; opens the pass if it is closed."""
         ...
 
     def draw_list(self, draws: DeviceList) -> None:
-        """Draw what the device has listed."""
+        """Draw the objects that the device has listed; opens the pass if it is closed."""
         ...
 
 
-def as_scene_pass(draw: DrawObjects, call: str) -> ScenePass:
-    """What a renderer gives an algorithm to draw with, as what it is; refuses a mere function."""
-    if not hasattr(draw, "draw_list"):
-        refuse(rules.NO_SCENE_PASS, call, f"{draw!r}", "what `Renderer.render` draws with")
-    return cast("ScenePass", draw)
+class CallbackPass:
+    """A `ScenePass` without a device, which hands the rows of each batch to a function; for tools and tests.
+
+    It has neither buffers nor depth, so algorithms that need them are refused (`visibility-no-scene-pass`).
+    """
+
+    def __init__(self, draw: Callable[[Rows], object]) -> None:
+        """`draw` is called with the rows (k,) of each batch, in the order of the draws."""
+        self._draw = draw
+
+    @property
+    def arrays(self) -> SceneArrays:
+        """Refused: there is no device."""
+        self._refuse("arrays")
+
+    @property
+    def depth(self) -> Texture:
+        """Refused: there is no target."""
+        self._refuse("depth")
+
+    def close(self) -> None:
+        """Do nothing: there is no pass to end."""
+
+    def draw(self, rows: Rows) -> None:
+        """Hand the rows (k,) to the function."""
+        self._draw(rows)
+
+    def draw_list(self, draws: DeviceList) -> None:
+        """Refused: there is no device."""
+        self._refuse("draw_list")
+
+    def _refuse(self, name: str) -> NoReturn:
+        refuse(rules.NO_SCENE_PASS, f"CallbackPass.{name}", "a pass without a device", "a renderer's pass")

@@ -1,7 +1,7 @@
-"""The numbers that visibility algorithms are made with, and the file that keeps them.
+"""The parameters of visibility algorithms, and the file that keeps them.
 
 `python -m renderer tune` finds the best b and n for a scene and a device (thesis 6.5.1) and writes such a file;
-`render` and `compare visibility` read it with `--settings`.
+`render`, `compare visibility` and `debug visibility` read it with `--settings`.
 """
 
 from __future__ import annotations
@@ -20,13 +20,12 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """What is given to the algorithms that ask the GPU; each takes what it knows.
+    """The parameters of the algorithms that use occlusion queries; each uses those that it has.
 
     Attributes:
-        batch: how many hidden nodes gather before they are asked for, the thesis's b; 1 or more.
-        persistence: for how many frames a visible leaf isn't asked for again, its n; 1 or more.
-        threshold: a box that passes no more samples than this is taken for hidden; 0 or more, and above 0 images
-            may differ.
+        batch: number of hidden nodes that are gathered before they are queried, the thesis's b; 1 or more.
+        persistence: number of frames for which a visible leaf isn't queried again, the thesis's n; 1 or more.
+        threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
     """
 
     batch: int = 50
@@ -45,16 +44,16 @@ class Settings:
                 )
 
     def save(self, path: Path, **found: Any) -> None:
-        """Write them as JSON; `found` says how they came about, and isn't read again."""
+        """Write the settings as JSON. `found` is written too, to say how they were found; `load` ignores it."""
         path.write_text(json.dumps({"visibility": asdict(self), **found}, indent=2) + "\n")
 
     @classmethod
     def load(cls, path: Path) -> Self:
-        """What `save` wrote; a number that is missing is the default's.
+        """Read a file that `save` has written; missing parameters have their defaults.
 
         Raises:
-            ValidationError: `visibility-bad-settings` for what is no such file.
-            OSError: it can't be read.
+            ValidationError: `visibility-bad-settings` if the file holds no settings.
+            OSError: the file can't be read.
         """
         call = f"Settings.load({str(path)!r})"
         try:

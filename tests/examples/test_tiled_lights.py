@@ -71,7 +71,7 @@ def test_what_is_culled_is_not_missed(example: Any, devices: dict[str, rhi.Devic
     apart = (renderer.image.read() != whole).any(axis=-1)
     assert apart.sum() <= 0.001 * apart.size  # samples of a pixel whose centre shows something else
     renderer.visible[:] = False
-    renderer.is_asked = False
+    renderer.is_queried = False
     renderer.render(STREET, ALONG)
     assert (renderer.image.read() != whole).any(axis=-1).mean() > 0.3
 

@@ -28,7 +28,7 @@ def gl() -> Iterator[rhi.Device]:
 
 @pytest.fixture(scope="module", params=["gl", "cl"])
 def drawing_device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
-    """A device of each backend that draws, one for a module; a test of one that isn't here is skipped."""
+    """A device of each backend that draws, one per module; tests of a backend that isn't here are skipped."""
     try:
         device = rhi.create_device(request.param)
     except rhi.DeviceError as error:

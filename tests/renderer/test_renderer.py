@@ -13,7 +13,7 @@ from renderer.content import load_scene
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Depth, Perspective, Scene
 from renderer.shaders import View
-from renderer.visibility import FrustumCulling, NoCulling, make_visibility
+from renderer.visibility import CallbackPass, FrustumCulling, NoCulling, ScenePass, make_visibility
 from rhi import Op
 from rhi.backends.null import Faults
 
@@ -155,21 +155,23 @@ def test_everything_is_given_back(null: rhi.Device, city: Scene) -> None:
 
 @pytest.mark.parametrize("failing", range(20))
 def test_a_renderer_that_cannot_be_made_leaves_nothing(city: Scene, failing: int) -> None:
-    """Whichever creation finds no memory."""
+    """This holds for every resource whose creation fails for lack of memory."""
     with rhi.create_device("null", faults=Faults(memory=failing)) as device:
         with pytest.raises(rhi.DeviceError), Renderer(device, city) as renderer:
             renderer.render(city.views["overview"])
         device.finish()
         made = device.stream.filter(
             (Op.CREATE_TEXTURE, Op.CREATE_BUFFER),
-            where=lambda c: c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM,
+            where=lambda c: (
+                c.failure is None and getattr(c["descriptor"], "usage", None) is not rhi.BufferUsage.STREAM
+            ),
         )
         gone = {command.values[0] for command in device.stream.filter(Op.DESTROY)}
         assert {command.values[0] for command in made} <= gone
 
 
 def queries_left(device: rhi.Device) -> int:
-    """Occlusion queries that were made and not given back."""
+    """Count the occlusion queries that were created and not destroyed."""
     device.finish()
     made = {command.values[0] for command in device.stream.filter(Op.CREATE_QUERY)}
     return len(made - {command.values[0] for command in device.stream.filter(Op.DESTROY)})
@@ -204,7 +206,7 @@ def test_culling_changes_no_pixel_of_the_city(gl: rhi.Device, path: str) -> None
 
 
 def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[int]) -> int:
-    """Pixels that differ between no culling and frustum culling, at 160 × 90."""
+    """Count the pixels that differ between no culling and frustum culling, at 160 × 90."""
     algorithms = (NoCulling(scene), FrustumCulling(scene))
     different = 0
     with Renderer(device, scene, size=(160, 90)) as renderer:
@@ -222,8 +224,10 @@ def count_different(device: rhi.Device, scene: Scene, path: str, frames: list[in
 def test_a_wrongly_culled_object_is_a_different_pixel(gl: rhi.Device, city: Scene) -> None:
     # The control of the comparison above: leave one object in view out.
     class LeaveOut:
-        def render(self, camera: Camera, draw: Any) -> Any:
-            return FrustumCulling(city).render(camera, lambda rows: draw(rows[:-1]))
+        opens_pass = False
+
+        def render(self, camera: Camera, scene_pass: ScenePass) -> Any:
+            return FrustumCulling(city).render(camera, CallbackPass(lambda rows: scene_pass.draw(rows[:-1])))
 
     camera = city.views["overview"]
     images = []

@@ -1,4 +1,4 @@
-"""The renderer's frames as traces: recorded without a GPU, drawn later to the same image."""
+"""Traces of the renderer's frames: recorded without a GPU, replayed later to the same image."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rhi.trace import load, replay, save
 
 
 def render(device: rhi.Device, city: str, frames: int, size: tuple[int, int]) -> NDArray[np.generic] | None:
-    """The city's first frames along the ground; the last one's image where there is one."""
+    """Render the city's first frames along the ground; return the last image, if there is one."""
     scene = load_scene(city)
     with Renderer(device, scene, visibility=FrustumCulling(scene), size=size) as renderer:
         for frame in range(frames):

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 import rhi
 from renderer import shaders
 from renderer.content import find_path, load_scene
-from renderer.measure.backends import BackendPasses, BoxShader
+from renderer.measure.backends import BackendPasses, BoxDepthShader
 from renderer.scene import Scene
 from rhi import BlendFunction, DepthFunction, DepthWrite, Device, Format, Viewport
 from rhi.shading import vec4
@@ -29,8 +29,8 @@ FRAMES = (0, 900)
 WIDER = 8
 
 
-class WhiteBoxes(BoxShader):
-    """Boxes that can be counted in an image."""
+class WhiteBoxes(BoxDepthShader):
+    """Draws boxes in white, so that they can be counted in an image."""
 
     def fragment(self) -> vec4:  # type: ignore[override]
         return vec4(1.0)
@@ -50,7 +50,7 @@ def scene(request: pytest.FixtureRequest) -> Scene:
 def draw(
     device: Device, scene: Scene, path: str, frame: int, name: str, levels: list[NDArray[Any]] | None = None
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Colour as integers, and depth; `levels` are those of the scene's images below the first."""
+    """Return colour as integers, and depth; `levels` are the mip levels of the scene's images below the first."""
     passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), SIZE)
     for level, texels in enumerate(levels or [], 1):
         assert passes.resources.images is not None
@@ -63,7 +63,7 @@ def draw(
 
 
 def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
-    """All layers of each level below the first, as the device made them."""
+    """Read all layers of each mip level below the first, as the device generated them."""
     passes = BackendPasses(device, scene, find_path("ground", scene).camera(0), SIZE)
     images = passes.resources.images
     assert images is not None
@@ -78,7 +78,7 @@ def read_levels(device: Device, scene: Scene) -> list[NDArray[Any]]:
 def draw_depth(
     device: Device, scene: Scene, path: str, frame: int, size: tuple[int, int], wider: int
 ) -> NDArray[Any]:
-    """The depth pass in a viewport so many times as wide as the target."""
+    """Draw the depth pass in a viewport several times as wide as the target."""
     passes = BackendPasses(device, scene, find_path(path, scene).camera(frame), size)
     lens, eye = passes.camera.relative_view_projection, passes.camera.position
     lens[:2] /= wider
@@ -99,7 +99,7 @@ def draw_depth(
 def check_depth(
     devices: tuple[Device, Device], scene: Scene, path: str, frame: int, size: tuple[int, int]
 ) -> None:
-    """Both cover the same pixels at the same depth, but for a few of slivers thinner than the grid."""
+    """Check that both cover the same pixels at the same depth, except for a few of slivers thinner than the grid."""
     gl, cl = (draw_depth(device, scene, path, frame, size, WIDER) for device in devices)
     np.testing.assert_array_equal(gl > 0, cl > 0)
     assert (gl > 0).mean() > 0.5
@@ -152,7 +152,7 @@ def test_cl_draws_in_its_depth_pass_the_depth_of_its_lit_pass(
 
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_gl_and_cl_count_the_same_samples(devices: tuple[Device, Device], scene: Scene, path: str) -> None:
-    """Of 1,000 boxes against the scene's depth; an edge may count a sample more or less."""
+    """For 1,000 boxes against the scene's depth; at an edge a sample more or less may be counted."""
     counts = []
     for device in devices:
         passes = BackendPasses(device, scene, find_path(path, scene).camera(900), SIZE)

@@ -1,1 +1,1 @@
-"""Bounding boxes, the hierarchies over them, and culling by view volume. Runs on the CPU."""
+"""Bounding boxes: hierarchies of them, frustum culling, and the boxes that queries draw."""

@@ -1,4 +1,4 @@
-"""The unit cube that boxes are drawn as, and the camera that draws it relative to the eye."""
+"""The unit cube that boxes are drawn as, and the constants of the camera that sees it."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ _CORNERS: Final = np.array([(x, y, z) for z in (-1, 1) for y in (-1, 1) for x in
 _FACES: Final = np.array(
     [(0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6)], np.uint16
 )
-"""Corners of each side, counter-clockwise seen from outside."""
+"""The corners of each face, counter-clockwise seen from outside."""
 
 TRIANGLES: Final = 12
-"""Of a box."""
+"""Number of triangles of a box."""
 
 
-class Corner(Struct):
-    """Of a cube from -1 to 1."""
+class CubeCorner(Struct):
+    """A vertex of the cube from -1 to 1."""
 
     position: vec3
 
 
 class BoxCamera(Struct):
-    """From positions relative to the eye to clip space."""
+    """The matrix from positions relative to the eye to clip space."""
 
     relative_view_projection: mat4
 
 
 def make_cube(device: Device) -> Mesh:
-    """A mesh of `Corner`, from -1 to 1: each side two triangles."""
+    """Create the mesh of a cube from -1 to 1, with vertices of `CubeCorner` and two triangles for each face."""
     triangles = np.ascontiguousarray(_FACES[:, [0, 1, 2, 0, 2, 3]]).reshape(-1)
     return device.mesh({"position": _CORNERS}, triangles, label="unit cube")

@@ -1,19 +1,19 @@
-"""Boxes against planes, on arrays (thesis 6.1): once by brute force, once through a hierarchy.
+"""Tests of boxes against planes, on arrays (thesis 6.1): by brute force, and through a hierarchy.
 
-A box is outside when, for some plane, its p-vertex (the corner furthest along the normal) lies behind it:
-`(x n_x + y n_y) + z n_z < -d` in float64, in this order. Both ways end in this test, so they find the same
-set, not nearly the same: nodes are tested with a margin wider than the rounding of either, and what the
-margin leaves open is passed down to the boxes.
+A box is outside when its p-vertex (the corner farthest along the normal) lies behind some plane:
+`(x n_x + y n_y) + z n_z < -d` in float64, evaluated in this order. Both ways end in this test, so they find exactly
+the same set: nodes are tested with a margin wider than the rounding of either way, and what the margin leaves
+undecided is passed down to the boxes.
 
-The hierarchy is walked breadth first; a level is a few array operations over all nodes that are left.
-Nodes are wide, because a NumPy call costs as much as a hundred boxes: the levels are cuts through the
-binary hierarchy, and the last one is the boxes themselves. What the thesis does per node is done so:
+The hierarchy is traversed breadth first; a level is a few array operations over all remaining nodes. Nodes are wide,
+because a NumPy call costs as much as a hundred boxes: the levels are cuts through the binary hierarchy, and the last
+level is the boxes themselves. The optimisations of the thesis, which works node by node, become:
 
-- *Last culling plane first* (6.1.2): the first cut is kept sorted by the plane that culled each node last
-  time. A group is then a slice, tested against its one plane without gathering anything; only nodes that
-  pass, few more than those in view, meet the other planes.
-- *Plane masking* (6.1.3): below, what is tested are (node, plane) pairs, a pair for each plane that the
-  node was found to lie across by its n-vertex. All children of the node are tested side by side.
+- *Last culling plane first* (6.1.2): the first cut is kept sorted by the plane that culled each node last. A group is
+  then a slice, which is tested against its one plane without gathering anything. Only nodes that pass, few more than
+  those in view, are tested against the other planes.
+- *Plane masking* (6.1.3): below the first cut, (node, plane) pairs are tested: one for each plane that the node's
+  n-vertex lies behind, so that the node crosses it. All children of the node are tested side by side.
 """
 
 from __future__ import annotations
@@ -24,43 +24,46 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.visibility.boxes.hierarchy import LARGEST, Floats, Hierarchy, Rows
+from renderer.scene.arrays import Floats, Rows
+from renderer.visibility.boxes.hierarchy import LARGEST, Hierarchy
 
 __rhi_internal__ = True
 
 Bits = NDArray[np.uint8]
 """A set of planes for each box: bit p is plane p. `_OUTSIDE` marks a box that some plane culls."""
 
-_GROUPS: Final = (8, 64)  # fewest and most boxes for a node of the last cut to hold
-_NODES: Final = 1024  # between these, as many as give so many nodes
-_WIDEST: Final = 8192  # nodes in the first cut beyond which a coarser one is put above it
-_WIDTH: Final = 64  # nodes of a cut for each of the cut above
-_STALE: Final = 16  # the first cut is sorted again when one node in this many is culled by another plane
+_GROUPS: Final = (8, 64)  # least and greatest number of boxes in a node of the last cut
+_NODES: Final = 1024  # number of nodes aimed for between these limits
+_WIDEST: Final = 8192  # number of nodes in the first cut above which a coarser cut is added
+_WIDTH: Final = 64  # nodes of a cut for each node of the cut above
+_STALE: Final = 16  # the first cut is sorted again when one node in this many changes its culling plane
 _MOST_PLANES: Final = 7
 _OUTSIDE: Final = np.uint8(1 << _MOST_PLANES)
 _BIT: Final = np.left_shift(1, np.arange(_MOST_PLANES)).astype(np.uint8)
 _WEIGHTS: Final = [np.append(np.full(p, _OUTSIDE), _BIT[:p])[:, None] for p in range(_MOST_PLANES + 1)]
-_LOWER: Final = np.arange(3)[:, None]  # rows of the lower corner among a box's six numbers
+_LOWER: Final = np.arange(3)[:, None]  # rows of the lower corner among the six numbers of a box
 _UPPER: Final = _LOWER + 3
-_MEMBERS: Final = (np.arange(1 << _MOST_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set as flags
+_MEMBERS: Final = (np.arange(1 << _MOST_PLANES)[:, None] & _BIT) != 0  # (128, 7) each set of planes as flags
 _SIZES: Final = _MEMBERS.sum(axis=1)
-_MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; each way rounds by 8 at most
+_MARGIN: Final = 64.0 * float(np.finfo(np.float64).eps)  # of the terms' sum; each way rounds by 8 eps at most
 
 
 @dataclass(frozen=True, slots=True)
-class Counts:
-    """What a cull cost: nodes and objects that were tested, and (box, plane) pairs in all."""
+class CullingCounts:
+    """The cost of culling: numbers of nodes and objects tested, and of (box, plane) pairs in all."""
 
     nodes: int = 0
     objects: int = 0
     planes: int = 0
 
-    def __add__(self, other: Counts) -> Counts:
-        return Counts(self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes)
+    def __add__(self, other: CullingCounts) -> CullingCounts:
+        return CullingCounts(
+            self.nodes + other.nodes, self.objects + other.objects, self.planes + other.planes
+        )
 
 
 def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.bool_]:
-    """Which boxes (n, 3) are not outside any of `planes` (p, 4): every box against every plane.
+    """Return which boxes (n, 3) are not outside any of `planes` (p, 4), (n,) bool, by testing all against all.
 
     Fastest when each column is contiguous, as in the transpose of a (3, n) array.
     """
@@ -74,7 +77,7 @@ def find_visible(planes: Floats, lower: Floats, upper: Floats) -> NDArray[np.boo
 
 
 class Culler:
-    """Culls the boxes of one hierarchy, again and again, and remembers what culled its nodes."""
+    """Culls the boxes of one hierarchy frame after frame, and remembers which plane culled each node."""
 
     def __init__(self, hierarchy: Hierarchy, lower: Floats, upper: Floats) -> None:
         self._order = hierarchy.order.astype(np.int32 if len(hierarchy.order) < 2**31 else np.int64)
@@ -93,8 +96,11 @@ class Culler:
             for level in range(1, len(bounds))
         ]
 
-    def find_visible(self, planes: Floats) -> tuple[Rows, Counts]:
-        """Rows, ascending, of the boxes that are not outside any of `planes` (p, 4), p <= 7, unit normals."""
+    def find_visible(self, planes: Floats) -> tuple[Rows, CullingCounts]:
+        """Return the rows, ascending, of the boxes that are not outside any of `planes` (p, 4), and the cost.
+
+        There are at most 7 planes, with unit normals.
+        """
         tables = _Tables(planes)
         nodes, across, tested, pairs = self._groups.test(tables)
         found: list[Rows] = []
@@ -109,34 +115,34 @@ class Culler:
             pairs += more
         found.append(nodes)
         visible = self._order.take(np.concatenate(found))
-        visible.sort()  # half as long in 32 bits
-        return visible.astype(np.int64), Counts(tested, objects, pairs)
+        visible.sort()  # takes half the time with 32 bits
+        return visible.astype(np.int64), CullingCounts(tested, objects, pairs)
 
 
 class _Tables:
-    """The planes as what to gather of a box and what to multiply it by."""
+    """The planes of a frame as tables: which coordinates of a box to gather, and what to multiply them by."""
 
     def __init__(self, planes: Floats) -> None:
         self.planes = planes
         self.normals = planes.T[:3].copy()
         self.limits = -planes[:, 3]
-        self.far = np.where(self.normals > 0.0, _UPPER, _LOWER)  # rows of the p-vertex, for each plane
+        self.far = np.where(self.normals > 0.0, _UPPER, _LOWER)  # the rows of each plane's p-vertex
         self.weights = _WEIGHTS[len(planes)]
 
     @property
     def near(self) -> Rows:
-        """Rows of the n-vertex: of each axis the corner that the p-vertex does not use."""
+        """The rows of each plane's n-vertex: on each axis the corner that the p-vertex does not use."""
         return (_LOWER + _UPPER) - self.far
 
 
 class _Groups:
-    """The first cut, sorted by the plane that culled each node last.
+    """The nodes of the first cut, sorted by the plane that culled each node last.
 
     Attributes:
-        nodes: (m,) which node of the cut each column is.
-        corners: (7, m) lower corner, upper corner and 1.
-        last: (m,) the plane that culled it, as of the last sort; starts: where each plane's slice begins.
-        reach: the sum of the largest absolute coordinates; bounds the terms of a unit normal's distance.
+        nodes: (m,) the node of the cut that each column holds.
+        corners: (7, m) lower corner, upper corner and 1 of each node.
+        last: (m,) the plane that culled each node, as of the last sort. starts: where each plane's slice begins.
+        reach: the sum of the largest absolute coordinates; an upper bound of the terms of a distance.
     """
 
     def __init__(self, lower: Floats, upper: Floats) -> None:
@@ -148,8 +154,8 @@ class _Groups:
         self._find_starts()
 
     def test(self, tables: _Tables) -> tuple[Rows, Bits, int, int]:
-        """The nodes that are not outside, the planes that each lies across, and how many nodes and
-        (node, plane) pairs were tested."""
+        """Return the nodes that are not outside, the planes that each of them crosses, and the numbers of nodes and
+        of (node, plane) pairs tested."""
         count = len(tables.planes)
         matrix = self._make_matrix(tables.planes)
         distance = np.empty(len(self.nodes))
@@ -157,7 +163,7 @@ class _Groups:
             start, end = self.starts[plane], self.starts[plane + 1]
             if start < end:
                 np.matmul(matrix[plane], self.corners[:, start:end], out=distance[start:end])
-        distance[self.starts[count] :] = 0.0  # culled by a plane that there is none of today
+        distance[self.starts[count] :] = 0.0  # culled last by a plane that this frame doesn't have
         columns = (distance >= 0.0).nonzero()[0]
 
         behind = np.matmul(matrix, self.corners.take(columns, axis=1)) < 0.0
@@ -170,7 +176,7 @@ class _Groups:
         return nodes, bits.take(kept), len(self.nodes), len(self.nodes) + len(columns) * (count - 1)
 
     def _make_matrix(self, planes: Floats) -> Floats:
-        """(2 p, 7) for `corners`: the distance of each p-vertex plus the margin, then n-vertex minus it."""
+        """Return (2 p, 7) to multiply `corners` by: p-vertices' distances plus the margin, n-vertices' minus it."""
         count, offsets = len(planes), planes[:, 3]
         margin = np.abs(offsets)
         margin += self.reach
@@ -184,7 +190,7 @@ class _Groups:
         return matrix
 
     def _sort(self, columns: Rows, planes: Rows) -> None:
-        """Note that `planes` culled the nodes in `columns` now, and sort by plane again."""
+        """Record that `planes` culled the nodes in `columns`, and sort by plane again."""
         self.last[columns] = planes
         order = np.argsort(self.last, kind="stable")
         self.nodes, self.last = self.nodes.take(order), self.last.take(order)
@@ -196,12 +202,12 @@ class _Groups:
 
 
 class _Blocks:
-    """A level below the first: the children of each node above, side by side in a row as wide as the widest.
+    """A level below the first cut: the children of each node above it, side by side, in rows of equal width.
 
     Attributes:
-        corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, filled up
-            with boxes that every plane culls; w is a multiple of 8, for `_merge`.
-        first: (b,) each node's first child; size: (b,) how many it has.
+        corners: (6 b, w) for each of b nodes the children's lower x, then lower y, and so on, padded with boxes that
+            every plane culls; w is a multiple of 8, for `_merge`.
+        first: (b,) the first child of each node. size: (b,) the number of its children.
     """
 
     def __init__(self, lower: Floats, upper: Floats, starts: Rows) -> None:
@@ -215,10 +221,10 @@ class _Blocks:
         self.corners = np.ascontiguousarray(blocks).reshape(6 * len(self.first), self.width)
 
     def test(self, tables: _Tables, nodes: Rows, across: Bits, last: bool) -> tuple[Rows, Bits, int, int]:
-        """Test the children of `nodes` (k,) against the planes `across` (k,) which these lie.
+        """Test the children of `nodes` (k,) against the planes `across` (k,) that their node crosses.
 
-        Returns the children that are not outside, the planes that each lies across (not worked out for
-        the `last` level, where nothing is below), and the numbers of children and of pairs tested.
+        Return the children that are not outside, the planes that each of them crosses (not computed for the `last`
+        level, which has nothing below it), and the numbers of children and of pairs tested.
         """
         flat = _MEMBERS.take(across, axis=0).reshape(-1).nonzero()[0]
         above = flat // _MOST_PLANES
@@ -245,7 +251,7 @@ class _Blocks:
     def _find_behind(
         self, columns: Rows, normals: Floats, node: Rows, plane: Rows, limits: Floats
     ) -> NDArray[np.bool_]:
-        """(pairs, w) whether the children's corners that `columns` names lie behind the pairs' planes."""
+        """Return (pairs, w) bool: whether the corners of the children that `columns` selects lie behind the plane."""
         rows = columns.take(plane, axis=1)
         rows += 6 * node
         products = self.corners.take(rows, axis=0)
@@ -257,12 +263,12 @@ class _Blocks:
 
 
 def _merge(bits: Bits, starts: Rows) -> Bits:
-    """`bitwise_or` of the rows from each start to the next, eight bytes at a time."""
+    """Return the `bitwise_or` of the rows from each start to the next, computed on eight bytes at a time."""
     return np.bitwise_or.reduceat(bits.view(np.uint64), starts, axis=0).view(np.uint8)
 
 
 def _expand(first: Rows, end: Rows) -> Rows:
-    """All of first[0] to end[0], first[1] to end[1], and so on, one after the other."""
+    """Return the ranges first[0] to end[0], first[1] to end[1], and so on, concatenated."""
     count = end - first
     last = count.cumsum()
     first = first - last

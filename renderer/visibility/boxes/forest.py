@@ -1,11 +1,11 @@
-"""The hierarchy that occlusion culling walks, as one camera sees it.
+"""The hierarchy that occlusion culling traverses, as one camera sees it.
 
-Static objects are in a tree built once by surface area; moving ones in a second one, whose shape is kept while
-its bounds follow, so that a node stays the same node from frame to frame and can be remembered. Every leaf is
-one object: culling is then as exact as asking for each.
+Static objects are in a tree that is built once by surface area. Moving objects are in a second one, whose shape is
+kept while its bounds follow the objects, so that a node stays the same from frame to frame and its visibility can be
+remembered. Every leaf is one object: culling is then as exact as querying each object.
 
-All that depends on the camera is worked out for all nodes at once before the walk. The walk itself is Python,
-node by node, and reads bytes and lists.
+All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself is
+Python, node by node, and reads bytes and lists.
 """
 
 from __future__ import annotations
@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.visibility.boxes.bounds import Boxes, see_boxes, squared_distances
+from renderer.scene.arrays import Floats, Rows
+from renderer.visibility.boxes.bounds import QueryBoxes, see_boxes, squared_distances
 from renderer.visibility.boxes.culling import find_visible
-from renderer.visibility.boxes.hierarchy import Floats, Hierarchy, Rows, build_by_area, build_by_median
+from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
 from renderer.visibility.boxes.volumes import TightestBoxes
 
 __rhi_internal__ = True
@@ -25,24 +26,24 @@ __rhi_internal__ = True
 OUTSIDE: Final = 0
 INSIDE: Final = 1
 NEAR: Final = 2
-"""Where a node is: outside the frustum, inside (to be asked for), or so near that it counts as visible."""
+"""The status of a node: outside the frustum, inside (to be queried), or so near that it counts as visible."""
 
 _DEPTH: Final = 3
 _GROWTH: Final = 1.4
 
 
 class Forest:
-    """The trees of a scene's static and moving objects, side by side: m nodes.
+    """The trees of a scene's static and moving objects, in one numbering of m nodes.
 
     Attributes:
-        roots: a node for each tree that has one.
-        parent: for each node, -1 for roots; child: the first child, whose sibling is the next node, -1 for
-            leaves; object: a leaf's row, -1 for other nodes.
-        lower, upper: (m, 3) bounds, as of `update`.
-        place: OUTSIDE, INSIDE or NEAR for each node; second_first: 1 where the second child is the nearer.
-        runs: for each node where its objects begin and end in `order`, the rows of all objects.
-        tight: node after node those whose boxes fit it closer: nodes below it, or itself.
-        tight_sizes: (m,) how many these are.
+        roots: the roots of the trees that are not empty.
+        parent: for each node its parent, -1 for roots. child: the first child, whose sibling is the next node; -1 for
+            leaves. object: the row of a leaf's object, -1 for other nodes.
+        lower, upper: (m, 3) bounds, as of the last `update`.
+        status: OUTSIDE, INSIDE or NEAR for each node. second_first: 1 where the second child is the nearer one.
+        runs: for each node the begin and end of its objects in `order`, which holds the rows of all objects.
+        tight: node after node, the nodes whose boxes fit it more closely: nodes below it, or the node itself.
+        tight_sizes: (m,) the number of these for each node.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -73,11 +74,11 @@ class Forest:
         self._leaf_of: Rows = np.zeros(len(objects), np.int64)
         self._leaf_of[self._leaf_objects] = self._leaves
         self._tightest = TightestBoxes(scene)
-        self.lower: Floats = np.zeros((3, len(child))).T  # by column
+        self.lower: Floats = np.zeros((3, len(child))).T  # columns are contiguous
         self.upper: Floats = np.zeros((3, len(child))).T
         for tree in range(len(self._trees)):
             self._fit(tree)
-        self.place = bytes(len(child))
+        self.status = bytes(len(child))
         self.second_first = bytes(len(child))
         tight = self._find_tight()
         self.tight: Rows = np.array([one for chosen in tight for one in chosen], np.int64)
@@ -86,18 +87,18 @@ class Forest:
     def __len__(self) -> int:
         return len(self.parent)
 
-    def update(self, camera: Camera) -> Boxes:
-        """Follow the scene's objects and see all nodes as `camera` does; the boxes to ask for each by, of objects
-        the tightest."""
+    def update(self, camera: Camera) -> QueryBoxes:
+        """Update bounds, status and order of all nodes for `camera`, and return the boxes to query each node by: for
+        a leaf, the tightest box of its object."""
         if len(self._objects.dynamic_rows):
             self._fit(len(self._trees) - 1)
         lower, upper, eye = self.lower, self.upper, camera.position
-        turned = self._tightest.find()
-        boxes = see_boxes(camera, lower, upper, turned, self._leaf_of[turned.rows])
-        place = find_visible(camera.frustum.planes, lower, upper).astype(np.uint8)
-        place[boxes.near & (place == INSIDE)] = NEAR
-        self.place = place.tobytes()
-        self._in_view[self._leaf_objects] = place[self._leaves] != OUTSIDE
+        rotated = self._tightest.find()
+        boxes = see_boxes(camera, lower, upper, rotated, self._leaf_of[rotated.rows])
+        status = find_visible(camera.frustum.planes, lower, upper).astype(np.uint8)
+        status[boxes.near & (status == INSIDE)] = NEAR
+        self.status = status.tobytes()
+        self._in_view[self._leaf_objects] = status[self._leaves] != OUTSIDE
 
         middle = 0.5 * (lower + upper)
         distance = squared_distances(eye, lower, upper)
@@ -112,13 +113,13 @@ class Forest:
         return boxes
 
     def _fit(self, tree: int) -> None:
-        """Let a tree's bounds follow its objects."""
+        """Update the bounds of a tree to those of its objects."""
         rows, hierarchy = self._trees[tree]
         run = slice(self._starts[tree], self._starts[tree + 1])
         self.lower[run], self.upper[run] = hierarchy.fit(self._objects.lower[rows], self._objects.upper[rows])
 
     def objects(self, node: int) -> Rows:
-        """The rows, ascending, of the objects below a node that are not outside the frustum."""
+        """Return the rows, ascending, of the objects below a node that are not outside the frustum."""
         first, end = self.runs[node]
         rows = self.order[first:end]
         return np.sort(rows[self._in_view[rows]])
@@ -133,8 +134,11 @@ class Forest:
         return np.concatenate(order), runs
 
     def _find_tight(self) -> list[tuple[int, ...]]:
-        """Tight bounds (CHC++, section 6): up to 3 levels down while the surface of the boxes there, summed,
-        is at most 1.4 times the node's own. Chosen once; any nodes that cover a node are right for it."""
+        """Find each node's tight bounds (CHC++, section 6).
+
+        These are the nodes up to 3 levels below it, as long as the sum of the surfaces of their boxes is at most 1.4
+        times the node's own. They are chosen once: any nodes that together cover a node give correct results.
+        """
         size = np.minimum(self.upper - self.lower, 1e100)
         areas = (size * np.roll(size, 1, axis=1)).sum(axis=1).tolist()
         tight = []
@@ -155,7 +159,7 @@ class Forest:
 
 
 def _number(rows: Rows, tree: Hierarchy, start: int) -> tuple[Rows, Rows, Rows]:
-    """Parents, children and objects of a tree whose first node has the number `start`."""
+    """Return parents, children and objects of a tree whose first node gets the number `start`."""
     leaf = tree.child < 0
     parent = np.where(tree.parent < 0, -1, tree.parent + start)
     child = np.where(leaf, -1, tree.child + start)

@@ -1,10 +1,10 @@
-"""A bounding volume hierarchy as arrays (thesis 5.2.1), built level by level over all nodes of a level.
+"""A bounding volume hierarchy as arrays (thesis 5.2.1), built level by level, for all nodes of a level at once.
 
-Nodes are in breadth-first order: a parent before its children, siblings side by side. Every node covers a
-run of `order`, its objects, so a whole subtree is one slice. Two builders:
+Nodes are in breadth-first order: a parent before its children, siblings side by side. The objects of every node are a
+run of `order`, so those of a whole subtree are one slice. There are two builders:
 
-- `build_by_area`: binned surface area heuristic (Wald, 2007), for what is static;
-- `build_by_median`: halves at the median along the longest axis, for what moves and is built each frame.
+- `build_by_area`: the binned surface area heuristic (Wald, 2007), for static objects;
+- `build_by_median`: halves at the median along the longest axis, for moving objects, built each frame.
 """
 
 from __future__ import annotations
@@ -18,30 +18,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer import rules
+from renderer.scene.arrays import Floats, Rows
 from rhi.errors import refuse
 
 __rhi_internal__ = True
 
-Floats = NDArray[np.float64]
-Rows = NDArray[np.int64]
 
 LARGEST: Final = 1e300
-"""Largest absolute coordinate of a box: distances to planes then never overflow."""
+"""The largest allowed absolute coordinate of a box, so that distances to planes never overflow."""
 
 _BINS: Final = 16
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Hierarchy:
-    """A binary tree over n boxes, m nodes; node 0 is the root. Without boxes there is no node.
+    """A binary tree of m nodes over n boxes; node 0 is the root. Without boxes there are no nodes.
 
     Attributes:
-        lower, upper: (m, 3) float64, exactly the bounds of what a node covers.
+        lower, upper: (m, 3) float64, the exact bounds of the boxes under each node.
         parent: (m,) int64, -1 for the root.
-        child: (m,) int64, the first child, whose sibling is the next node; -1 for a leaf.
-        first, count: (m,) int64, the node's run of `order`.
-        order: (n,) int64, the boxes' rows, leaf after leaf.
-        level_starts: (levels + 1,) int64, level l being nodes level_starts[l] to level_starts[l + 1].
+        child: (m,) int64, the first child, whose sibling is the next node; -1 for leaves.
+        first, count: (m,) int64, each node's run of `order`.
+        order: (n,) int64, the rows of the boxes, leaf after leaf.
+        level_starts: (levels + 1,) int64; level l is the nodes level_starts[l] to level_starts[l + 1].
     """
 
     lower: Floats
@@ -57,34 +56,34 @@ class Hierarchy:
         return len(self.parent)
 
     def objects(self, node: int) -> Rows:
-        """The rows of all boxes under a node."""
+        """Return the rows of all boxes under a node."""
         return self.order[self.first[node] : self.first[node] + self.count[node]]
 
     def fit(self, lower: Floats, upper: Floats) -> tuple[Floats, Floats]:
-        """Bounds (m, 3) of the nodes when the boxes (n, 3) are these: the same tree over what has moved."""
+        """Return the bounds (m, 3) of the nodes for boxes (n, 3) that have moved; the tree stays the same."""
         return _node_bounds(
             lower[self.order], upper[self.order], self.first, self.count, self.child, self.level_starts
         )
 
     def cut(self, size: int) -> Rows:
-        """The nodes nearest to the root that cover at most `size` boxes or are leaves, in tree order.
+        """Return the nodes nearest to the root that have at most `size` boxes or are leaves, in tree order.
 
-        Their runs follow each other and make up all of `order`.
+        Their runs are consecutive and make up all of `order`.
         """
         small = (self.count <= size) | (self.child < 0)
-        small[1:] &= ~small[self.parent[1:]]  # what lies below a small node is small
+        small[1:] &= ~small[self.parent[1:]]  # nodes below a small node are small
         nodes = np.flatnonzero(small)
         return nodes[np.argsort(self.first[nodes])]
 
     def distances(self, eye: NDArray[np.float64]) -> Floats:
-        """(m,) distances from `eye` (3,) to the nodes' boxes; 0 inside."""
+        """Return the distances (m,) from `eye` (3,) to the nodes' boxes; 0 inside a box."""
         outside = np.maximum(np.maximum(self.lower - eye, eye - self.upper), 0.0)
         return np.asarray(np.sqrt((outside**2).sum(1)))
 
     def leaves_front_to_back(self, eye: NDArray[np.float64]) -> Rows:
-        """All leaves in the order of a traversal that enters the nearer child first.
+        """Return all leaves in the order of a traversal that enters the nearer child first.
 
-        Nearer is the child whose box is nearer, and of two equally near the one with the nearer centre.
+        The nearer child is the one whose box is nearer; of two equally near boxes, the one with the nearer centre.
         """
         leaves = np.where(self.child < 0, 1, 0)
         for start, end in self._levels()[:0:-1]:
@@ -108,7 +107,7 @@ class Hierarchy:
 
 
 def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
-    """Refuse bounds that are not (n, 3) boxes of finite size."""
+    """Refuse bounds that are not boxes (n, 3) of finite size."""
     if lower.ndim != 2 or lower.shape[1] != 3 or upper.shape != lower.shape:
         refuse(rules.BAD_BOUNDS, call, f"shapes {lower.shape} and {upper.shape}", "(n, 3)")
     if not ((np.abs(lower) <= LARGEST).all() and (np.abs(upper) <= LARGEST).all()):
@@ -118,11 +117,11 @@ def check_bounds(call: str, lower: Floats, upper: Floats) -> None:
 
 
 def build_by_area(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
-    """A hierarchy over boxes (n, 3) with the smallest expected number of tests, in O(n log n).
+    """Build a hierarchy over boxes (n, 3) that minimises the expected number of tests, in O(n log n).
 
-    A node is split where area times count, summed over both halves, is least, at one of 15 planes on
-    each axis. Beyond twice the depth of a balanced tree, and where all centres coincide, halves are
-    equal in count, which bounds the depth for any input.
+    A node is split at the one of 15 planes on each axis for which the sum over both halves of area times count is
+    least. Beyond twice the depth of a balanced tree, and where all centres coincide, the halves have equal counts,
+    which limits the depth for any input.
     """
     check_bounds("build_by_area", lower, upper)
     limit = 2 * int(np.ceil(np.log2(max(len(lower), 2)))) + 4
@@ -130,17 +129,17 @@ def build_by_area(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy
 
 
 def build_by_median(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
-    """A balanced hierarchy over boxes (n, 3), split at the median of the longest axis of the centres."""
+    """Build a balanced hierarchy over boxes (n, 3), split at the median along the longest axis of the centres."""
     check_bounds("build_by_median", lower, upper)
     return _build(lower, upper, leaf_size, lambda work: work.split_by_median())
 
 
-class _Work:
-    """The nodes being split, side by side: `order` holds their boxes, run after run.
+class _SplitState:
+    """The nodes of one level that are still being split; `order` holds their boxes, run after run.
 
     Attributes:
-        order: (k,) rows of the boxes; first, count: (g,) the nodes' runs of it; owner: (k,) each box's node.
-        lower, upper, centre: (k, 3) of the boxes, in that order, in units of the root box.
+        order: (k,) rows of the boxes. first, count: (g,) the nodes' runs of it. owner: (k,) the node of each box.
+        lower, upper, centre: (k, 3) corners and centres of the boxes in that order, in units of the root box.
     """
 
     def __init__(self, lower: Floats, upper: Floats) -> None:
@@ -160,13 +159,13 @@ class _Work:
         self.owner = np.repeat(np.arange(len(self.count)), self.count)
 
     def descend(self, first: Rows, count: Rows, chosen: Rows) -> None:
-        """Keep the children that are split further: runs (first, count) of the present order."""
+        """Go on to the children that are split further: the boxes `chosen`, in runs (first, count)."""
         self.first, self.count = np.concatenate([[0], np.cumsum(count)[:-1]]), count
         self.depth += 1
         self._sort(self.order[chosen])
 
     def split_by_median(self) -> Rows:
-        """Sort each node's boxes so that halves are its children; the left children's counts."""
+        """Sort the boxes of each node so that its halves are its children; return the left children's counts."""
         extent = self._reduce(np.maximum, self.centre) - self._reduce(np.minimum, self.centre)
         axis = extent.argmax(1)[self.owner]
         key = self.centre[np.arange(len(axis)), axis]
@@ -174,7 +173,7 @@ class _Work:
         return self.count // 2
 
     def split_by_area(self, allowed: bool) -> Rows:
-        """The same at the cheapest plane; equal halves for nodes without one."""
+        """Sort like `split_by_median`, but split at the cheapest plane; nodes without one get equal halves."""
         if not allowed:
             return self.split_by_median()
         low, high = self._reduce(np.minimum, self.centre), self._reduce(np.maximum, self.centre)
@@ -193,14 +192,17 @@ class _Work:
             best_cost[better], best_axis[better], best_plane[better] = value[better], axis, plane[better]
         found = np.isfinite(best_cost)
         right = bins[np.arange(len(bins)), best_axis[self.owner]] > best_plane[self.owner]
-        # Equal halves where no plane has boxes on both sides: as many to the right as the upper half holds.
+        # Where no plane has boxes on both sides, the upper half of the order goes to the right.
         place = np.arange(len(bins)) - self.first[self.owner]
         right = np.where(found[self.owner], right, place >= (self.count // 2)[self.owner])
         self._sort(self.order[np.argsort(2 * self.owner + right, kind="stable")])
         return self.count - np.add.reduceat(right.astype(np.int64), self.first)
 
     def _plane_costs(self, bin_of: Rows) -> Floats:
-        """(g, 15) area times count on both sides of each plane between bins; inf where a side is empty."""
+        """Return the costs (g, 15) of the planes between bins: the sum over both sides of area times count.
+
+        The cost is inf where a side is empty.
+        """
         groups = len(self.count)
         cell = self.owner * _BINS + bin_of
         order = np.argsort(cell, kind="stable")
@@ -225,12 +227,12 @@ class _Work:
 
 
 def _areas(lower: Floats, upper: Floats) -> Floats:
-    """Half the surface of boxes; 0 for empty ones."""
+    """Return half the surface of boxes; 0 for empty ones."""
     x, y, z = np.moveaxis(np.maximum(upper - lower, 0.0), -1, 0)
     return np.asarray(x * y + y * z + z * x)
 
 
-def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work], Rows]) -> Hierarchy:
+def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_SplitState], Rows]) -> Hierarchy:
     """Split all nodes of a level at once until none holds more than `leaf_size` boxes."""
     total = len(lower)
     order: Rows = np.arange(total)
@@ -240,7 +242,7 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work]
     level_first: Rows = firsts[0]
     level_count: Rows = counts[0]
     base, end = 0, len(level_first)
-    work = _Work(lower, upper) if total > leaf_size else None
+    work = _SplitState(lower, upper) if total > leaf_size else None
     while True:
         inner = np.flatnonzero(level_count > leaf_size)
         child = np.full(len(level_first), -1)
@@ -275,7 +277,7 @@ def _build(lower: Floats, upper: Floats, leaf_size: int, split: Callable[[_Work]
 def _node_bounds(
     lower: Floats, upper: Floats, first: Rows, count: Rows, child: Rows, starts: Rows
 ) -> tuple[Floats, Floats]:
-    """Bounds of all nodes: of the leaves from the sorted boxes, of the others from their children."""
+    """Compute the bounds of all nodes: those of leaves from the sorted boxes, all others from their children."""
     node_lower, node_upper = np.empty((len(first), 3)), np.empty((len(first), 3))
     leaves = np.flatnonzero(child < 0)
     leaves = leaves[np.argsort(first[leaves])]

@@ -1,1 +1,1 @@
-"""Culling by depth images: pyramids, reprojection, and draw lists that the device makes by itself."""
+"""Culling with depth images: depth pyramids, reprojection, and draw lists made on the device."""

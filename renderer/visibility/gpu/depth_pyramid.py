@@ -1,13 +1,14 @@
 """Occlusion culling with a depth pyramid: boxes are compared with the farthest depths under them.
 
-1. What showed in the last frame is drawn.
-2. A pyramid is made of the depth that is there now, and each box tested against it. What shows and isn't drawn yet is
-   drawn; what shows is drawn first in the next frame.
+1. What was visible in the last frame is drawn.
+2. A pyramid is built of the resulting depth, and each box is tested against it. Visible objects that aren't drawn yet
+   are drawn; all visible objects are drawn first in the next frame.
 
-A box's test is one invocation's work: the rectangle around its corners, and their nearest depth, against the texels of
-the finest level that has at most 8 under the rectangle each way. It shows if it isn't behind all of them. The texels of
-the next coarser level are looked at first: what is behind those is behind all of these. The rectangle is larger than
-the box, and its texels' depth farther than the pixels', so more is drawn than of boxes rasterised.
+A box is tested by one invocation: it compares the box's nearest depth with the texels under the rectangle around its
+corners, in the finest level in which the rectangle is at most 8 texels wide and high. The box is visible unless it is
+behind all of them. The texels of the next coarser level are tested first: what is behind those is behind all of
+these. The rectangle is larger than the box, and the depth of its texels farther than that of the pixels, so more is
+drawn than if boxes were rasterised.
 """
 
 from __future__ import annotations
@@ -45,20 +46,20 @@ from rhi.shading import (
 __rhi_internal__ = True
 
 _LEVELS: Final = 9
-"""Of an image of 65,536 pixels a side, itself included."""
+"""The number of levels of an image of 65,536 pixels a side, the image included."""
 _ACROSS: Final = 8
-"""Texels that a test looks at each way."""
+"""The largest number of texels that a test covers in each direction."""
 
 
 class Levels(Struct):
-    """How many levels a pyramid has, and of each its width, height and where it begins; level 0 is the image."""
+    """The number of levels of a pyramid, and for each its width, height and first element; level 0 is the image."""
 
     levels: Array[ivec4] = array(ivec4, _LEVELS)
     count: int
 
 
 class FindSeen(FindOccludees):
-    """What was seen in the last frame is marked VISIBLE."""
+    """Finds the boxes, and marks what was visible in the last frame VISIBLE."""
 
     seen: Storage[uint]
 
@@ -67,7 +68,7 @@ class FindSeen(FindOccludees):
 
 
 class BoxTest(Shader):
-    """What shows of boxes in a depth image, by its pyramid."""
+    """Tests whether boxes are visible in a depth image, with its pyramid."""
 
     work_group = (GROUP,)
     view: Uniform[View]
@@ -77,21 +78,21 @@ class BoxTest(Shader):
     boxes: Storage[Occludee]
     is_reversed = True
     margin = 1.0 / 64.0
-    """Pixels by which a rectangle is enlarged, for what rasterising rounds."""
+    """Margin of the rectangle in pixels, for the rounding of rasterisation."""
 
-    def shows(self, box: Occludee) -> bool:
+    def is_visible(self, box: Occludee) -> bool:
         size = vec2(self.pyramid.levels[0].xy)
         nearest = 0.0 if self.is_reversed else 1.0
         lower = size
         upper = vec2(0.0)
         for corner in range(8):
-            place = box.centre
-            place += box.x if corner % 2 == 1 else -box.x
-            place += box.y if corner // 2 % 2 == 1 else -box.y
-            place += box.z if corner // 4 == 1 else -box.z
-            clip = self.view.relative_view_projection @ vec4(place, 1.0)
+            point = box.centre
+            point += box.x if corner % 2 == 1 else -box.x
+            point += box.y if corner // 2 % 2 == 1 else -box.y
+            point += box.z if corner // 4 == 1 else -box.z
+            clip = self.view.relative_view_projection @ vec4(point, 1.0)
             if not clip.w > 0.0:
-                return True  # beside or behind the eye: it has no rectangle
+                return True  # a corner is beside or behind the eye: there is no rectangle
             pixel = (vec2(clip.x, -clip.y) / clip.w + 1.0) * 0.5 * size
             lower = min(lower, pixel)
             upper = max(upper, pixel)
@@ -107,7 +108,7 @@ class BoxTest(Shader):
         if level < self.pyramid.count - 1 and not self.is_before(
             nearest, level + 1, begin // SCALE, end // SCALE
         ):
-            return False  # behind whole tiles: their texels needn't be looked at
+            return False  # behind whole tiles: the finer texels needn't be read
         return self.is_before(nearest, level, begin, end)
 
     def is_before(self, nearest: float, level: int, begin: ivec2, end: ivec2) -> bool:
@@ -126,7 +127,7 @@ class BoxTest(Shader):
 
 
 class CompareBoxes(BoxTest):
-    """Marks what shows, and notes it as seen."""
+    """Marks visible objects, and records them in `seen` for the next frame."""
 
     marks: StorageRW[uint]
     seen: StorageRW[uint]
@@ -136,16 +137,16 @@ class CompareBoxes(BoxTest):
         if row >= len(self.marks):
             return
         mark = self.marks[row]
-        shows = False
+        visible = False
         if mark == uint(HIDDEN) or mark == uint(DRAWN):
-            shows = self.shows(self.boxes[row])
-        self.seen[row] = uint(1 if shows else 0)
-        if shows and mark == uint(HIDDEN):
+            visible = self.is_visible(self.boxes[row])
+        self.seen[row] = uint(1 if visible else 0)
+        if visible and mark == uint(HIDDEN):
             self.marks[row] = uint(VISIBLE)
 
 
 class CompareBoxesStandard(CompareBoxes):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
@@ -154,7 +155,7 @@ _SHADERS: Final = {Depth.REVERSED: CompareBoxes, Depth.STANDARD: CompareBoxesSta
 
 
 class DepthPyramidCulling(DeviceCulling):
-    """Draws what showed in the last frame, then what isn't behind it."""
+    """Draws what was visible in the last frame, then what isn't behind it."""
 
     def __init__(self, scene: Scene, device: Device) -> None:
         super().__init__(scene, device, FindSeen)
@@ -162,30 +163,30 @@ class DepthPyramidCulling(DeviceCulling):
         self._pyramid: FarthestDepth | None = None
         self._levels: UniformBuffer[Levels] = device.uniform(Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0))
 
-    def _mark_likely(self, camera: Camera, scene: ScenePass) -> None:
-        self._occludees.find(camera, scene.arrays, seen=self._seen)
+    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
+        self._occludees.find(camera, scene_pass.arrays, seen=self._seen)
 
-    def _mark_missed(self, camera: Camera, scene: ScenePass) -> None:
+    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
         direction, occludees = camera.projection.depth, self._occludees
-        pyramid = self._fit(scene.depth.size)
-        pyramid.build(scene.depth, direction)
+        pyramid = self._fit(scene_pass.depth.size)
+        pyramid.build(scene_pass.depth, direction)
         self._device.dispatch(
             self._device.program(_SHADERS[direction]),
             occludees.groups,
-            view=scene.arrays.view,
+            view=scene_pass.arrays.view,
             pyramid=self._levels,
-            depth=scene.depth,
+            depth=scene_pass.depth,
             farthest=pyramid.farthest,
             boxes=occludees.boxes,
             marks=occludees.marks,
             seen=self._seen,
         )
 
-    def _remember(self, camera: Camera, scene: ScenePass) -> None:
-        """What was seen is kept where it was found."""
+    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
+        """Do nothing: the shader has recorded what was visible."""
 
     def _fit(self, size: tuple[int, int]) -> FarthestDepth:
-        """The pyramid for an image of `size`."""
+        """Return the pyramid for an image of `size`; it is made again when the size changes."""
         pyramid = self._pyramid
         if pyramid is None or pyramid.size != size:
             if pyramid is not None:
@@ -195,7 +196,7 @@ class DepthPyramidCulling(DeviceCulling):
         return pyramid
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         super().destroy()
         self._seen.destroy()
         self._levels.destroy()
@@ -205,6 +206,6 @@ class DepthPyramidCulling(DeviceCulling):
 
 
 def make_levels(pyramid: FarthestDepth) -> Levels:
-    """A pyramid's levels, as the shader reads them."""
+    """Return a pyramid's levels as the shader reads them."""
     rows = [(*size, begin, 0) for size, begin in zip(pyramid.sizes, pyramid.begins, strict=True)]
     return Levels(levels=rows + [(0, 0, 0, 0)] * (_LEVELS - len(rows)), count=len(rows))

@@ -1,29 +1,30 @@
-"""What algorithms that run on the device have in common: two lists of draws a frame.
+"""The common part of algorithms that run on the device: two lists of draws per frame.
 
-The first list is of what is likely to show, judged by the frame before. With its depth, what else shows is exact
-knowledge, and is the second list. So whatever the first one misses, after a teleport everything, is drawn in the
-same frame; what it has too much costs time and no pixel.
+The first list holds what is likely to be visible, judged by the last frame. With the depth of those objects it is
+known exactly what else is visible; that is the second list. So whatever the first list misses, which after a teleport
+is everything, is drawn in the same frame. What it holds too much costs time, and changes no pixel.
 
-The CPU knows none of this. It submits the same commands whatever there is to see, and however many objects.
+The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there are.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from typing import Final
 
 from renderer import rules
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics
-from renderer.visibility.gpu.draw_lists import DrawLists
+from renderer.visibility.algorithm import VisibilityStatistics
+from renderer.visibility.gpu.draw_lists import IndirectDrawList
 from renderer.visibility.gpu.occludees import FindOccludees, Occludees
-from renderer.visibility.scene_pass import ScenePass, as_scene_pass
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, refuse
 
 __rhi_internal__ = True
 
 
 class DeviceCulling(ABC):
-    """The frame of both algorithms; it is rendered outside of passes, and opens the renderer's itself.
+    """Base class of the algorithms that run on the device; it opens and closes the scene pass itself.
 
     In the statistics, all that the device may draw counts as drawn; `FrameResult.visible` is what it drew.
 
@@ -31,50 +32,51 @@ class DeviceCulling(ABC):
         first, second: the lists of the latest frame.
     """
 
+    opens_pass: Final = True
+
     def __init__(self, scene: Scene, device: Device, find: type[FindOccludees]) -> None:
         if not (device.capabilities.compute and device.capabilities.draws):
-            given = f"a {device.backend_name} device without them"
+            given = f"a {device.backend_name} device that lacks them"
             refuse(rules.NO_COMPUTE, f"{type(self).__name__}(...)", given)
         self._device = device
         self._occludees = Occludees(device, len(scene.objects), find)
-        self.first = DrawLists(device, self._occludees)
-        self.second = DrawLists(device, self._occludees)
+        self.first = IndirectDrawList(device, self._occludees)
+        self.second = IndirectDrawList(device, self._occludees)
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
-        """Draw what showed before and shows now, in a renderer's pass."""
-        scene = as_scene_pass(draw, f"{type(self).__name__}.render(draw=...)")
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+        """Draw what was likely to be visible, then what else is visible."""
         device = self._device
-        scene.close()
+        scene_pass.close()
         with device.event("likely"):
-            self._mark_likely(camera, scene)
-            self.first.list_draws(scene.arrays)
-        scene.draw_list(self.first)
-        scene.close()
+            self._mark_likely(camera, scene_pass)
+            self.first.list_draws(scene_pass.arrays)
+        scene_pass.draw_list(self.first)
+        scene_pass.close()
         with device.event("missed"):
-            self._mark_missed(camera, scene)
-            self.second.list_draws(scene.arrays)
-        scene.draw_list(self.second)
-        scene.close()
-        self._remember(camera, scene)
+            self._mark_missed(camera, scene_pass)
+            self.second.list_draws(scene_pass.arrays)
+        scene_pass.draw_list(self.second)
+        scene_pass.close()
+        self._remember(camera, scene_pass)
         return self._count()
 
     @abstractmethod
-    def _mark_likely(self, camera: Camera, scene: ScenePass) -> None:
-        """Find the boxes, and mark what is to be drawn first."""
+    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
+        """Find the boxes, and mark the objects of the first list."""
 
     @abstractmethod
-    def _mark_missed(self, camera: Camera, scene: ScenePass) -> None:
-        """Mark all that is not drawn yet and shows, given the depth of what is."""
+    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
+        """Mark the objects of the second list: visible given the depth of the first list, and not yet drawn."""
 
     @abstractmethod
-    def _remember(self, camera: Camera, scene: ScenePass) -> None:
-        """Keep what the next frame wants of this one."""
+    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
+        """Keep what the next frame needs of this one."""
 
-    def _count(self) -> Statistics:
+    def _count(self) -> VisibilityStatistics:
         count = self._occludees.count
-        return Statistics(objects=count, visible=count, batches=2, objects_tested=count)
+        return VisibilityStatistics(objects=count, visible=count, batches=2, objects_tested=count)
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         for part in (self._occludees, self.first, self.second):
             part.destroy()

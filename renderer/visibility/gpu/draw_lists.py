@@ -1,14 +1,14 @@
 """Lists of draws that the device makes itself (Deferred+, 1.3.1, Listing 1.3).
 
-Each object has a mark: what is to become of it. `DrawLists.list_draws` gathers the draws of those marked VISIBLE,
-and the rows of those marked HIDDEN, so that the CPU, which sees neither, draws both indirectly.
+Each object has a mark. `IndirectDrawList.list_draws` gathers the draws of the objects marked VISIBLE and the rows of
+those marked HIDDEN. The CPU sees neither: it draws both indirectly.
 
-- One pass of a counting sort: by winding, then by the depth of their farthest corner in half octaves, near first. Rows
-  keep their order within a half octave. So the same marks give the same list, and early depth tests find what is near
-  drawn.
-- No atomics: a group counts its 64 keys and ranks them in shared memory, one group adds up, each row is written to
-  its place.
-- Windings have parts of their own, because a draw's front face is a state, which the device can't choose.
+- The list is made by one pass of a counting sort: by winding, then by the depth of the farthest corner in half
+  octaves, near first. Within a half octave rows keep their order. So the same marks give the same list, and objects
+  near the eye are drawn first, for the benefit of early depth tests.
+- There are no atomics: each group counts its 64 keys and ranks them in shared memory, one group computes the prefix
+  sums, and each row is written to its position.
+- Each winding has a part of its own, because the front face is a render state, which the device can't choose.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from rhi.shading import (
 __rhi_internal__ = True
 
 _BUCKETS: Final = 31
-"""Distances: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
+"""Number of distance classes: up to 1/8 m, then a half octave each up to 4 km, then all beyond."""
 _HIDDEN_KEY: Final = 2 * _BUCKETS
 _NO_KEY: Final = 63
 _LANES: Final = 256
 
 
 class DrawArguments(Struct):
-    """A draw as the device reads it, `rhi.DRAW`."""
+    """The arguments of an indexed indirect draw, laid out as `rhi.DRAW`."""
 
     count: uint
     instances: uint
@@ -60,7 +60,7 @@ class DrawArguments(Struct):
 
 
 class ListCounts(Struct):
-    """How many draws there are of objects that are not mirrored, of those that are, and how many hidden rows."""
+    """The numbers of draws of objects that aren't mirrored, of draws of mirrored ones, and of hidden rows."""
 
     plain: uint
     mirrored: uint
@@ -68,7 +68,7 @@ class ListCounts(Struct):
 
 
 class CountKeys(Shader):
-    """Gives each row its key and its rank among equal keys of its group, and counts each group's keys."""
+    """Computes each row's key and its rank among the equal keys of its group, and counts each group's keys."""
 
     work_group = (GROUP,)
     places: Storage[ObjectPosition]
@@ -106,7 +106,7 @@ class CountKeys(Shader):
 
 
 class AddCounts(Shader):
-    """Turns counts into the sums of all before them; one group, each lane a run of its own."""
+    """Replaces counts by their exclusive prefix sums. There is one group, each lane of which has a run of counts."""
 
     work_group = (_LANES,)
     counts: StorageRW[uint]
@@ -136,7 +136,7 @@ class AddCounts(Shader):
 
 
 class WriteDraws(Shader):
-    """Writes each row's draw, or hidden rows, where the sums say."""
+    """Writes each visible row's draw and each hidden row to the position that the prefix sums give."""
 
     work_group = (GROUP,)
     places: Storage[ObjectPosition]
@@ -175,14 +175,14 @@ class WriteDraws(Shader):
                 self.hidden[int(place - hidden)] = uint(row)
 
 
-class DrawLists:
-    """One list of draws, as the device makes it.
+class IndirectDrawList:
+    """A list of draws that the device makes: a `DeviceList`.
 
     Attributes:
-        draws: (2 n,) of `rhi.DRAW`: from 0 what is drawn as it is, from n what is mirrored.
-        totals: (1,) of `ListCounts`: how many there are of either, and hidden rows.
-        hidden: (n,) rows; box_draw: the draw of as many boxes.
-        generation: how often it was made.
+        draws: (2 n,) of `rhi.DRAW`: from 0 on the objects that aren't mirrored, from n on those that are.
+        totals: (1,) of `ListCounts`.
+        hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
+        generation: how often the list was made.
     """
 
     def __init__(self, device: Device, occludees: Occludees) -> None:
@@ -201,11 +201,11 @@ class DrawLists:
         self._write_draws = device.program(WriteDraws)
 
     def list_draws(self, arrays: SceneArrays) -> None:
-        """List the draws of objects marked VISIBLE, marking them DRAWN, and the rows of those marked HIDDEN."""
+        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the rows marked HIDDEN."""
         device, occludees = self._device, self._occludees
         self.generation += 1
         if not device.capabilities.indirect_count:
-            self.draws.clear()  # all are drawn then, those that are not listed with no instance
+            self.draws.clear()  # all are drawn then; those that aren't listed have no instance
         device.dispatch(
             self._count_keys,
             occludees.groups,
@@ -230,7 +230,7 @@ class DrawLists:
         )
 
     def arguments(self, *, mirrored: bool) -> IndirectDraws:
-        """The list of one winding, for `device.draw_indirect`."""
+        """Return the draws of one winding, for `device.draw_indirect`."""
         count, size = self._occludees.count, DRAW.itemsize
         counted = self._device.capabilities.indirect_count
         return IndirectDraws(
@@ -242,13 +242,13 @@ class DrawLists:
         )
 
     def read_rows(self) -> NDArray[np.int64]:
-        """The rows listed, in the order of their draws; waits for the device."""
+        """Return the rows of the listed objects, in the order of their draws. Waits for the device."""
         plain, mirrored = (int(self.totals.read()[0][name]) for name in ("plain", "mirrored"))
         count = self._occludees.count
         parts = (self.draws.read(0, plain), self.draws.read(count, mirrored))
         return np.concatenate([part["base_instance"].astype(np.int64) for part in parts])
 
     def destroy(self) -> None:
-        """Give everything back that was made on the device."""
+        """Destroy the resources on the device."""
         for resource in (self.draws, self.totals, self.hidden, self.box_draw, self._keys, self._counts):
             resource.destroy()

@@ -1,8 +1,9 @@
-"""The farthest depth of ever larger blocks of pixels: a quarter of the resolution at each level.
+"""The farthest depths of blocks of pixels: each level has a quarter of the resolution of the level before.
 
-Level k has a texel for each 4ᵏ × 4ᵏ pixels from the image's top left corner on. Sizes are rounded up, so a pixel (x, y)
-is in texel (x >> 2k, y >> 2k) of each level, whatever the image's size; the last texels are of fewer pixels. (A mip's
-size is rounded down, and its texels miss an edge of an odd size.) Level 0 is the depth texture itself.
+A texel of level k covers 4ᵏ × 4ᵏ pixels, counted from the image's top left corner. Sizes are rounded up, so pixel (x,
+y) is in texel (x >> 2k, y >> 2k) of each level, whatever the image's size; the last texels cover fewer pixels. (The
+size of a mip level is rounded down, so its texels miss an edge of an image of odd size.) Level 0 is the depth texture
+itself.
 """
 
 from __future__ import annotations
@@ -26,15 +27,15 @@ from rhi.shading import (
 __rhi_internal__ = True
 
 SCALE: Final = 4
-"""Texels of a level, each way, to one of the next."""
+"""Number of texels of a level, in each direction, that one texel of the next level covers."""
 _GROUP: Final = 8
 
 FAR: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
-"""Where nothing is."""
+"""The farthest depth: that of a pixel where nothing is drawn."""
 
 
-class Step(Struct):
-    """From one level to the next: their sizes, and where in the buffer they begin."""
+class ReductionStep(Struct):
+    """The step from one level to the next: their sizes, and their first elements in the buffer."""
 
     source: ivec2
     target: ivec2
@@ -43,10 +44,10 @@ class Step(Struct):
 
 
 class DownSample(Shader):
-    """The farthest of 4 × 4 texels, or of as many as there are."""
+    """Computes the farthest of 4 × 4 texels, or of fewer at an edge, from a level in the buffer."""
 
     work_group = (_GROUP, _GROUP)
-    step: Uniform[Step]
+    step: Uniform[ReductionStep]
     farthest: StorageRW[float]
     is_reversed = True
 
@@ -68,13 +69,13 @@ class DownSample(Shader):
 
 
 class DownSampleStandard(DownSample):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
 
 class DownSampleTexture(DownSample):
-    """The same of the image's depth."""
+    """Computes the farthest of 4 × 4 pixels of the depth texture."""
 
     depth: Texture2D
 
@@ -83,7 +84,7 @@ class DownSampleTexture(DownSample):
 
 
 class DownSampleTextureStandard(DownSampleTexture):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
@@ -95,16 +96,16 @@ _SHADERS: Final = {
 
 
 class FarthestDepth:
-    """Levels 1 and up of an image of `size` pixels.
+    """The levels from 1 on of an image of `size` pixels.
 
     Attributes:
-        size: of the image. sizes: (width, height) of each level, the image's first.
-        begins: where each level begins in `farthest`, -1 for the image.
-        farthest: all levels' depths, row by row.
+        size: (width, height) of the image. sizes: (width, height) of each level, from the image on.
+        begins: the first element of each level in `farthest`, -1 for the image.
+        farthest: the depths of all levels, row by row.
     """
 
     def __init__(self, device: Device, size: tuple[int, int], levels: int | None = None) -> None:
-        """`levels` besides the image; without, as many as it takes to get to one texel, 1 or more."""
+        """There are `levels` besides the image, or by default as many as it takes to reach one texel, at least 1."""
         self.size = size
         self.sizes = [size]
         while len(self.sizes) - 1 < (levels or 1) or (levels is None and self.sizes[-1] != (1, 1)):
@@ -116,9 +117,9 @@ class FarthestDepth:
             total += width * height
         self.farthest: StorageBuffer[float] = device.storage(float, total, label="farthest depths")
         self._device = device
-        self._steps: list[UniformBuffer[Step]] = [
+        self._steps: list[UniformBuffer[ReductionStep]] = [
             device.uniform(
-                Step(
+                ReductionStep(
                     source=self.sizes[level - 1],
                     target=self.sizes[level],
                     source_begin=self.begins[level - 1],
@@ -129,7 +130,7 @@ class FarthestDepth:
         ]
 
     def build(self, depth: Texture, direction: Depth) -> None:
-        """Find the farthest depths of the image's; outside of passes."""
+        """Compute all levels from the image's depth. Must be called outside of passes."""
         device = self._device
         from_texture, from_level = _SHADERS[direction]
         for level, step in enumerate(self._steps, 1):
@@ -141,7 +142,7 @@ class FarthestDepth:
                 device.dispatch(device.program(from_level), groups, step=step, farthest=self.farthest)
 
     def destroy(self) -> None:
-        """Give everything back that was made on the device."""
+        """Destroy the resources on the device."""
         self.farthest.destroy()
         for step in self._steps:
             step.destroy()

@@ -1,12 +1,12 @@
-"""Boxes of all objects, found, tested and marked by the device: the CPU's part is the same for ten and a million.
+"""Boxes of all objects, found, tested and marked on the device: the CPU does the same for ten objects and a million.
 
-- A box is a mesh's own, moved with its object: an oriented one, as tight for a turned object as for another.
-- It is padded as for queries (`bounds`): each side moves out by the margin. Boxes too flat or too skew for that are
-  replaced by boxes along the world's axes around them.
-- What the near plane may cut counts as visible, what is outside the frustum doesn't count at all. Neither is drawn:
-  such a box is kept without extent.
-- Boxes that are drawn mark their object where a fragment passes the depth test. All write the same value, so there
-  is no need of atomics (Deferred+, Listing 1.2).
+- A box is the mesh's own box under the object's transform: an oriented box, which fits rotated objects tightly too.
+- It is padded as for queries (`bounds`): each face moves outwards by the margin. Boxes too flat or too skewed for
+  that are replaced by the boxes along the world's axes around them.
+- What the near plane may cut counts as visible, and what is outside the frustum doesn't count at all. Neither kind of
+  box is drawn: it is stored with zero extent.
+- Boxes that are drawn mark their object where a fragment passes the depth test. All fragments write the same value,
+  so no atomics are needed (Deferred+, Listing 1.2).
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer.scene import Camera, Depth, Plane
+from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.shaders import MeshPart, Object, ObjectPosition, View, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius
-from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
+from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from renderer.visibility.scene_pass import SceneArrays
 from rhi import (
     CullMode,
@@ -57,18 +57,18 @@ from rhi.shading import (
 __rhi_internal__ = True
 
 HIDDEN: Final = 0
-"""As far as is known."""
+"""The mark of an object that is hidden, as far as is known."""
 VISIBLE: Final = 1
-"""To be drawn by the next list."""
+"""The mark of an object for the next list."""
 OUTSIDE: Final = 2
-"""Of the frustum."""
+"""The mark of an object outside the frustum."""
 DRAWN: Final = 3
-"""By a list of this frame."""
+"""The mark of an object that a list of this frame holds."""
 
 GROUP: Final = 64
-"""Objects to a work-group."""
+"""Number of objects per work-group."""
 
-_SKEW: Final = 0.5  # the volume of a box's directions below which it is replaced
+_SKEW: Final = 0.5  # a box is replaced if the volume spanned by its unit axes is less than this
 _SLACK: Final = 1.0001
 _NEARER: Final = {
     Depth.REVERSED: DepthFunction.GREATER_EQUAL,
@@ -77,7 +77,7 @@ _NEARER: Final = {
 
 
 class Occludee(Struct):
-    """A box relative to the eye: its centre, half of each edge, and how far along the view its farthest corner is."""
+    """A box relative to the eye: its centre, half of each edge, and the view depth of its farthest corner."""
 
     centre: vec3
     depth: float
@@ -87,10 +87,11 @@ class Occludee(Struct):
 
 
 class Lens(Struct):
-    """What of a camera is not in its matrix.
+    """The properties of a camera that are not in its matrix.
 
     The margin of a box whose farthest point is f metres away is dot(margin, (1, f, f²)). Boxes within `near_radius`
-    of the eye, or not beyond `near_depth` along `forward`, count as visible; only one of the two applies.
+    of the eye, or not beyond `near_depth` along `forward`, count as visible; the other limit is set to have no
+    effect.
     """
 
     forward: vec3
@@ -101,14 +102,14 @@ class Lens(Struct):
 
 @function
 def is_beyond(plane: vec4, box: Occludee) -> bool:
-    """Whether a box is on the wrong side of a plane."""
+    """Return whether a box is completely behind a plane."""
     n = plane.xyz
     reach = abs(dot(n, box.x)) + abs(dot(n, box.y)) + abs(dot(n, box.z))
     return dot(n, box.centre) + plane.w + reach < 0.0
 
 
 class FindOccludees(Shader):
-    """Writes each object's box and first mark."""
+    """Writes the box and the first mark of each object."""
 
     work_group = (GROUP,)
     view: Uniform[View]
@@ -151,7 +152,7 @@ class FindOccludees(Shader):
             box.y += y * padding
             box.z += z * padding
             sides = abs(box.x) + abs(box.y) + abs(box.z)
-            if volume < 0.0:  # mirrored: its sides are to face outwards all the same
+            if volume < 0.0:  # mirrored: its faces must face outwards all the same
                 box.z = -box.z
         else:
             box.x = vec3(sides.x, 0.0, 0.0)
@@ -194,21 +195,21 @@ class FindOccludees(Shader):
 
 
 class BoxVarying(Struct):
-    """From vertex to fragment."""
+    """The varyings of `MarkBoxes`."""
 
     clip: vec4
     row: int
 
 
 class MarkBoxes(Shader):
-    """Marks each object whose box passes the depth test somewhere."""
+    """Marks each object of whose box a fragment passes the depth test."""
 
     early_depth = True
     camera: Uniform[BoxCamera]
     boxes: Storage[Occludee]
     marks: StorageRW[uint]
 
-    def vertex(self, v: Corner) -> BoxVarying:
+    def vertex(self, v: CubeCorner) -> BoxVarying:
         row = self.row()
         box = self.boxes[row]
         p = v.position
@@ -223,7 +224,7 @@ class MarkBoxes(Shader):
 
 
 class MarkListedBoxes(MarkBoxes):
-    """The same for the boxes of listed rows alone."""
+    """Like `MarkBoxes`, for the boxes of listed rows only."""
 
     rows: Storage[uint]
 
@@ -232,15 +233,15 @@ class MarkListedBoxes(MarkBoxes):
 
 
 class Occludees:
-    """The boxes and marks of `count` objects, and ways to test the boxes.
+    """The boxes and marks of `count` objects, and the draws that test the boxes.
 
     Attributes:
-        boxes, marks: a row for each object.
-        cube: what boxes are drawn as.
+        boxes, marks: buffers with a row for each object.
+        cube: the mesh that boxes are drawn as.
     """
 
     def __init__(self, device: Device, count: int, find: type[FindOccludees] = FindOccludees) -> None:
-        """`find` says how boxes get their first marks."""
+        """`find` is the shader that finds the boxes and decides their first marks."""
         self.count = count
         self.boxes = device.storage(Occludee, count, label="boxes")
         self.marks = device.storage(uint, count, label="marks")
@@ -254,11 +255,11 @@ class Occludees:
 
     @property
     def groups(self) -> int:
-        """Work-groups of `GROUP` for a row each."""
+        """Number of work-groups of `GROUP` that have an invocation for each row."""
         return -(-self.count // GROUP)
 
     def find(self, camera: Camera, arrays: SceneArrays, **more: StorageRange[Any]) -> None:
-        """Find the boxes as `camera` sees them, and mark all anew; `more` is what `find` reads besides."""
+        """Find the boxes as `camera` sees them, and set all first marks; `more` are further bindings."""
         self._lens.write(_lens(camera))
         self._device.dispatch(
             self._find,
@@ -274,7 +275,7 @@ class Occludees:
         )
 
     def mark_all(self, matrix: NDArray[Any], depth: Depth) -> None:
-        """Mark what shows in the open pass; `matrix` (4, 4) leads from the eye's axes to clip space."""
+        """Mark the objects whose boxes are visible in the open pass; `matrix` (4, 4) leads to clip space."""
         self._camera.write(BoxCamera(relative_view_projection=matrix))
         with self._states(depth):
             self._device.draw(
@@ -284,7 +285,7 @@ class Occludees:
     def mark_listed(
         self, matrix: NDArray[Any], depth: Depth, rows: StorageBuffer[uint], draw: StorageBuffer[Any]
     ) -> None:
-        """The same for the boxes of `rows` alone; how many, `draw` says."""
+        """Mark like `mark_all`, for the boxes of `rows` only, whose number `draw` holds."""
         self._camera.write(BoxCamera(relative_view_projection=matrix))
         with self._states(depth):
             self._device.draw_indirect(
@@ -303,14 +304,14 @@ class Occludees:
         )
 
     def destroy(self) -> None:
-        """Give everything back that was made on the device."""
+        """Destroy the resources on the device."""
         for resource in (self.boxes, self.marks, self.cube, self._lens, self._camera):
             resource.destroy()
 
 
 def _lens(camera: Camera) -> Lens:
     if is_parallel(camera):
-        *normal, d = camera.frustum.planes[Plane.NEAR].tolist()
+        *normal, d = camera.frustum.planes[FrustumPlane.NEAR].tolist()
         radius, near = -1.0, -(float(camera.position @ normal) + d)
     else:
         radius, near = _SLACK * near_radius(camera), -1e30

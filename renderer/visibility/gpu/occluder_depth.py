@@ -1,10 +1,12 @@
-"""The depth of a few objects on a device of its own, and boxes tested against it in one batch (thesis 8.2).
+"""The depth of a few objects, drawn on a second device, and boxes tested against it in one batch (thesis 8.2).
 
-- Occluders are drawn as they are, at the image's own samples, and then kept as the farthest depth of 4 × 4 pixels, of
-  16 × 16, and so on. So a tile that they cover in part hides nothing, and what a tile hides is behind all its pixels.
-- A box is tested against the tiles under its rectangle, coarse ones first, which settle most (`BoxTest`).
-- Two rasterisers needn't agree where an edge passes within 1/256 pixel of a sample. So rectangles are larger by a pixel
-  each way: where this device covers a pixel that the other one doesn't, the next one beyond the edge is free.
+- Occluders are drawn with their own meshes, at the image's own samples. What is kept is the farthest depth of 4 × 4
+  pixels, of 16 × 16, and so on. So a tile that they cover in part hides nothing, and what a tile hides is behind all
+  its pixels.
+- A box is tested against the tiles under its rectangle, coarse ones first, which decide most boxes (`BoxTest`).
+- Two rasterisers may differ where an edge passes within 1/256 pixel of a sample. So rectangles are enlarged by a
+  pixel on each side: if this device covers a pixel that the other one doesn't, the next pixel beyond the edge is
+  uncovered.
 """
 
 from __future__ import annotations
@@ -15,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera, Depth, Scene
+from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import Vertex, View
-from renderer.visibility.boxes.hierarchy import Floats, Rows
 from renderer.visibility.gpu.depth_pyramid import BoxTest, Levels, make_levels
 from renderer.visibility.gpu.farthest_depth import FAR, FarthestDepth
 from renderer.visibility.gpu.occludees import GROUP, Occludee
@@ -59,7 +61,7 @@ class Occluder(Struct):
 
 
 class DrawOccluders(Shader):
-    """Their depth alone."""
+    """Draws occluders with no output but depth."""
 
     view: Uniform[View]
     occluders: Storage[Occluder]
@@ -74,7 +76,7 @@ class DrawOccluders(Shader):
 
 
 class FindShown(BoxTest):
-    """Writes 1 for each box that shows, 0 for the others."""
+    """Writes 1 for each visible box, 0 for the others."""
 
     margin = 1.0 + 1.0 / 64.0
     shown: StorageRW[uint]
@@ -82,11 +84,11 @@ class FindShown(BoxTest):
     def compute(self) -> None:
         row = global_id().x
         if row < len(self.shown):
-            self.shown[row] = uint(1 if self.shows(self.boxes[row]) else 0)
+            self.shown[row] = uint(1 if self.is_visible(self.boxes[row]) else 0)
 
 
 class FindShownStandard(FindShown):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
@@ -94,8 +96,8 @@ class FindShownStandard(FindShown):
 _FIND: Final = {Depth.REVERSED: FindShown, Depth.STANDARD: FindShownStandard}
 
 
-class _Image:
-    """What is as large as the image: its depth, and the tiles."""
+class _SizedDepth:
+    """The resources that depend on the image's size: its depth, and the tiles."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
         self.depth: Texture = device.texture(size, Format.D32F, label="occluder depth")
@@ -108,10 +110,10 @@ class _Image:
 
 
 class OccluderDepth:
-    """The depth of objects of a scene, as a camera sees them."""
+    """Draws the depth of some objects of a scene, and tests boxes against it."""
 
     def __init__(self, device: Device, scene: Scene, occluders: int, boxes: int) -> None:
-        """At most so many `occluders` are drawn at a time, and so many `boxes` tested."""
+        """`occluders` and `boxes` are the largest numbers of objects drawn and of boxes tested at a time."""
         meshes = scene.meshes
         self._device = device
         self._scene = scene
@@ -120,16 +122,16 @@ class OccluderDepth:
         self._occluders = device.storage(Occluder, occluders, label="occluders")
         self._boxes = device.storage(Occludee, boxes, label="boxes")
         self._shown = device.storage(uint, boxes, label="shown")
-        self._image: _Image | None = None
+        self._image: _SizedDepth | None = None
         self._depth = Depth.REVERSED
 
     def render(self, camera: Camera, rows: Rows, size: tuple[int, int]) -> None:
-        """Draw the objects `rows` (k,) in an image of `size` pixels; doesn't wait."""
+        """Draw the objects `rows` (k,) in an image of `size` pixels. Doesn't wait for the device."""
         image = self._image
         if image is None or image.pyramid.size != size:
             if image is not None:
                 image.destroy()
-            image = self._image = _Image(self._device, size)
+            image = self._image = _SizedDepth(self._device, size)
         device, scene = self._device, self._scene
         self._depth = direction = camera.projection.depth
         world = scene.nodes.world[scene.objects.node[rows]]
@@ -162,13 +164,13 @@ class OccluderDepth:
         image.pyramid.build(image.depth, direction)
 
     def find_shown(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:
-        """Which boxes (k,) aren't behind what was rendered; waits for the device.
+        """Return which boxes aren't behind what was rendered, (k,) bool. Waits for the device.
 
-        `centre` (k, 3) is relative to the eye, `half` (k, 3) half the size along the world's axes, padded. The near
-        plane cuts none of them.
+        `centre` (k, 3) is relative to the eye; `half` (k, 3) is the padded half size along the world's axes. The near
+        plane must cut none of the boxes.
         """
         image, count = self._image, len(centre)
-        assert image is not None, "rendered before"
+        assert image is not None, "render must be called first"
         if not count:
             return np.zeros(0, bool)
         table = np.zeros(count, Occludee.dtype)
@@ -189,7 +191,7 @@ class OccluderDepth:
         return self._shown.read(0, count).astype(bool)
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
+        """Destroy the resources on the device."""
         for resource in (self._mesh, self._view, self._occluders, self._boxes, self._shown):
             resource.destroy()
         if self._image is not None:

@@ -1,15 +1,17 @@
 """The last frame's depth as this frame's camera would see it, at a quarter of the resolution (Deferred+, 1.3.1).
 
-- A texel is 4 × 4 pixels, and takes the farthest of them. Where a size isn't a multiple of 4, the last texels have
-  fewer pixels and are as good as the others: the texels' grid is laid out from the image's top left corner, and
-  reaches beyond its other edges (Listing 1.1 drops the rest).
-- Each texel's point is moved to where the camera sees it now, and the nearest wins. Motion tears holes: where nothing
-  came to lie, what was seen there before is written, at its distance from the camera now. (Listing 1.1 writes it
-  everywhere. But a wall that one passes shows a nearer part of itself to each next frame: it would hide itself.)
-- A point that is now behind the eye, or before the near plane, isn't moved; it fills its hole as it was.
-- The way from clip space to clip space is one matrix, made in float64: no world coordinate gets near a float32.
+- A texel covers 4 × 4 pixels and holds the farthest of them. Where a size isn't a multiple of 4, the last texels
+  cover fewer pixels and are used like the others: the grid of texels begins at the image's top left corner and
+  reaches beyond its other edges (Listing 1.1 drops these pixels).
+- Each texel's point is moved to where the camera sees it now; of several points the nearest wins. Motion tears holes:
+  where no point landed, the point seen there before is written, at its present distance from the camera. (Listing 1.1
+  writes it everywhere. But a wall that the camera passes shows a nearer part of itself at a pixel in each next frame,
+  so it would hide itself.)
+- A point that is now behind the eye, or in front of the near plane, isn't moved; it fills its hole unchanged.
+- The mapping from clip space to clip space is one matrix, computed in float64: no world coordinate is ever in
+  float32.
 
-What comes out is a guess: the image is made right by a second look, with this frame's depth.
+The result is a guess. The image becomes right by a second test, with this frame's depth.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Depth
-from renderer.visibility.boxes.hierarchy import Floats
+from renderer.scene.arrays import Floats
 from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth
 from rhi import (
     CullMode,
@@ -60,7 +62,7 @@ _GROUP: Final = 8
 
 
 class Motion(Struct):
-    """From the last clip space to this one; the image's size in pixels, and in texels."""
+    """The matrix from the last frame's clip space to this one's, and the image's size in pixels and in texels."""
 
     matrix: mat4
     pixels: vec2
@@ -68,7 +70,7 @@ class Motion(Struct):
 
 
 class Scatter(Shader):
-    """Writes what was seen to where it is seen now. A key is larger the nearer, and 0 where nothing is."""
+    """Writes each point to where it is seen now. A nearer point has a larger key; 0 means that there is no point."""
 
     work_group = (_GROUP, _GROUP)
     motion: Uniform[Motion]
@@ -103,31 +105,31 @@ class Scatter(Shader):
 
 
 class FillHoles(Scatter):
-    """Where nothing was written, writes what was seen there, as far away as it is now."""
+    """Writes the point that was seen at a texel before, at its present distance, where no point landed."""
 
     fills_holes = True
 
 
 class ScatterStandard(Scatter):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
 
 class FillHolesStandard(FillHoles):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
 
 class OnlyDepth(Struct):
-    """Of a fragment."""
+    """The output of a fragment shader that writes only depth."""
 
     depth: FragmentDepth
 
 
 class WriteDepth(Shader):
-    """Copies the keys to a depth target."""
+    """Writes the depths that the keys stand for to a depth target."""
 
     motion: Uniform[Motion]
     keys: Storage[uint]
@@ -146,7 +148,7 @@ class WriteDepth(Shader):
 
 
 class WriteDepthStandard(WriteDepth):
-    """For depth that grows with distance."""
+    """The variant for standard depth."""
 
     is_reversed = False
 
@@ -158,25 +160,26 @@ _SHADERS: Final = {
 
 
 class ReprojectedDepth:
-    """Keeps a frame's depth, and gives it to the next."""
+    """Keeps a frame's depth, and reprojects it for the next frame's camera."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
         self._triangle = device.mesh(3, label="whole target")
         self._motion = device.uniform(Motion(matrix=np.eye(4), pixels=(1.0, 1.0), texels=(1, 1)))
         self._sized: _Sized | None = None
-        self._camera: Camera | None = None  # whose depth is kept
+        self._camera: Camera | None = None  # the camera of the depth that is kept
 
     def remember(self, camera: Camera, depth: Texture) -> None:
-        """Keep `depth`, which `camera` saw; outside of passes."""
+        """Keep `depth`, which was drawn with `camera`. Must be called outside of passes."""
         self._fit(depth.size).farthest.build(depth, camera.projection.depth)
         self._camera = camera
 
     @contextmanager
     def render_pass(self, camera: Camera, size: tuple[int, int]) -> Iterator[Floats]:
-        """A pass on what of the last frame's depth `camera` sees in an image of `size`; far where that isn't known.
+        """Open a pass whose depth target holds the last frame's depth as `camera` sees it in an image of `size`.
 
-        Gives the matrix (4, 4) from the eye's axes to the pass's clip space.
+        Where nothing is known, the depth is far. Yields the matrix (4, 4) from the eye's axes to the pass's clip
+        space.
         """
         sized, device, direction = self._fit(size), self._device, camera.projection.depth
         last = self._camera
@@ -203,7 +206,7 @@ class ReprojectedDepth:
             yield sized.to_texels @ _matrix(camera)
 
     def _fit(self, size: tuple[int, int]) -> _Sized:
-        """What depends on the image's size; what was kept of another size is forgotten."""
+        """Return the resources for images of `size`. A depth kept for another size is discarded."""
         sized = self._sized
         if sized is None or sized.size != size:
             if sized is not None:
@@ -213,7 +216,7 @@ class ReprojectedDepth:
         return sized
 
     def destroy(self) -> None:
-        """Give everything back that was made on the device."""
+        """Destroy the resources on the device."""
         self._triangle.destroy()
         self._motion.destroy()
         if self._sized is not None:
@@ -222,7 +225,7 @@ class ReprojectedDepth:
 
 
 class _Sized:
-    """For an image of `size` pixels: the texels' depths, their keys and the target, of `texels` each way."""
+    """The resources for an image of `size` pixels, which has `texels` in each direction: depths, keys and target."""
 
     def __init__(self, device: Device, size: tuple[int, int]) -> None:
         self.size = size
@@ -232,11 +235,11 @@ class _Sized:
         self.keys: StorageBuffer[uint] = device.storage(uint, width * height, label="reprojected depths")
         self.target = device.texture(self.texels, Format.D32F, label="reprojected depth")
         x, y = size[0] / (SCALE * width), size[1] / (SCALE * height)
-        self.to_texels = np.diag([x, y, 1.0, 1.0])  # the image's part of the texels' grid, which is larger
+        self.to_texels = np.diag([x, y, 1.0, 1.0])  # the image is only a part of the grid of texels
         self.to_texels[0, 3], self.to_texels[1, 3] = x - 1.0, 1.0 - y
 
     def motion(self, matrix: Floats) -> Motion:
-        """The constants of a motion between clip spaces."""
+        """Return the shader constants for a mapping between clip spaces."""
         return Motion(matrix=matrix, pixels=self.size, texels=self.texels)
 
     def destroy(self) -> None:
@@ -245,7 +248,7 @@ class _Sized:
 
 
 def _matrix(camera: Camera) -> Floats:
-    """(4, 4) float64, from the eye's axes to clip space."""
+    """Return the matrix (4, 4) float64 from the eye's axes to clip space."""
     turned = np.eye(4)
     turned[:3, :3] = camera.rotation
     return camera.projection.matrix @ turned

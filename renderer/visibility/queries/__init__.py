@@ -1,1 +1,1 @@
-"""Culling by hardware occlusion queries, from stop-and-wait to CHC++."""
+"""Culling with hardware occlusion queries: stop-and-wait, CHC, CHC++ and conditional rendering."""

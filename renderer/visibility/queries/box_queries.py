@@ -1,10 +1,10 @@
-"""Occlusion queries of bounding boxes, in the middle of a technique's pass (thesis 6.2, steps 1 to 4).
+"""Occlusion queries of bounding boxes, issued in the middle of a technique's pass (thesis 6.2, steps 1 to 4).
 
-What can be asked for is a node, which has one box or a few. All boxes are rows of one array, relative to the
-eye, written once a frame; a node's boxes follow each other and are the instances of one draw, and drawing some
-nodes is one call. Directions of their axes are another array, written when they change. Boxes are drawn with the
-technique's depth test, and write neither colour nor depth. Queries are used again and again; how long the CPU
-waited for answers is counted.
+A query is about nodes, each of which has one box or several. All boxes are rows of one array, relative to the eye,
+written once a frame. A node's boxes are consecutive rows and the instances of one draw; the draws of several nodes
+are one call. The directions of the boxes' axes are another array, written when they change. Boxes are drawn with the
+technique's depth test, and write neither colour nor depth. Query objects are reused. The time for which the CPU
+waits for results is counted.
 """
 
 from __future__ import annotations
@@ -16,37 +16,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene import Camera
-from renderer.visibility.boxes.bounds import Boxes
-from renderer.visibility.boxes.cubes import BoxCamera, Corner, make_cube
-from renderer.visibility.boxes.hierarchy import Rows
+from renderer.scene.arrays import Rows
+from renderer.visibility.boxes.bounds import QueryBoxes
+from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
 from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, StateScope
 from rhi.shading import Shader, Storage, Struct, Uniform, cross, instance_index, vec3, vec4
 
 __rhi_internal__ = True
 
 
-class Box(Struct):
-    """Where it is relative to the eye, and half its size along its own axes."""
+class QueryBox(Struct):
+    """A box: its centre relative to the eye, and half its size along its own axes."""
 
     centre: vec3
     half: vec3
 
 
-class Turn(Struct):
-    """Unit vectors along a box's first two axes; the third is at right angles to both."""
+class QueryBoxAxes(Struct):
+    """The orientation of a box: unit vectors along its first two axes. The third is their cross product."""
 
     x: vec3
     y: vec3
 
 
-class BoxShader(Shader):
-    """Depth alone."""
+class QueryBoxShader(Shader):
+    """Draws boxes with no output but depth."""
 
     camera: Uniform[BoxCamera]
-    boxes: Storage[Box]
-    turns: Storage[Turn]
+    boxes: Storage[QueryBox]
+    turns: Storage[QueryBoxAxes]
 
-    def vertex(self, v: Corner) -> vec4:
+    def vertex(self, v: CubeCorner) -> vec4:
         box = self.boxes[instance_index()]
         turn = self.turns[instance_index()]
         corner = box.half * v.position
@@ -58,35 +58,37 @@ class BoxShader(Shader):
 
 
 class BoxQueries:
-    """Asks a device how many samples of boxes pass the depth test.
+    """Queries a device for whether boxes pass the depth test, and reuses the query objects.
 
     Attributes:
-        threshold: what passes no more samples than this counts as hidden; above 0, images may differ.
-        issued: queries since `begin_frame`; draws, boxes: draws of boxes in them, and their boxes.
-        stalled: seconds that the CPU waited for answers since `begin_frame`.
+        threshold: a query with at most this many samples counts as hidden; above 0, images may differ.
+        issued: queries since `begin_frame`. draws, boxes: draws of boxes in them, and the boxes drawn.
+        stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
 
     def __init__(self, device: Device, sizes: Rows, members: Rows, threshold: int = 0) -> None:
-        """`sizes` (n,): how many boxes each node has, 1 or more; `members`: which, node after node."""
+        """`sizes` (n,) is the number of boxes of each node, 1 or more; `members` are their rows, node after node."""
         self.device = device
         self.threshold = threshold
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
-        self._program = device.program(BoxShader)
+        self._program = device.program(QueryBoxShader)
         self._mesh = make_cube(device)
         count = len(members)
         self._members = members
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
-        self._buffer = device.storage(Box, max(count, 1), label="boxes")
+        self._buffer = device.storage(QueryBox, max(count, 1), label="boxes")
         self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
-        self._turns = device.storage(Turn, max(count, 1), label="turns of boxes")
-        # Rows of `Box` as plain floats: one gather of whole rows is ten times as fast as one of each field.
+        self._turns = device.storage(QueryBoxAxes, max(count, 1), label="turns of boxes")
+        # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each field.
         self._rows = np.zeros((count, 8), np.float32)
-        self._directions: tuple[NDArray[np.float32], ...] = (np.zeros((0, 3), np.float32),) * 2  # as written
+        self._directions: tuple[NDArray[np.float32], ...] = (
+            np.zeros((0, 3), np.float32),
+        ) * 2  # those on the device
         self._free: list[OcclusionQuery] = []
 
-    def begin_frame(self, camera: Camera, boxes: Boxes) -> None:
-        """Let the boxes of all nodes be made of these, and count from 0."""
+    def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
+        """Upload the boxes of all nodes, gathered from `boxes`, and reset the counters."""
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
         self._camera.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
@@ -94,10 +96,10 @@ class BoxQueries:
         if not len(rows):
             return
         each = np.zeros((len(boxes.centre), 8), np.float32)
-        with np.errstate(over="ignore"):  # what is too far for float32 is drawn without being asked for
+        with np.errstate(over="ignore"):  # what is too far for float32 is drawn without a query
             each[:, 0:3] = boxes.centre - camera.position
             each[:, 4:7] = boxes.half
-        each.take(members, axis=0, out=rows, mode="clip")  # without a copy in between
+        each.take(members, axis=0, out=rows, mode="clip")  # "clip" avoids a copy
         self._buffer.write(rows.view(self._buffer.dtype)[:, 0])
         directions = (boxes.x, boxes.y)
         if not all(map(np.array_equal, self._directions, directions)):
@@ -107,12 +109,12 @@ class BoxQueries:
             self._directions = directions
 
     def states(self) -> StateScope:
-        """`with queries.states():` around `ask`: boxes leave no trace in the targets."""
+        """Return the state scope to issue queries in, in which boxes change no target: `with queries.states():`."""
         return self.device.states(ColorWrite.OFF, DepthWrite.OFF, CullMode.BACK, FrontFace.COUNTER_CLOCKWISE)
 
-    def ask(self, nodes: Sequence[int]) -> OcclusionQuery:
-        """One query about these nodes together; to be given to `answer` or `release`."""
-        query = self.take()
+    def issue(self, nodes: Sequence[int]) -> OcclusionQuery:
+        """Issue one query for all boxes of `nodes`. Pass the query to `resolve` or `release` later."""
+        query = self.acquire()
         draws = self._draws.take(nodes)
         with query:
             self.device.draw_many(
@@ -127,13 +129,14 @@ class BoxQueries:
         self.boxes += int(draws["instances"].sum())
         return query
 
-    def take(self) -> OcclusionQuery:
-        """A query for other draws; it will be begun."""
+    def acquire(self) -> OcclusionQuery:
+        """Return an unused query for draws of the caller's own, and count it as issued."""
         self.issued += 1
         return self._free.pop() if self._free else self.device.occlusion_query()
 
-    def answer(self, query: OcclusionQuery) -> bool:
-        """Whether more samples than the threshold passed; waits for it if it must. Gives the query back."""
+    def resolve(self, query: OcclusionQuery) -> bool:
+        """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is
+        not yet available."""
         if query.is_finished:
             samples = query.visible_samples
         else:
@@ -144,11 +147,11 @@ class BoxQueries:
         return samples > self.threshold
 
     def release(self, query: OcclusionQuery) -> None:
-        """Give a query back whose answer doesn't matter any more."""
+        """Make a query reusable without reading its result."""
         self._free.append(query)
 
     def destroy(self) -> None:
-        """Give everything back that was made on the device."""
+        """Destroy the resources on the device."""
         for query in self._free:
             query.destroy()
         self._free.clear()

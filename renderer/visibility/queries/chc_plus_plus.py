@@ -2,15 +2,15 @@
 
 CHC with everything in batches:
 
-- *i-queue*: nodes that were hidden gather until there are b of them; then states change once and all are asked
-  for (6.4.2);
-- *v-queue*: leaves that were visible are drawn anyway, so whether they still are is asked when there is nothing
-  else to do, and read in the next frame (6.4.3);
-- *render queue*: what is to be drawn gathers until queries need it in the depth buffer (6.4.4);
-- *persistence*: a leaf that is visible is asked for again only after n frames, the first time after a random
-  number of them, so that questions don't come all in one frame (6.4.5);
-- *multiqueries*: hidden nodes that will likely stay hidden are asked for together (6.4.6): see `choose_size`;
-- *tight bounds*: a node is asked for by the boxes of nodes below it where these fit closer.
+- *i-queue*: previously invisible nodes are gathered until there are b of them; then the states are changed once and
+  all are queried (6.4.2).
+- *v-queue*: previously visible leaves are drawn in any case. So they are queried only when there is nothing else to
+  do, and the results are read in the next frame (6.4.3).
+- *render queue*: objects to draw are gathered until a query needs them in the depth buffer (6.4.4).
+- *persistence*: a visible leaf is assumed to stay visible for n frames before it is queried again, the first time for
+  a random number of frames, so that queries are spread over the frames (6.4.5).
+- *multiqueries*: hidden nodes that are likely to stay hidden share a query (6.4.6): see `choose_size`.
+- *tight bounds*: a node is queried by the boxes of nodes below it where these fit more closely.
 
 Stack and queues have a fixed size (6.5.2, 6.5.3).
 """
@@ -26,36 +26,40 @@ import numpy as np
 
 from renderer import rules
 from renderer.scene import Camera, Scene
-from renderer.visibility.algorithm import DrawObjects, Statistics
+from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import NEVER, pull_up
+from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
 
 __rhi_internal__ = True
 
-KEEPS: Final = tuple(0.99 - 0.7 * exp(-t) for t in range(16))
-"""How likely a node that was hidden for t frames stays hidden in the next; as good as constant from 15 on."""
+STAYS_HIDDEN: Final = tuple(0.99 - 0.7 * exp(-t) for t in range(16))
+"""The probability that a node that was hidden for t frames stays hidden in the next; almost constant from 15 on."""
 
 
-def choose_size(keeps: Sequence[float]) -> int:
-    """How many nodes to ask for together, given how likely each stays hidden, in descending order; 1 or more.
+def choose_size(probabilities: Sequence[float]) -> int:
+    """Return the number of nodes to query together, 1 or more.
 
-    k nodes in one query cost 1 + (1 - product of their probabilities) · k queries, as all are asked for again
-    if any shows; one alone costs 1. The best k is where nodes per query stop growing.
+    `probabilities` say how likely each node stays hidden, in descending order. k nodes in one query cost
+    1 + (1 - product of their probabilities) · k queries, because all are queried again if any is visible; a single
+    node costs 1. The best k is where the nodes per query stop growing.
     """
-    best, likely = 1.0, keeps[0]
-    for size in range(2, len(keeps) + 1):
-        likely *= keeps[size - 1]
+    best, likely = 1.0, probabilities[0]
+    for size in range(2, len(probabilities) + 1):
+        likely *= probabilities[size - 1]
         value = size / (1.0 + (1.0 - likely) * size)
         if value < best:
             return size - 1
         best = value
-    return len(keeps)
+    return len(probabilities)
 
 
 class ChcPlusPlus:
-    """Draws what was visible, and asks in batches for what was hidden."""
+    """Draws what was visible, and queries what was hidden in batches."""
+
+    opens_pass: Final = False
 
     def __init__(
         self,
@@ -67,13 +71,13 @@ class ChcPlusPlus:
         threshold: int = 0,
         seed: int = 0,
     ) -> None:
-        """What the thesis tunes (6.5.1) is `batch`, its b, and `persistence`, its n.
+        """The thesis tunes `batch`, its b, and `persistence`, its n (6.5.1).
 
         Args:
-            batch: how many hidden nodes gather before they are asked for, 1 or more.
-            persistence: for how many frames a visible leaf isn't asked for again, 1 or more.
-            threshold: a node that passes no more samples than this is taken for hidden.
-            seed: of the random numbers.
+            batch: number of hidden nodes that are gathered before they are queried, 1 or more.
+            persistence: number of frames for which a visible leaf isn't queried again, 1 or more.
+            threshold: a node that passes at most this many samples counts as hidden.
+            seed: the seed of the random numbers.
         """
         if batch < 1 or persistence < 1:
             given = f"batch={batch}, persistence={persistence}"
@@ -88,53 +92,53 @@ class ChcPlusPlus:
         self._visible = bytearray(count)
         self._visited = [NEVER] * count
         self._hidden_since = [0] * count
-        self._next_query = [0] * count  # frame in which a visible leaf is asked for again
-        self._is_asked = bytearray(count)  # leaves whose visibility was asked for and not yet read
+        self._next_query = [0] * count  # frame in which a visible leaf is queried again
+        self._is_queried = bytearray(count)  # leaves with a query whose result is not yet read
         self._frame = 0
         room = max(count, 1)
         self._stack: FixedStack[int] = FixedStack(room)
-        self._hidden: list[int] = []  # the i-queue
-        self._again: list[int] = []  # nodes of a multiquery that showed something
-        self._seen: FixedQueue[int] = FixedQueue(room)  # the v-queue
-        self._asked: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
-        self._asked_seen: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
-        self._to_draw: list[int] = []  # the render queue
+        self._i_queue: list[int] = []  # nodes
+        self._requery: list[int] = []  # nodes of multiqueries in which something was visible
+        self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
+        self._i_queries: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
+        self._v_queries: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
+        self._render_queue: list[int] = []  # objects
         self._shown: list[int] = []
-        self._drawn = self._batches = self._walked = 0
+        self._drawn = self._batches = self._visits = 0
 
-    def render(self, camera: Camera, draw: DrawObjects) -> Statistics:
-        """Draw what `camera` sees, and what it saw lately."""
-        forest, stack, asked, visit = self._forest, self._stack, self._asked, self._visit
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+        """Draw what `camera` sees, and what it saw in recent frames."""
+        forest, stack, pending, visit = self._forest, self._stack, self._i_queries, self._visit
         self._begin(camera)
         while True:
-            while asked and asked.front[1].is_finished:
-                self._take_answer(*asked.pop())
+            while pending and pending.front[1].is_finished:
+                self._resolve(*pending.pop())
             if stack:
                 visit(stack.pop())
-                if len(self._hidden) >= self._batch:
-                    self._ask_hidden(draw)
-            elif self._hidden or self._again:
-                self._ask_hidden(draw)
-            elif asked:
-                if self._seen:
-                    self._ask_seen(draw)
+                if len(self._i_queue) >= self._batch:
+                    self._query_i_queue(scene_pass)
+            elif self._i_queue or self._requery:
+                self._query_i_queue(scene_pass)
+            elif pending:
+                if self._v_queue:
+                    self._query_v_queue(scene_pass)
                 else:
-                    self._take_answer(*asked.pop())
+                    self._resolve(*pending.pop())
             else:
                 break
-        self._draw(draw)
-        if self._seen:
-            self._ask_seen(draw)
+        self._draw_render_queue(scene_pass)
+        if self._v_queue:
+            self._query_v_queue(scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
         return self._count()
 
-    def _count(self) -> Statistics:
+    def _count(self) -> VisibilityStatistics:
         queries = self._queries
-        return Statistics(
+        return VisibilityStatistics(
             objects=len(self._objects),
             visible=self._drawn,
             batches=self._batches,
-            nodes_tested=self._walked,
+            nodes_tested=self._visits,
             queries=queries.issued,
             box_draws=queries.draws,
             boxes=queries.boxes,
@@ -142,19 +146,26 @@ class ChcPlusPlus:
         )
 
     def _begin(self, camera: Camera) -> None:
-        """Take the answers that were left to this frame, and start at the roots."""
+        """Read the results of the last frame's v-queue, and push the roots."""
         forest, queries = self._forest, self._queries
         queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
-        self._drawn = self._batches = self._walked = 0
-        for left in (self._stack, self._hidden, self._again, self._to_draw, self._shown, self._seen):
+        self._drawn = self._batches = self._visits = 0
+        for left in (
+            self._stack,
+            self._i_queue,
+            self._requery,
+            self._render_queue,
+            self._shown,
+            self._v_queue,
+        ):
             left.clear()
-        while self._asked:  # a frame that was broken off
-            queries.release(self._asked.pop()[1])
-        while self._asked_seen and self._asked_seen.front[1].is_finished:
-            leaf, query = self._asked_seen.pop()
-            self._is_asked[leaf] = 0
-            if queries.answer(query):
+        while self._i_queries:  # left by a frame that raised
+            queries.release(self._i_queries.pop()[1])
+        while self._v_queries and self._v_queries.front[1].is_finished:
+            leaf, query = self._v_queries.pop()
+            self._is_queried[leaf] = 0
+            if queries.resolve(query):
                 self._next_query[leaf] = self._frame - 1 + self._persistence
             elif self._visible[leaf]:
                 self._visible[leaf] = 0
@@ -164,35 +175,35 @@ class ChcPlusPlus:
 
     def _visit(self, node: int) -> None:
         forest, visible, frame = self._forest, self._visible, self._frame
-        place = forest.place[node]
-        if place == OUTSIDE:
+        status = forest.status[node]
+        if status == OUTSIDE:
             return
-        self._walked += 1
+        self._visits += 1
         was_visited = self._visited[node] == frame - 1
         self._visited[node] = frame
-        if place == NEAR:
+        if status == NEAR:
             self._show(node)
         elif not visible[node] or not was_visited:
             visible[node] = 0
             if not was_visited:
                 self._hidden_since[node] = frame
-            self._hidden.append(node)
+            self._i_queue.append(node)
         elif forest.child[node] < 0:
-            if self._next_query[node] <= frame and not self._is_asked[node]:
-                self._seen.push(node)
+            if self._next_query[node] <= frame and not self._is_queried[node]:
+                self._v_queue.push(node)
             self._shown.append(node)
-            self._to_draw.append(forest.object[node])
+            self._render_queue.append(forest.object[node])
         else:
             visible[node] = 0
             self._hidden_since[node] = frame
             self._open(node)
 
-    def _take_answer(self, nodes: list[int], query: OcclusionQuery) -> None:
-        """Of hidden nodes; waits if there is no answer yet."""
-        if not self._queries.answer(query):
+    def _resolve(self, nodes: list[int], query: OcclusionQuery) -> None:
+        """Read the result for previously invisible nodes; waits if it is not yet available."""
+        if not self._queries.resolve(query):
             return
         if len(nodes) > 1:
-            self._again += nodes
+            self._requery += nodes
             return
         (node,) = nodes
         self._hidden_since[node] = self._frame
@@ -208,59 +219,59 @@ class ChcPlusPlus:
         forest = self._forest
         child = forest.child[node]
         if child < 0:
-            self._to_draw.append(forest.object[node])
+            self._render_queue.append(forest.object[node])
         else:
             nearer = forest.second_first[node]
             self._stack.push(child + 1 - nearer)
             self._stack.push(child + nearer)
 
-    def _ask_hidden(self, draw: DrawObjects) -> None:
-        """Ask for all in the i-queue, those together that are likely to stay hidden."""
-        self._draw(draw)
-        queries, asked = self._queries, self._asked
+    def _query_i_queue(self, scene_pass: ScenePass) -> None:
+        """Query all nodes in the i-queue; nodes that are likely to stay hidden share queries."""
+        self._draw_render_queue(scene_pass)
+        queries, pending = self._queries, self._i_queries
         with queries.states():
-            for nodes in self._group_hidden():
-                asked.push((nodes, queries.ask(nodes)))
-        self._hidden.clear()
-        self._again.clear()
+            for nodes in self._group_i_queue():
+                pending.push((nodes, queries.issue(nodes)))
+        self._i_queue.clear()
+        self._requery.clear()
 
-    def _group_hidden(self) -> list[list[int]]:
-        """The i-queue in groups to be asked for together."""
-        since, frame, last = self._hidden_since, self._frame, len(KEEPS) - 1
-        hidden = sorted(self._hidden, key=since.__getitem__)
-        keeps = [KEEPS[min(frame - since[node], last)] for node in hidden]
-        groups = [[node] for node in self._again]
+    def _group_i_queue(self) -> list[list[int]]:
+        """Return the nodes of the i-queue in groups, one for each query."""
+        since, frame, last = self._hidden_since, self._frame, len(STAYS_HIDDEN) - 1
+        hidden = sorted(self._i_queue, key=since.__getitem__)
+        probabilities = [STAYS_HIDDEN[min(frame - since[node], last)] for node in hidden]
+        groups = [[node] for node in self._requery]
         start = 0
         while start < len(hidden):
-            end = start + choose_size(keeps[start:])
+            end = start + choose_size(probabilities[start:])
             groups.append(hidden[start:end])
             start = end
         return groups
 
-    def _ask_seen(self, draw: DrawObjects) -> None:
-        """Ask for the v-queue until there is an answer to go on with."""
-        self._draw(draw)
-        asked = self._asked
+    def _query_v_queue(self, scene_pass: ScenePass) -> None:
+        """Query leaves of the v-queue until a result of the i-queue is available."""
+        self._draw_render_queue(scene_pass)
+        pending = self._i_queries
         with self._queries.states():
-            while self._seen and not (asked and asked.front[1].is_finished):
-                self._ask_leaf(self._seen.pop())
+            while self._v_queue and not (pending and pending.front[1].is_finished):
+                self._query_leaf(self._v_queue.pop())
 
-    def _ask_leaf(self, leaf: int) -> None:
-        self._is_asked[leaf] = 1
-        self._asked_seen.push((leaf, self._queries.ask((leaf,))))
+    def _query_leaf(self, leaf: int) -> None:
+        self._is_queried[leaf] = 1
+        self._v_queries.push((leaf, self._queries.issue((leaf,))))
 
-    def _draw(self, draw: DrawObjects) -> None:
-        """Draw the render queue."""
-        if self._to_draw:
-            rows = np.array(self._to_draw)
+    def _draw_render_queue(self, scene_pass: ScenePass) -> None:
+        """Draw all objects in the render queue."""
+        if self._render_queue:
+            rows = np.array(self._render_queue)
             rows.sort()
-            draw(rows)
+            scene_pass.draw(rows)
             self._drawn += len(rows)
             self._batches += 1
-            self._to_draw.clear()
+            self._render_queue.clear()
 
     def destroy(self) -> None:
-        """Give back what was made on the device."""
-        while self._asked_seen:
-            self._queries.release(self._asked_seen.pop()[1])
+        """Destroy the resources on the device."""
+        while self._v_queries:
+            self._queries.release(self._v_queries.pop()[1])
         self._queries.destroy()

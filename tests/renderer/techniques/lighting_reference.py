@@ -46,7 +46,7 @@ def shade_plane(
 
 
 def shade(scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floats, albedo: Floats) -> Floats:
-    """Linear light from `hit` to the eye."""
+    """Return the linear light from `hit` to the eye."""
     lights = scene.lights
     sky, ground = np.array(lights.sky), np.array(lights.ground)
 
@@ -83,13 +83,13 @@ def shade(scene: Scene, material: Any, hit: Floats, normal: Floats, to_eye: Floa
 
 
 def tone_map(color: Floats) -> Floats:
-    """ACES by Narkowicz at exposure 0.6."""
+    """Narkowicz's fit of the ACES curve at an exposure of 0.6."""
     x = 0.6 * color
     return np.clip(x * (2.51 * x + 0.03) / (x * (2.43 * x + 0.59) + 0.14), 0, 1)
 
 
 def encode(linear: Floats) -> Floats:
-    """sRGB, 0…255."""
+    """Encode linear light as sRGB, 0…255."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055) * 255
 
 

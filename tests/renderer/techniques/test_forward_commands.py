@@ -1,4 +1,4 @@
-"""What the forward technique asks of a device, seen on the null device's stream."""
+"""The commands of the forward technique, recorded by the null device."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from rhi import Op
 
 
 def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilder:
-    """A box at each place, the first `mirrored` of them turned inside out; no lights."""
+    """Make a box at each position, the first `mirrored` of them mirrored; no lights."""
     builder = SceneBuilder("boxes")
     mesh, material = builder.add_mesh(MESHES["box"]()), builder.add_material()
     for number, place in enumerate(places):
@@ -27,7 +27,7 @@ def boxes(*places: tuple[float, float, float], mirrored: int = 0) -> SceneBuilde
 
 
 def record(device: rhi.Device, scene: Scene, camera: Camera | None = None) -> rhi.CommandStream:
-    """The commands of one frame, the second."""
+    """Return the commands of the second of two frames."""
     renderer = Renderer(device, scene, size=(32, 16))
     view = camera or next(iter(scene.views.values()))
     renderer.render(view)

@@ -1,4 +1,4 @@
-"""What the forward technique shows, against float64 and against itself."""
+"""The pixels of the forward technique, compared with float64 and with each other."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NORMAL = np.array([1.0, 3.0, 0.0]) / 10**0.5
 
 
 def slope(*, texture: NDArray[np.uint8] | None = None, mirror: bool = False, **material: Any) -> SceneBuilder:
-    """One tilted plane that fills the image, stretched differently along each axis."""
+    """Make one tilted plane that fills the image, scaled differently along each axis."""
     builder = SceneBuilder("slope")
     image = -1 if texture is None else builder.add_image(texture)
     made = builder.add_material(texture=image, **{"base_color": (0.7, 0.5, 0.3), **material})

@@ -1,4 +1,4 @@
-"""The shaders' structs and the scene's arrays are one layout."""
+"""The shaders' structs have the layout of the scene's arrays."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rhi.shading import Struct
 
 
 def fields(dtype: np.dtype[Any]) -> dict[str, tuple[np.dtype[Any], int]]:
-    """Types and offsets by name, without padding."""
+    """Return types and offsets by name, without padding."""
     assert dtype.fields is not None
     return {name: (field[0], field[1]) for name, field in dtype.fields.items() if name != "pad"}
 

@@ -11,7 +11,7 @@ import rhi
 
 @pytest.fixture(scope="module", params=["gl", "cl"])
 def device(request: pytest.FixtureRequest) -> Iterator[rhi.Device]:
-    """Each that draws."""
+    """A device of each backend that draws and computes, one per module."""
     try:
         made = rhi.create_device(request.param)
     except rhi.DeviceError as error:

@@ -20,7 +20,7 @@ from renderer.visibility.boxes.forest import Forest
 from renderer.visibility.gpu.depth_pyramid import CompareBoxes
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
 from renderer.visibility.gpu.reprojection import WriteDepth
-from renderer.visibility.queries.box_queries import BoxShader
+from renderer.visibility.queries.box_queries import QueryBoxShader
 from rhi import OcclusionQuery
 from rhi.backends.null import Draw, NullBackend
 
@@ -83,7 +83,7 @@ points = st.tuples(coordinates, coordinates, coordinates)
 
 @st.composite
 def cameras(draw: st.DrawFn) -> Camera:
-    """Anywhere among the boxes, inside some, with all kinds of lenses."""
+    """Draw cameras among the boxes, some of them inside a box, with all kinds of lenses."""
     eye, aim = np.array(draw(points)), np.array(draw(points))
     if np.abs(aim - eye).max() < 1e-3:
         aim = eye - np.array((0.0, 0.0, 1.0))
@@ -99,7 +99,7 @@ def cameras(draw: st.DrawFn) -> Camera:
 def draw_with(
     renderer: Renderer, algorithm: VisibilityAlgorithm, camera: Camera, seconds: float = 0.0
 ) -> FrameResult:
-    """One frame with this algorithm."""
+    """Render one frame with this algorithm."""
     renderer.visibility = algorithm
     return renderer.render(camera, seconds)
 
@@ -137,7 +137,7 @@ class Oracle:
             self.members = [{row} for row in range(len(self.scene.objects))]
         elif self.name in OCCLUSION and self.name != "chc":
             self.members = [self.members[node] for node in forest.tight.tolist()]
-        self.boxes = self.device.program(BoxShader).id
+        self.boxes = self.device.program(QueryBoxShader).id
         backend = self.device.backend_as(NullBackend)
         if self.name in DEVICE:
             stand_ins = {MarkBoxes: self.guess, MarkListedBoxes: self.mark, CompareBoxes: self.compare}
@@ -146,25 +146,25 @@ class Oracle:
         backend.count_samples(self.count)
 
     def guess(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
-        """Fragments of `MarkBoxes`."""
+        """Stand in for the fragments of `MarkBoxes`."""
         marks = bound["marks"]
         marks[[row for row in self.guessed if marks[row] == HIDDEN]] = VISIBLE
 
     def mark(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
-        """Fragments of `MarkListedBoxes`."""
+        """Stand in for the fragments of `MarkListedBoxes`."""
         assert draw is not None
         rows = bound["rows"][: draw.instances]
         bound["marks"][[row for row in rows if row in self.seen]] = VISIBLE
 
     def compare(self, bound: Mapping[str, np.ndarray], draw: Draw | None) -> None:
-        """What `CompareBoxes` does, but for the look at the pyramid."""
+        """Stand in for `CompareBoxes`, without reading the pyramid."""
         marks = bound["marks"]
         shows = np.isin(np.arange(len(marks)), list(self.seen)) & ((marks == HIDDEN) | (marks == DRAWN))
         bound["seen"][:] = shows
         marks[shows & (marks == HIDDEN)] = VISIBLE
 
     def count(self, draw: Draw) -> int:
-        """The samples of a draw."""
+        """Return the samples of a draw."""
         if draw.program in self.helpers:
             return 0
         if draw.program == self.boxes:
@@ -177,7 +177,7 @@ class Oracle:
 
 
 def visible(result: FrameResult) -> set[int]:
-    """The objects drawn, each of them once."""
+    """Return the objects drawn, and check that each is drawn once."""
     rows = result.visible.tolist()
     assert len(rows) == len(set(rows))
     return set(rows)
@@ -194,7 +194,7 @@ def count_wrong_pixels(
     shots: Shots,
     size: tuple[int, int] = (97, 55),
 ) -> list[int]:
-    """Of each frame, against no culling."""
+    """Count the pixels of each frame that differ from no culling."""
     none = NoCulling(scene)
     wrong = []
     with Renderer(device, scene, size=size) as renderer:
@@ -237,12 +237,12 @@ WALL = (0.0, 0.0, -5.0)
 
 
 def look(eye: object, aim: object, **lens: float) -> Camera:
-    """A perspective camera."""
+    """Create a perspective camera."""
     return Camera.look_at(eye, aim, projection=Perspective(**lens))
 
 
 def walk(scene: Scene, path: str, frames: Iterable[int]) -> Shots:
-    """These frames of a path."""
+    """Return the cameras of these frames of a path, and their times."""
     return [(scene.paths[path].camera(frame), frame / 60) for frame in frames]
 
 

@@ -110,10 +110,10 @@ def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixtur
 @pytest.mark.parametrize(
     ("extra", "said"),
     [
-        (["--algorithms", "frustum,magic"], "'magic' is no algorithm"),
+        (["--algorithms", "frustum,magic"], "'magic' is not an algorithm"),
         (["--camera-path", "grund"], "did you mean 'ground'"),
         (["--frame", "1798"], "camera-frame-range"),
-        (["--plot", "chart.nothing"], "names no image format"),
+        (["--plot", "chart.nothing"], "has no known image extension"),
     ],
 )
 def test_bad_input_of_compare_is_one_line(

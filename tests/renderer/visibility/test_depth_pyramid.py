@@ -1,4 +1,4 @@
-"""The pyramid of farthest depths, and boxes against it."""
+"""The pyramid of farthest depths, and tests of boxes against it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Put(Shader):
 
 
 def put(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
-    """A depth texture of these (h, w)."""
+    """Create a depth texture with these depths (h, w)."""
     height, width = depths.shape
     texture = device.texture((width, height), Format.D32F)
     with (
@@ -62,7 +62,7 @@ def put(device: rhi.Device, depths: np.ndarray) -> rhi.Texture:
 
 
 def reduce_once(depths: np.ndarray, direction: Depth) -> np.ndarray:
-    """The farthest of each 4 x 4, by hand: what is missing at the edges is as near as can be."""
+    """Compute the farthest of each 4 x 4 in NumPy; what is missing at the edges counts as nearest."""
     far = np.minimum if direction is Depth.REVERSED else np.maximum
     height, width = depths.shape
     padded = np.full((-(-height // 4) * 4, -(-width // 4) * 4), 1.0 if direction is Depth.REVERSED else 0.0)

@@ -152,7 +152,7 @@ def test_random_walks_among_random_boxes_look_as_without_culling(
 
 
 def mirrored_boxes() -> Scene:
-    """Boxes of which every other one is mirrored, and one is skewed flat."""
+    """Make boxes of which every other one is mirrored, and one is skewed flat."""
     builder = SceneBuilder("mirrored")
     mesh, rng = builder.add_mesh(box()), np.random.default_rng(4)
     local = np.tile(np.eye(4), (30, 1, 1))
@@ -224,7 +224,7 @@ def test_what_the_cpu_does_is_the_same_for_any_number_of_objects(null: rhi.Devic
 
 
 def make_cloud() -> Scene:
-    """Small boxes around the origin, all in view from z = 30."""
+    """Make small boxes around the origin, all in view from z = 30."""
     rng = np.random.default_rng(7)
     return make_boxes(rng.uniform(-6.0, 6.0, (60, 3)), rng.uniform(0.1, 0.8, (60, 3)))
 
@@ -279,7 +279,7 @@ def test_near_objects_are_drawn_first(null: rhi.Device, name: str) -> None:
 
 
 @pytest.mark.parametrize("name", DEVICE)
-def test_a_mere_function_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
+def test_a_pass_without_a_device_is_refused(null: rhi.Device, city: Scene, name: str) -> None:
     with pytest.raises(ValidationError) as error:
         find_visible_objects(make(name, city, null), city.views["overview"])
     assert error.value.rule.id == "visibility-no-scene-pass"

@@ -1,4 +1,4 @@
-"""Lists of draws that the device makes: which draws, in which order, and which rows are hidden."""
+"""Lists of draws made on the device: their draws, the order of these, and the hidden rows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from renderer.visibility.gpu.draw_lists import (
     AddCounts,
     CountKeys,
     DrawArguments,
-    DrawLists,
+    IndirectDrawList,
     ListCounts,
     WriteDraws,
 )
@@ -27,7 +27,7 @@ BUCKETS = 31
 
 
 def buckets(depth: np.ndarray) -> np.ndarray:
-    """Half octaves from 1/8 m on."""
+    """Return the half octaves, counted from 1/8 m."""
     return np.clip(np.floor(2.0 * np.log2(np.maximum(depth, 0.125))).astype(int) + 6, 0, BUCKETS - 1)
 
 
@@ -45,7 +45,7 @@ def make_rows(count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 
 def expect(marks: np.ndarray, places: np.ndarray, boxes: np.ndarray, mirrored: bool) -> np.ndarray:
-    """The rows of one winding in the order of their draws."""
+    """Return the expected rows of one winding in the order of their draws."""
     rows = np.flatnonzero((marks == VISIBLE) & (places["mirrored"] == mirrored))
     return rows[np.argsort(buckets(boxes["depth"][rows]), kind="stable")]
 
@@ -95,7 +95,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
     occludees = Occludees(device, count)
     occludees.marks.write(marks)
     occludees.boxes.write(boxes)
-    lists = DrawLists(device, occludees)
+    lists = IndirectDrawList(device, occludees)
     scene = load_scene("grid:mesh=box,count=1")
     resources = SceneResources(device, scene)
     resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
@@ -118,7 +118,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
 
 
 def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> None:
-    lists = DrawLists(null, Occludees(null, 10))
+    lists = IndirectDrawList(null, Occludees(null, 10))
     plain, mirrored = lists.arguments(mirrored=False), lists.arguments(mirrored=True)
     assert DrawArguments.dtype.itemsize == rhi.DRAW.itemsize == plain.stride
     assert [DrawArguments.dtype.fields[name][1] for name in rhi.DRAW.names or ()] == [0, 4, 8, 12, 16]
@@ -130,7 +130,7 @@ def test_arguments_lie_where_indirect_draws_look_for_them(null: rhi.Device) -> N
 @pytest.mark.parametrize("count", [1, 64, 65])
 def test_each_list_is_another_generation(null: rhi.Device, count: int) -> None:
     scene = load_scene(f"grid:mesh=box,count={count}")
-    lists, resources = DrawLists(null, Occludees(null, count)), SceneResources(null, scene)
+    lists, resources = IndirectDrawList(null, Occludees(null, count)), SceneResources(null, scene)
     resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
     before = lists.generation
     lists.list_draws(resources.arrays)

@@ -1,4 +1,4 @@
-"""Which objects are seen, counted pixel by pixel."""
+"""The exact set of visible objects, found pixel by pixel."""
 
 from __future__ import annotations
 

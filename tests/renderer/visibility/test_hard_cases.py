@@ -43,7 +43,7 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import ALGORITHMS, ChcPlusPlus, Settings, list_algorithms, make_visibility
 from renderer.visibility.boxes.bounds import near_radius
-from renderer.visibility.queries.chc_plus_plus import KEEPS, choose_size
+from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size
 from rhi import FixedQueue
 from rhi.backends.null import CostModel, Simulation
 from rhi.errors import ValidationError
@@ -64,7 +64,7 @@ class Case:
 
 
 def still(camera: Camera) -> Callable[[Scene], Shots]:
-    """This view, the one behind, and again this one."""
+    """Return this view, the opposite one, and this one again."""
     behind = Camera.look_at(camera.position, camera.position - camera.forward, projection=camera.projection)
     return lambda _: [(one, 0.0) for one in (camera, camera, behind, camera, camera)]
 
@@ -91,14 +91,14 @@ def teleports(scene: Scene) -> Shots:
 
 
 def fly_past(_: Scene) -> Shots:
-    """Forward, past what was in view: what the last frame saw is behind the eye now."""
+    """Move forward past what was in view, so that it is behind the eye in the next frame."""
     return [
         (look((0.0, 0.0, z), (0.0, 0.0, z - 1.0), near=0.1), 0.0) for z in (8.0, 6.0, 1.0, -1.5, -6.0, 8.0)
     ]
 
 
 def slide(scene: Scene) -> Shots:
-    """Sideways, a little each frame: what was hidden comes out at an edge."""
+    """Move sideways a little in each frame, so that hidden objects appear at an edge."""
     return [(look((x, 0.0, 0.0), (x, 0.0, -1.0), near=0.1), 0.0) for x in np.linspace(-0.4, 0.4, 9).tolist()]
 
 
@@ -195,7 +195,9 @@ def test_a_hard_case_looks_as_without_culling(drawing_device: rhi.Device, name: 
 def test_the_cases_are_not_empty(drawing_device: rhi.Device) -> None:
     # The control: in every case some frame shows something, and losing it is seen.
     class Nothing:
-        def render(self, camera: Camera, draw: object) -> None:
+        opens_pass = False
+
+        def render(self, camera: Camera, scene_pass: object) -> None:
             return None
 
     for title, case in IMAGES.items():
@@ -227,8 +229,8 @@ def test_random_scenes_from_random_places_look_as_without_culling(
 
 @pytest.mark.parametrize(("frames", "size"), [(1, 3), (2, 4), (3, 5), (4, 7), (5, 9), (15, 11)])
 def test_a_multiquery_takes_as_many_nodes_as_it_should(frames: int, size: int) -> None:
-    assert choose_size([KEEPS[frames]] * 40) == size
-    assert choose_size([KEEPS[frames]]) == 1
+    assert choose_size([STAYS_HIDDEN[frames]] * 40) == size
+    assert choose_size([STAYS_HIDDEN[frames]]) == 1
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
@@ -298,7 +300,7 @@ def test_a_ring_of_n_takes_n() -> None:
 
 
 def make_late(latency: int) -> rhi.Device:
-    """With a simulated GPU: its clock goes on by one for each call, and an answer is there so many later."""
+    """Create a simulated GPU whose clock advances by one for each call; results are available `latency` calls later."""
     free = CostModel(command=0.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
     simulation = Simulation(free, call=1, submission_latency=latency, wake_latency=0, batch=1)
     return rhi.create_device("null", simulation=simulation)

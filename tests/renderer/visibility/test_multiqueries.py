@@ -1,4 +1,4 @@
-"""How many hidden nodes are asked for together (CHC++, section 5)."""
+"""The number of hidden nodes that share a query (CHC++, section 5)."""
 
 from __future__ import annotations
 
@@ -8,29 +8,29 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from renderer.visibility.queries.chc_plus_plus import KEEPS, choose_size
+from renderer.visibility.queries.chc_plus_plus import STAYS_HIDDEN, choose_size
 
 
 @pytest.mark.parametrize(("frames", "size"), [(1, 3), (2, 4), (3, 5), (4, 7), (5, 9), (15, 11), (100, 11)])
 def test_nodes_hidden_for_so_many_frames_are_asked_for_so_many_at_a_time(frames: int, size: int) -> None:
-    keep = KEEPS[min(frames, len(KEEPS) - 1)]
+    keep = STAYS_HIDDEN[min(frames, len(STAYS_HIDDEN) - 1)]
     assert keep == pytest.approx(0.99 - 0.7 * exp(-frames), abs=1e-6)
     assert choose_size([keep] * 40) == size
 
 
 def test_a_node_that_has_just_become_hidden_is_asked_for_alone() -> None:
-    assert choose_size([KEEPS[0]] * 40) == 1
+    assert choose_size([STAYS_HIDDEN[0]] * 40) == 1
 
 
 def test_one_node_is_a_query_of_one() -> None:
-    assert choose_size([KEEPS[15]]) == 1
+    assert choose_size([STAYS_HIDDEN[15]]) == 1
 
 
 def test_unlikely_nodes_are_not_added_to_likely_ones() -> None:
-    assert choose_size([KEEPS[15]] * 3 + [KEEPS[0]] * 3) == 3
+    assert choose_size([STAYS_HIDDEN[15]] * 3 + [STAYS_HIDDEN[0]] * 3) == 3
 
 
-@given(st.lists(st.sampled_from(KEEPS), min_size=1, max_size=30))
+@given(st.lists(st.sampled_from(STAYS_HIDDEN), min_size=1, max_size=30))
 def test_one_node_more_or_less_is_never_worth_more(keeps: list[float]) -> None:
     keeps.sort(reverse=True)
 

@@ -1,4 +1,4 @@
-"""Boxes as the device finds them: each around its object with the margin, near, outside or to be asked for."""
+"""Boxes found on the device: each encloses its object with the margin, and is near, outside or to be tested."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)
 
 
 def find(device: rhi.Device, scene: Scene, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Boxes and marks."""
+    """Return boxes and marks."""
     resources, occludees = SceneResources(device, scene), Occludees(device, len(scene.objects))
     resources.update(camera)
     occludees.find(camera, resources.arrays)
@@ -29,7 +29,7 @@ def find(device: rhi.Device, scene: Scene, camera: Camera) -> tuple[np.ndarray, 
 
 
 def place_corners(scene: Scene, camera: Camera) -> np.ndarray:
-    """(n, 8, 3) corners of the meshes' boxes, moved with their objects, relative to the eye, in float64."""
+    """Return (n, 8, 3) corners of the objects' boxes relative to the eye, in float64."""
     mesh, world = scene.objects.mesh, scene.nodes.world[scene.objects.node]
     middle, half = ((scene.meshes.upper + s * scene.meshes.lower)[mesh] * 0.5 for s in (1.0, -1.0))
     local = middle[:, None] + half[:, None] * CORNERS
@@ -37,7 +37,7 @@ def place_corners(scene: Scene, camera: Camera) -> np.ndarray:
 
 
 def check(device: rhi.Device, scene: Scene, camera: Camera) -> np.ndarray:
-    """That each box is where and as large as it has to be; returns the marks."""
+    """Check the position and size of each box; return the marks."""
     boxes, marks = find(device, scene, camera)
     corners = place_corners(scene, camera)
     constant, linear, square = margin_terms(camera)

@@ -1,4 +1,4 @@
-"""What makes box queries conservative: padding, and what is too near to be asked for."""
+"""Conservative box queries: padding, and objects too near for a query."""
 
 from __future__ import annotations
 
@@ -12,8 +12,15 @@ from occlusion_scenes import make_boxes
 
 from renderer.content.shapes import box
 from renderer.scene import Camera, Depth, Orthographic, Perspective, Scene, SceneBuilder, rotation
-from renderer.visibility.boxes.bounds import Boxes, find_near, near_radius, pad_boxes, pad_turned, see_boxes
-from renderer.visibility.boxes.volumes import TightestBoxes, find_turned
+from renderer.visibility.boxes.bounds import (
+    QueryBoxes,
+    find_near,
+    near_radius,
+    pad_boxes,
+    pad_rotated,
+    see_boxes,
+)
+from renderer.visibility.boxes.volumes import TightestBoxes, find_rotated
 
 AHEAD = (0.0, 0.0, -1.0)
 
@@ -95,7 +102,7 @@ TURN = rotation((0, 1, 0), np.pi / 4)
 
 
 def beam(place: tuple[float, float, float]) -> Scene:
-    """A long box across the axes: its own box is much smaller than its aligned one."""
+    """Make a long box across the axes, whose oriented box is much smaller than the aligned one."""
     return make_boxes([place], [(0.2, 0.2, 10.0)], turns=TURN[None])
 
 
@@ -103,23 +110,23 @@ def test_only_boxes_that_are_smaller_turned_are_turned() -> None:
     places, sizes = np.zeros((4, 3)), np.array([(1.0, 1.0, 4.0)] * 3 + [(1.0, 0.0, 4.0)])
     turns = np.stack([np.eye(4), TURN, rotation((0, 1, 0), np.pi / 2), TURN])
     scene = make_boxes(places, sizes, turns=turns)
-    turned = find_turned(scene, np.arange(4))
+    turned = find_rotated(scene, np.arange(4))
     assert turned.rows.tolist() == [1, 3]  # not those along the axes; a flat one, too
     assert turned.half == pytest.approx(0.5 * sizes[[1, 3]], abs=1e-6)
-    assert np.linalg.det(turned.turn) == pytest.approx([1.0, 1.0])
+    assert np.linalg.det(turned.axes) == pytest.approx([1.0, 1.0])
 
 
 def test_a_sheared_object_keeps_its_aligned_box() -> None:
     shear = TURN.copy()
     shear[0, 1] = 0.3
     assert not len(
-        find_turned(make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], turns=shear[None]), np.arange(1)).rows
+        find_rotated(make_boxes([(0, 0, 0)], [(1.0, 1.0, 9.0)], turns=shear[None]), np.arange(1)).rows
     )
 
 
 def test_a_mirrored_object_s_box_is_right_handed() -> None:
     scene = make_boxes([(0, 0, 0)], [(-0.2, 0.2, 9.0)], turns=TURN[None])
-    assert np.linalg.det(find_turned(scene, np.arange(1)).turn) == pytest.approx([1.0])
+    assert np.linalg.det(find_rotated(scene, np.arange(1)).axes) == pytest.approx([1.0])
 
 
 def test_boxes_of_what_moves_turn_with_it() -> None:
@@ -131,13 +138,13 @@ def test_boxes_of_what_moves_turn_with_it() -> None:
     tightest = TightestBoxes(scene)
     assert len(tightest.find().rows) == 0
     scene.update(0.7)
-    assert tightest.find().turn[0] == pytest.approx(rotation((0, 1, 0), 0.7)[:3, :3].T)
+    assert tightest.find().axes[0] == pytest.approx(rotation((0, 1, 0), 0.7)[:3, :3].T)
     scene.update(0.0)
     assert len(tightest.find().rows) == 0
 
 
-def see(scene: Scene, camera: Camera) -> Boxes:
-    turned = find_turned(scene, np.arange(len(scene.objects)))
+def see(scene: Scene, camera: Camera) -> QueryBoxes:
+    turned = find_rotated(scene, np.arange(len(scene.objects)))
     return see_boxes(camera, scene.objects.lower, scene.objects.upper, turned, turned.rows)
 
 
@@ -171,8 +178,8 @@ def test_where_only_the_turned_box_is_near_the_aligned_one_is_asked_for() -> Non
     scene = make_boxes([(0.0, 0.0, 0.0)], [(2.0, 2.0, 2.0)], turns=TURN[None])
     lower, upper = np.full((1, 3), -1.0), np.full((1, 3), 1.0)
     camera = look(Perspective(near=0.01), (1.38, 0.0, 0.0))
-    turned = find_turned(scene, np.arange(1))
-    assert pad_turned(camera, turned)[1].tolist() == [True]
+    turned = find_rotated(scene, np.arange(1))
+    assert pad_rotated(camera, turned)[1].tolist() == [True]
     boxes = see_boxes(camera, lower, upper, turned, turned.rows)
     assert boxes.near.tolist() == [False]
     assert boxes.x[0].tolist() == [1.0, 0.0, 0.0]

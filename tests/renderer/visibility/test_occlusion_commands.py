@@ -1,4 +1,4 @@
-"""What the algorithms ask, and when: on the null device, where an oracle says what shows."""
+"""The algorithms' queries and their order, on the null device, where an oracle tells what is visible."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ import rhi
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import (
+    CallbackPass,
     Chc,
     ChcPlusPlus,
     ConditionalCulling,
@@ -31,7 +32,7 @@ NAMES = {StopAndWait: "stop_and_wait", Chc: "chc", ChcPlusPlus: "chc_plus_plus"}
 
 
 def make_cloud(count: int = 60, seed: int = 1) -> Scene:
-    """Small boxes around the origin, all in view of EYE."""
+    """Make small boxes around the origin, all in view of EYE."""
     rng = np.random.default_rng(seed)
     return make_boxes(rng.uniform(-6.0, 6.0, (count, 3)), rng.uniform(0.1, 0.8, (count, 3)))
 
@@ -43,7 +44,7 @@ def renderer(null: rhi.Device) -> Iterator[Renderer]:
 
 
 def frames(renderer: Renderer, algorithm: object, oracle: Oracle, *seen: set[int]) -> list[set[int]]:
-    """What is drawn while the oracle sees each of these in turn."""
+    """Return the objects drawn while the oracle sees each of these sets in turn."""
     drawn = []
     for rows in seen:
         oracle.seen = set(rows)
@@ -245,7 +246,7 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(renderer: Rendere
 
     with renderer.device.render_pass(renderer._targets.color, renderer._targets.depth):
         with pytest.raises(RuntimeError):
-            algorithm.render(EYE, fail)
+            algorithm.render(EYE, CallbackPass(fail))
     assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
 
 

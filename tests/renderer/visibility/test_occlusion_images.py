@@ -77,7 +77,9 @@ def test_where_two_surfaces_tie_the_depth_is_the_same(gl: rhi.Device) -> None:
 def test_pixels_are_compared(gl: rhi.Device, city: Scene) -> None:
     # The control: an algorithm that loses what it should not is seen to.
     class Lossy:
-        def render(self, camera, draw):
-            draw(np.arange(len(city.objects) // 2))
+        opens_pass = False
+
+        def render(self, camera, scene_pass):
+            scene_pass.draw(np.arange(len(city.objects) // 2))
 
     assert count_wrong_pixels(gl, city, Lossy(), walk(city, "sky", range(600, 601)))[0] > 0

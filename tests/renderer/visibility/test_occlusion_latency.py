@@ -1,4 +1,4 @@
-"""Answers that come late: after so many looks at them, or only when waited for."""
+"""Late query results: available after a number of looks at them, or only when waited for."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ NEVER = 10**9
 
 @pytest.fixture(params=[0, 1, 20, NEVER])
 def latency(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
-    """Looks at a query (`is_finished`) before its answer is there; waiting for it always helps."""
+    """The number of looks at a query (`is_finished`) before its result is available; waiting always works."""
     looks: int = request.param
     delay_answers(monkeypatch, looks)
     return looks

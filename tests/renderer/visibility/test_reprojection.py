@@ -1,4 +1,4 @@
-"""The last frame's depth, as another camera sees it."""
+"""The last frame's depth as another camera sees it."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ FAR = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
 
 
 def look(x: float = 0.0, z: float = 0.0, turn: float = 0.0, depth: Depth = Depth.REVERSED) -> Camera:
-    """A camera at (x, 0, z) that looks along -z, turned to the left by some radians."""
+    """Create a camera at (x, 0, z) that looks along -z, rotated to the left by some radians."""
     lens = LENSES[depth].with_aspect(SIZE[0] / SIZE[1])
     return Camera.look_at((x, 0.0, z), (x - np.sin(turn), 0.0, z - np.cos(turn)), projection=lens)
 
 
 def depth_at(camera: Camera, distance: float) -> float:
-    """The depth of what is so far in front."""
+    """Return the depth at a distance in front of the camera."""
     clip = camera.projection.matrix @ (0.0, 0.0, -distance, 1.0)
     return float(clip[2] / clip[3])
 
@@ -33,7 +33,7 @@ def depth_at(camera: Camera, distance: float) -> float:
 def reproject(
     device: rhi.Device, depths: np.ndarray, last: Camera, now: Camera, size: tuple[int, int] | None = None
 ) -> np.ndarray:
-    """What `now` gets of the depths (h, w) that `last` saw."""
+    """Reproject the depths (h, w) of the camera `last` to the camera `now`."""
     reprojected = ReprojectedDepth(device)
     texture = put(device, depths)
     reprojected.remember(last, texture)

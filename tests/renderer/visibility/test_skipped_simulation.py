@@ -1,4 +1,4 @@
-"""What a visibility algorithm doesn't draw isn't simulated; and no image shows it."""
+"""Objects that a visibility algorithm doesn't draw aren't simulated, and no image differs because of it."""
 
 from __future__ import annotations
 

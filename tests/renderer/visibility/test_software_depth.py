@@ -61,7 +61,7 @@ def city() -> Scene:
 
 
 def walled(*more: tuple[float, float, float], wall: float = 30.0) -> Scene:
-    """A wall so wide, and small boxes."""
+    """Make a wall of a given width, and small boxes."""
     scene = make_boxes([WALL, *more], [(wall, wall, 0.1)] + [(0.5, 0.5, 0.5)] * len(more))
     scene.objects.mesh[:] = 0
     return scene

@@ -1,4 +1,4 @@
-"""Two passes: the first guesses by the last frame's depth, the second makes up for it."""
+"""Two passes: the first guesses by the last frame's depth, the second corrects the guess."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WALL = ((0.0, 0.0, -40.0), (200.0, 200.0, 1.0))
 def follow(
     device: rhi.Device, scene: Scene, cameras: list[Camera], size: tuple[int, int] = SIZE
 ) -> list[tuple[set[int], set[int]]]:
-    """Both lists of each frame."""
+    """Return both lists of each frame."""
     algorithm, lists = TwoPassCulling(scene, device), []
     with Renderer(device, scene, size=size) as renderer:
         for camera in cameras:
@@ -32,7 +32,7 @@ def follow(
 
 
 def place(x: float, y: float, distance: float, camera: Camera) -> tuple[float, float, float]:
-    """What is seen at pixel (x, y) of the image, so far away."""
+    """Return the point at pixel (x, y) of the image at a given distance."""
     matrix = camera.with_aspect(SIZE[0] / SIZE[1]).projection.matrix
     right = (2.0 * x / SIZE[0] - 1.0) / matrix[0, 0]
     up = (1.0 - 2.0 * y / SIZE[1]) / matrix[1, 1]

@@ -1,7 +1,8 @@
-"""Bounding volumes: which side of the frustum they are on, and that none lies about it."""
+"""Bounding volumes: their classification against the frustum, which is never wrong."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -16,12 +17,13 @@ from renderer.content.shapes import box, sphere
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene, SceneBuilder, rotation, scaling, translation
 from renderer.scene.transforms import multiply
-from renderer.visibility import NoCulling, VolumeCulling, find_visible_objects
+from renderer.visibility import NoCulling, ScenePass, VisibilityStatistics, find_visible_objects
 from renderer.visibility.boxes.culling import find_visible
 from renderer.visibility.boxes.volumes import (
     AlignedBoxes,
+    Containment,
+    Fit,
     OrientedBoxes,
-    Side,
     Spheres,
     Volumes,
     classify,
@@ -35,7 +37,7 @@ CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 
 
 def surface(volumes: Volumes) -> np.ndarray:
-    """Points (n, k, 3) of each volume: corners of boxes, and of spheres points all around."""
+    """Return points (n, k, 3) of each volume: the corners of boxes, and points all around spheres."""
     if isinstance(volumes, AlignedBoxes):
         half = 0.5 * (volumes.upper - volumes.lower)
         return volumes.centre[:, None] + half[:, None] * CORNERS
@@ -48,13 +50,13 @@ def surface(volumes: Volumes) -> np.ndarray:
 
 
 def before(planes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """(n, k, p) distances."""
+    """Return distances (n, k, p) from the planes."""
     return points @ planes[:, :3].T + planes[:, 3]
 
 
 @st.composite
 def turned_scenes(draw: st.DrawFn) -> Scene:
-    """Boxes and spheres with any transform: turned, stretched, sheared, mirrored, flat."""
+    """Draw boxes and spheres with any transform: rotated, scaled, sheared, mirrored, flat."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     count = draw(st.integers(1, 12))
     builder = SceneBuilder("turned")
@@ -76,10 +78,10 @@ def test_what_is_said_to_be_outside_or_inside_is(fit: object, scene: Scene, came
     volumes = fit(scene, np.arange(len(scene.objects)))
     distance = before(planes, surface(volumes))
     side = classify(planes, volumes)
-    assert (distance[side == Side.OUTSIDE].max(axis=1) < 0.0).any(axis=1).all()
-    assert (distance[side == Side.INSIDE] >= 0.0).all()
+    assert (distance[side == Containment.OUTSIDE].max(axis=1) < 0.0).any(axis=1).all()
+    assert (distance[side == Containment.INSIDE] >= 0.0).all()
     if fit is not fit_spheres:  # of which all points are known
-        crossing = distance[side == Side.CROSSING]
+        crossing = distance[side == Containment.CROSSING]
         assert (crossing.min(axis=1) < 1e-9).any(axis=1).all()
         assert (crossing.max(axis=1) > -1e-9).all()
 
@@ -118,9 +120,9 @@ def test_aligned_boxes_are_culled_as_the_hierarchy_culls_them_but_for_the_margin
     objects, planes = scene.objects, camera.frustum.planes
     visible = find_visible(planes, objects.lower, objects.upper)
     side = classify(planes, fit_aligned(scene, np.arange(len(objects))))
-    assert (side[visible] != Side.OUTSIDE).all()
+    assert (side[visible] != Containment.OUTSIDE).all()
     away = before(planes, surface(fit_aligned(scene, np.arange(len(objects))))).max(axis=1).min(axis=1)
-    assert (away[~visible & (side != Side.OUTSIDE)] > -1e-9).all()
+    assert (away[~visible & (side != Containment.OUTSIDE)] > -1e-9).all()
 
 
 def test_a_turned_box_beside_the_frustum_is_outside_by_its_own_box_alone() -> None:
@@ -132,13 +134,15 @@ def test_a_turned_box_beside_the_frustum_is_outside_by_its_own_box_alone() -> No
     builder.add_objects(builder.add_node(beam), builder.add_mesh(box()), builder.add_material())
     scene, rows = builder.build(), np.zeros(1, np.int64)
     sides = [classify(camera.frustum.planes, fit(scene, rows))[0] for fit in FITS]
-    assert sides == [Side.CROSSING, Side.OUTSIDE, Side.CROSSING]
+    assert sides == [Containment.CROSSING, Containment.OUTSIDE, Containment.CROSSING]
 
 
 @pytest.mark.parametrize(("x", "side"), [
-    (-2.001, Side.OUTSIDE), (-1.999, Side.CROSSING), (-0.001, Side.CROSSING), (0.001, Side.INSIDE),
+    (-2.001, Containment.OUTSIDE),
+    (-1.999, Containment.CROSSING), (-0.001, Containment.CROSSING),
+    (0.001, Containment.INSIDE),
 ])  # fmt: skip
-def test_both_sides_of_each_boundary(x: float, side: Side) -> None:
+def test_both_sides_of_each_boundary(x: float, side: Containment) -> None:
     planes = np.array([[1.0, 0.0, 0.0, 1.0]])  # x >= -1
     centre, one = np.array([[x, 3.0, 4.0]]), np.ones(1)
     volumes = (
@@ -160,6 +164,31 @@ def test_many_are_tested_at_once() -> None:
         assert (whole == one_by_one).all()
 
 
+class VolumeCulling:
+    """Draws the objects of which no bounding volume of the given kinds is outside the frustum."""
+
+    opens_pass = False
+
+    def __init__(self, scene: Scene, fits: Sequence[Fit]) -> None:
+        self.scene, self.fits = scene, fits
+        self.static = [fit(scene, scene.objects.static_rows) for fit in fits]
+
+    def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
+        objects, planes = self.scene.objects, camera.frustum.planes
+        seen = np.ones(len(objects), bool)
+        for fit, static in zip(self.fits, self.static, strict=True):
+            seen[objects.static_rows] &= classify(planes, static) != Containment.OUTSIDE
+            moving = fit(self.scene, objects.dynamic_rows)
+            seen[objects.dynamic_rows] &= classify(planes, moving) != Containment.OUTSIDE
+        visible = np.flatnonzero(seen)
+        if len(visible):
+            scene_pass.draw(visible)
+        return VisibilityStatistics(len(objects), len(visible))
+
+    def destroy(self) -> None:
+        pass
+
+
 @pytest.mark.parametrize("path", ["ground", "sky"])
 def test_culling_by_volumes_draws_what_a_test_of_each_leaves(path: str) -> None:
     hall = load_scene("hall:columns=8,rows=2,flags=6")  # some of it moves
@@ -168,7 +197,7 @@ def test_culling_by_volumes_draws_what_a_test_of_each_leaves(path: str) -> None:
     for frame in (0, 700, 1500):
         hall.update(frame / 60)
         camera = hall.paths[path].camera(frame)
-        seen = [classify(camera.frustum.planes, fit(hall, rows)) != Side.OUTSIDE for fit in FITS]
+        seen = [classify(camera.frustum.planes, fit(hall, rows)) != Containment.OUTSIDE for fit in FITS]
         for fits, cull in culls.items():
             expected = np.all([seen[FITS.index(fit)] for fit in fits], axis=0)
             assert (find_visible_objects(cull, camera) == np.flatnonzero(expected)).all()

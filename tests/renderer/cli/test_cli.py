@@ -1,4 +1,4 @@
-"""The command line: what it prints, writes and refuses."""
+"""The command line: its output, its files and its error messages."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def run_json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, A
 
 
 class Terminal(io.StringIO):
-    """What stderr is when somebody looks."""
+    """Stands in for stderr when it is a terminal."""
 
     def isatty(self) -> bool:
         return True

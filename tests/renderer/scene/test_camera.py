@@ -1,11 +1,11 @@
-"""Cameras: depth conventions, frustum planes, hard values."""
+"""Cameras: depth conventions, frustum planes, extreme values."""
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renderer.scene import Camera, Depth, Frustum, Orthographic, Perspective, Plane
+from renderer.scene import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective
 from rhi.errors import ValidationError
 
 
@@ -96,12 +96,12 @@ def test_the_planes_come_in_the_order_of_their_names():
     lens = Perspective(fov=np.pi / 2, aspect=1.0, near=1.0, far=9.0)
     planes = Camera.look_at((0, 0, 0), (0, 0, -1), projection=lens).frustum.planes
     r = np.sqrt(0.5)
-    assert np.allclose(planes[Plane.LEFT], (r, 0, -r, 0))
-    assert np.allclose(planes[Plane.RIGHT], (-r, 0, -r, 0))
-    assert np.allclose(planes[Plane.BOTTOM], (0, r, -r, 0))
-    assert np.allclose(planes[Plane.TOP], (0, -r, -r, 0))
-    assert np.allclose(planes[Plane.NEAR], (0, 0, -1, -1))
-    assert np.allclose(planes[Plane.FAR], (0, 0, 1, 9))
+    assert np.allclose(planes[FrustumPlane.LEFT], (r, 0, -r, 0))
+    assert np.allclose(planes[FrustumPlane.RIGHT], (-r, 0, -r, 0))
+    assert np.allclose(planes[FrustumPlane.BOTTOM], (0, r, -r, 0))
+    assert np.allclose(planes[FrustumPlane.TOP], (0, -r, -r, 0))
+    assert np.allclose(planes[FrustumPlane.NEAR], (0, 0, -1, -1))
+    assert np.allclose(planes[FrustumPlane.FAR], (0, 0, 1, 9))
 
 
 def test_a_frustum_far_from_the_origin_is_as_exact_as_near_it():

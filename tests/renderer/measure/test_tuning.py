@@ -1,4 +1,4 @@
-"""`tune`: what is tried, who runs it, what is written."""
+"""`tune`: the pairs tried, the executors, and the files written."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from renderer.cli import main
 from renderer.cli.output import OutputError
 from renderer.cli.tune import make_executor
 from renderer.content import load_scene
-from renderer.measure.tuning import Pair, Trial, Walk, find_best, search, try_pairs
+from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
 from renderer.visibility import Settings
 
 COMMAND = ["tune", "city:blocks=4,detail=2", "--size", "64x36", "--frames", "3", "--b", "1:8", "--n", "2"]
 
 
 class Valley:
-    """Ratios with one lowest place, in place of measurements; remembers what was asked for."""
+    """Ratios with a single minimum in place of measurements; records the pairs requested."""
 
     def __init__(self, lowest: tuple[float, float]) -> None:
         self.lowest = lowest
-        self.rounds: list[list[Pair]] = []
+        self.rounds: list[list[ParameterPair]] = []
 
-    def try_all(self, pairs: list[Pair]) -> list[Trial]:
+    def try_all(self, pairs: list[ParameterPair]) -> list[Trial]:
         self.rounds.append(pairs)
         return [self.trial(*pair) for pair in pairs]
 
@@ -47,7 +47,7 @@ ranges = st.tuples(st.integers(1, 200), st.integers(1, 200)).map(lambda ends: (m
 
 @given(ranges, ranges, st.integers(1, 6))
 def test_every_trial_is_within_the_ranges_and_made_once(
-    batches: Pair, persistences: Pair, rounds: int
+    batches: ParameterPair, persistences: ParameterPair, rounds: int
 ) -> None:
     valley = Valley((30.0, 7.0))
     trials = list(search(batches, persistences, rounds, valley.try_all))
@@ -105,7 +105,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
     assert main(["render", COMMAND[1], "--backend", "null", "--size", "64x36", *record]) == 0
     walks: list[Walk] = []
 
-    def try_none(walk: Walk, pairs: list[Pair]) -> list[Trial]:
+    def try_none(walk: Walk, pairs: list[ParameterPair]) -> list[Trial]:
         walks.append(walk)
         return [Trial(*pair, 1.0, 1.0, 1.0, 0, 0, 0, 0) for pair in pairs]
 
@@ -120,7 +120,7 @@ def test_trials_go_along_a_walk_that_render_recorded(here: Path, monkeypatch: py
 
 
 class Counter(Executor):
-    """Any executor will do."""
+    """Counts the calls submitted to it: any executor will do."""
 
     def __init__(self) -> None:
         self.ran: list[object] = []
@@ -163,7 +163,7 @@ print(f"{len(done)} workers, {sum(done)} tasks")
 
 @pytest.mark.usefixtures("gl")
 def test_a_dask_cluster_of_two_workers_runs_the_trials(here: Path) -> None:
-    """In a process of its own: what dask warns of on a slow machine, and when, is no matter of ours."""
+    """Runs in a process of its own, so that warnings of dask on a slow machine don't fail the test."""
     pytest.importorskip("distributed")
     command = [sys.executable, "-c", CLUSTER, *COMMAND, "--rounds", "1"]
     run = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)

@@ -71,7 +71,7 @@ def test_rows_of_backends_are_a_table_and_a_chart(tmp_path: Path, capsys: pytest
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        (["city", "--passes", "dept"], "'dept' is no pass"),
+        (["city", "--passes", "dept"], "'dept' is not a pass"),
         (["grid", "--backends", "gl", "--passes", "textured"], "measure-no-images"),
         ([SCENE, "--backends", "null"], "measure-no-pictures"),
         ([SCENE, "--backends", "vulkan"], "vulkan"),

@@ -9,8 +9,8 @@ from renderer.scene import (
     RELATIVE_POINT,
     RELATIVE_SPOT,
     VERTEX,
-    Geometry,
     Lights,
+    MeshGeometry,
     SceneBuilder,
     make_geometry,
     make_material,
@@ -162,7 +162,7 @@ def test_bad_meshes_are_refused(positions, indices, rule):
 
 
 def test_a_geometry_of_another_dtype_is_refused():
-    assert rule_of(lambda: Geometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
+    assert rule_of(lambda: MeshGeometry(np.zeros(3), np.zeros(3, np.uint32))) == "scene-bad-mesh"
 
 
 def test_materials_are_a_storage_buffer_without_padding():

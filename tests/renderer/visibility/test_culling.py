@@ -1,4 +1,4 @@
-"""Culling through the hierarchy gives exactly the set that testing every box gives."""
+"""Culling through the hierarchy gives exactly the set of a test of every box."""
 
 import numpy as np
 import pytest
@@ -40,7 +40,7 @@ def cameras(draw, scale):
 
 @st.composite
 def situations(draw):
-    """Boxes and a camera of like size; some boxes flat, equal, around the camera, or on its planes."""
+    """Draw boxes and a camera of similar size; some boxes are flat, equal, around the camera, or on its planes."""
     scale = 10.0 ** draw(st.sampled_from([-30, -3, 0, 2, 7, 30]))
     camera = draw(cameras(scale))
     count = draw(st.integers(1, 400))
@@ -158,7 +158,7 @@ def test_planes_that_a_node_lies_inside_are_not_tested_below_it():
     across, inside = [1.0, 0.0, 0.0, -30.5], [1.0, 0.0, 0.0, 1000.0]
     _, counts = Culler(tree, lower, upper).find_visible(np.array([across] + [inside] * 5))
     # Each node against one plane, what passed it against the other five, objects against one.
-    assert counts == culling.Counts(len(cut), objects, len(cut) + 5 * len(passed) + objects)
+    assert counts == culling.CullingCounts(len(cut), objects, len(cut) + 5 * len(passed) + objects)
 
 
 def test_a_node_inside_all_planes_is_taken_whole():

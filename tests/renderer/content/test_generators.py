@@ -1,4 +1,4 @@
-"""The city, the hall and the grid: size, looks as far as numbers tell, paths, and that seeds repeat."""
+"""The city, the hall and the grid: sizes, measurable properties, paths, and that a seed repeats a scene."""
 
 
 import numpy as np

@@ -1,4 +1,4 @@
-"""Arrays that follow the scene's, on a device."""
+"""The buffers of a scene on a device, and when they are written."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Measuring: what alternates, what is quoted."""
+"""Measurements: the order in which candidates alternate, and the results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The node hierarchy: sorted by level, updated by level, static apart from dynamic."""
+"""The node hierarchy: sorting and updates by level, static and dynamic nodes."""
 
 import numpy as np
 import pytest

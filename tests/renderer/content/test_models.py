@@ -1,4 +1,4 @@
-"""Model files: what is kept of them, and what is refused."""
+"""Model files: what is read from them, and what is refused."""
 
 import json
 

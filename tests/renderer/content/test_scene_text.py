@@ -1,4 +1,4 @@
-"""What a user asks for by text: generators with options, and cameras."""
+"""Scenes and cameras named by text: generators with options, and cameras."""
 
 import numpy as np
 import pytest

@@ -6,6 +6,7 @@ import pytest
 from renderer.content import load_scene
 from renderer.scene import Camera
 from renderer.visibility import (
+    CallbackPass,
     FrustumCulling,
     NoCulling,
     VisibilityAlgorithm,
@@ -51,14 +52,14 @@ def test_moving_objects_are_found_where_they_are_now(hall):
 
 def test_no_culling_draws_every_object_once(hall):
     batches = []
-    statistics = NoCulling(hall).render(hall.paths["sky"].camera(0), batches.append)
+    statistics = NoCulling(hall).render(hall.paths["sky"].camera(0), CallbackPass(batches.append))
     assert [batch.tolist() for batch in batches] == [list(range(len(hall.objects)))]
     assert statistics.visible == statistics.objects == len(hall.objects)
 
 
 def test_batches_are_ascending_and_statistics_count_them(hall):
     batches = []
-    statistics = FrustumCulling(hall).render(hall.views["overview"], batches.append)
+    statistics = FrustumCulling(hall).render(hall.views["overview"], CallbackPass(batches.append))
     assert statistics.batches == len(batches) == 1
     assert statistics.visible == len(batches[0])
     assert (np.diff(batches[0]) > 0).all()
@@ -69,14 +70,16 @@ def test_batches_are_ascending_and_statistics_count_them(hall):
 def test_nothing_in_view_draws_nothing(hall):
     batches = []
     away = Camera.look_at((0.0, 1000.0, 0.0), (0.0, 2000.0, 0.0))
-    statistics = FrustumCulling(hall).render(away, batches.append)
+    statistics = FrustumCulling(hall).render(away, CallbackPass(batches.append))
     assert batches == []
     assert statistics.visible == statistics.batches == 0
 
 
 def test_the_hierarchy_needs_fewer_tests_than_every_plane_of_every_box():
     city = load_scene("city:blocks=24,detail=2")
-    statistics = FrustumCulling(city).render(city.paths["ground"].camera(900), lambda rows: None)
+    statistics = FrustumCulling(city).render(
+        city.paths["ground"].camera(900), CallbackPass(lambda rows: None)
+    )
     assert 0 < statistics.plane_tests < 5 * len(city.objects) / 3
     assert statistics.objects_tested < len(city.objects) / 3
 

@@ -20,7 +20,7 @@ def make_boxes(count, seed=0, spread=100.0):
 
 @st.composite
 def any_boxes(draw):
-    """Boxes of hard kinds: equal ones, flat ones, huge, tiny and far ones."""
+    """Draw boxes of difficult kinds: equal, flat, huge, tiny and far ones."""
     count = draw(st.integers(0, 60))
     seed = draw(st.integers(0, 2**32 - 1))
     rng = np.random.default_rng(seed)

@@ -16,7 +16,7 @@ from renderer.measure.pictures import (
     COLORS,
     CullingOutcome,
     find_edges,
-    find_fates,
+    find_outcomes,
     look_from_above,
     picture_from_above,
     picture_from_camera,
@@ -41,9 +41,9 @@ SIZES = dict.fromkeys(CullingOutcome, (2.0, 2.0, 2.0)) | {
 
 
 def make_scene() -> Scene:
-    """An object of each fate, row by row, seen from the origin along -z."""
-    builder = SceneBuilder("fates")
-    local = [multiply(translation(PLACES[fate]), scaling(SIZES[fate])) for fate in CullingOutcome]
+    """An object of each outcome, row by row, seen from the origin along -z."""
+    builder = SceneBuilder("outcomes")
+    local = [multiply(translation(PLACES[outcome]), scaling(SIZES[outcome])) for outcome in CullingOutcome]
     mesh = builder.add_mesh(BUILT_IN["box"]())
     builder.add_objects(builder.add_nodes(np.array(local)), mesh, builder.add_material())
     builder.lights.add_directional((-0.4, -1.0, -0.3), (1.0, 1.0, 1.0), 1.5)
@@ -55,12 +55,12 @@ EYE = Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0), projection=LENS)
 
 def test_each_object_has_its_fate() -> None:
     drawn = np.array([CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.NEAR])
-    assert find_fates(make_scene(), EYE, drawn).tolist() == list(CullingOutcome)
+    assert find_outcomes(make_scene(), EYE, drawn).tolist() == list(CullingOutcome)
 
 
 def test_what_is_drawn_is_not_occluded_and_what_is_outside_is_green_though_it_be_drawn() -> None:
-    fates = find_fates(make_scene(), EYE, np.arange(5))
-    assert fates.tolist() == [
+    outcomes = find_outcomes(make_scene(), EYE, np.arange(5))
+    assert outcomes.tolist() == [
         CullingOutcome.OUTSIDE,
         CullingOutcome.CROSSING,
         CullingOutcome.INSIDE,
@@ -77,19 +77,19 @@ def renderer(gl: rhi.Device):
 
 
 def hue(pixel: np.ndarray) -> CullingOutcome:
-    """The fate whose colour is the nearest."""
+    """The outcome whose colour is the nearest."""
     linear = (pixel[:3] / 255.0) ** 2.2
     linear = linear / max(linear.max(), 1e-9)
     return min(
         CullingOutcome,
-        key=lambda fate: float(np.abs(np.array(COLORS[fate]) / max(COLORS[fate]) - linear).sum()),
+        key=lambda outcome: float(np.abs(np.array(COLORS[outcome]) / max(COLORS[outcome]) - linear).sum()),
     )
 
 
 def test_from_above_boxes_have_the_colors_of_their_fates(renderer: Renderer) -> None:
-    fates = find_fates(renderer.scene, EYE, renderer.render(EYE).visible)
-    assert fates.tolist() == list(CullingOutcome)
-    picture = picture_from_above(renderer, EYE, fates)
+    outcomes = find_outcomes(renderer.scene, EYE, renderer.render(EYE).visible)
+    assert outcomes.tolist() == list(CullingOutcome)
+    picture = picture_from_above(renderer, EYE, outcomes)
     rows, above = look_from_above(renderer.scene, 1.0)
     for row in rows.tolist():
         x, y, z = PLACES[CullingOutcome(row)]
@@ -103,9 +103,9 @@ def test_from_above_boxes_have_the_colors_of_their_fates(renderer: Renderer) -> 
 
 def test_from_the_camera_the_hidden_are_seen_through_what_hides_them(renderer: Renderer) -> None:
     result = renderer.render(EYE)
-    fates = find_fates(renderer.scene, EYE, result.visible)
+    outcomes = find_outcomes(renderer.scene, EYE, result.visible)
     plain = result.image.read()
-    picture = picture_from_camera(renderer, EYE, result, fates)
+    picture = picture_from_camera(renderer, EYE, result, outcomes)
     changed = (plain != picture).any(axis=2)
     seen = {hue(pixel) for pixel in picture[changed]}
     assert seen >= {CullingOutcome.CROSSING, CullingOutcome.INSIDE, CullingOutcome.OCCLUDED}
@@ -119,7 +119,7 @@ def test_from_the_camera_the_hidden_are_seen_through_what_hides_them(renderer: R
 def test_drawing_the_picture_changes_no_later_frame(renderer: Renderer) -> None:
     before = renderer.render(EYE).image.read()
     result = renderer.render(EYE)
-    picture_from_camera(renderer, EYE, result, find_fates(renderer.scene, EYE, result.visible))
+    picture_from_camera(renderer, EYE, result, find_outcomes(renderer.scene, EYE, result.visible))
     assert (renderer.render(EYE).image.read() == before).all()
 
 
@@ -130,8 +130,8 @@ def test_standard_depth_hides_edges_as_well(gl: rhi.Device) -> None:
         pictures = []
         for camera in (EYE, EYE.with_projection(lens)):
             result = renderer.render(camera)
-            fates = find_fates(scene, camera, result.visible)
-            pictures.append(picture_from_camera(renderer, camera, result, fates))
+            outcomes = find_outcomes(scene, camera, result.visible)
+            pictures.append(picture_from_camera(renderer, camera, result, outcomes))
     assert (pictures[0] != pictures[1]).any(axis=2).sum() < 60
 
 
@@ -168,7 +168,7 @@ def test_debug_visibility_writes_a_picture_and_counts(
     assert main([*command, "--frame", "900", "--warm-up", "2", "--backend", "gl", "--json"]) == 0
     counts = json.loads(capsys.readouterr().out)
     assert counts.pop("image") == str(path)
-    assert list(counts) == [fate.name.lower() for fate in CullingOutcome]
+    assert list(counts) == [outcome.name.lower() for outcome in CullingOutcome]
     assert counts["occluded"] > 0 < counts["outside"]
     assert np.asarray(Image.open(path)).shape == (112, 320, 3)
     assert main([*command, "--algorithm", "frustum", "--camera", "overview"]) == 0
@@ -181,7 +181,7 @@ def test_debug_visibility_writes_a_picture_and_counts(
     (["--algorithm", "magic"], "--algorithm"),
     (["--camera", "nowhere"], "camera-unknown-name"),
     (["--frame", "1800"], "camera-frame-range"),
-    (["--output", "culled.nothing"], "names no image format"),
+    (["--output", "culled.nothing"], "has no known image extension"),
 ])  # fmt: skip
 def test_bad_input_of_debug_is_one_line(
     capsys: pytest.CaptureFixture[str],

@@ -1,4 +1,4 @@
-"""Which lights reach which objects, against every pair."""
+"""The lists of lights that reach each object, compared with a test of every pair."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Simulations: stepped where they are seen, skipped where not, and none the worse for it."""
+"""Simulations: members are stepped where they are drawn, skipped elsewhere, and catch up exactly."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from rhi.errors import ValidationError
 
 
 class Clock:
-    """Counts each member's steps; its one vertex's height is their number."""
+    """Counts each member's steps; the height of its one vertex is their number."""
 
     interval = 0.5
 

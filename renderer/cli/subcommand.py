@@ -1,0 +1,75 @@
+"""The type of the command line's commands: each module makes one, and `renderer.cli.COMMANDS` lists them all."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+
+class Parser(argparse.ArgumentParser):
+    """An argument parser that reports errors in one line."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **options)
+
+    def error(self, message: str) -> NoReturn:
+        """Print the error in one line and exit with code 2."""
+        print(f"error: {' '.join(message.split())} (see {self.prog} --help)", file=sys.stderr)
+        sys.exit(2)
+
+
+@dataclass(frozen=True, slots=True)
+class Subcommand:
+    """A command of the command line.
+
+    Attributes:
+        summary: one line for the list of commands; it begins the command's own help.
+        add_arguments: declares the command's arguments.
+        run: executes the command, given its parsed arguments.
+        notes: examples, and what the results mean; the end of the command's help.
+    """
+
+    name: str
+    summary: str
+    add_arguments: Callable[[Parser], None]
+    run: Callable[[argparse.Namespace], None]
+    notes: str
+
+    def add_to(self, commands: Any) -> None:
+        """Add the command's parser to `commands`, which `add_subparsers` has made."""
+        parser = commands.add_parser(
+            self.name,
+            help=self.summary,
+            description=_sentence(self.summary),
+            epilog=f"examples:\n{self.notes}",
+        )
+        self.add_arguments(parser)
+        parser.set_defaults(run=self.run)
+
+
+@dataclass(frozen=True, slots=True)
+class SubcommandGroup:
+    """Commands with a common first word, such as `compare visibility` and `compare backends`."""
+
+    name: str
+    summary: str
+    members: tuple[Subcommand, ...]
+
+    def add_to(self, commands: Any) -> None:
+        """Add the parsers of all members to `commands`, which `add_subparsers` has made."""
+        parser = commands.add_parser(
+            self.name,
+            help=self.summary,
+            description=_sentence(self.summary),
+            epilog=f"python -m renderer {self.name} SUBJECT --help says more, with examples.",
+        )
+        subjects = parser.add_subparsers(metavar="SUBJECT", required=True)
+        for member in self.members:
+            member.add_to(subjects)
+
+
+def _sentence(summary: str) -> str:
+    return f"{summary[0].upper()}{summary[1:]}."
