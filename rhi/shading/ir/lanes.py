@@ -44,11 +44,11 @@ class Uniformity(enum.IntEnum):
 
 @dataclass(slots=True, eq=False)
 class Variable:
-    """A component with a name; `level` is settled when lowering is done."""
+    """A component with a name; `uniformity` is settled when lowering is done."""
 
     name: str
     kind: ScalarKind
-    level: Uniformity
+    uniformity: Uniformity
 
 
 class AddressSpace(enum.Enum):
@@ -69,7 +69,7 @@ class AddressSpace(enum.Enum):
 class MemoryRegion:
     """An array of words. `stride`: the words of one element; `length`: words in all, 0 where a buffer decides.
 
-    PRIVATE memory is one such array of `kind` for each lane, and VARYING unless `level` says less; CONSTANT
+    PRIVATE memory is one such array of `kind` for each lane, and VARYING unless `uniformity` says less; CONSTANT
     memory holds `values`; a TEXTURE or IMAGE has a `shape`.
     """
 
@@ -79,7 +79,7 @@ class MemoryRegion:
     length: int = 0
     writable: bool = False
     kind: ScalarKind = ScalarKind.UINT
-    level: Uniformity = Uniformity.VARYING
+    uniformity: Uniformity = Uniformity.VARYING
     values: tuple[float, ...] = ()
     shape: TextureKind = TextureKind.D2
 
@@ -92,7 +92,7 @@ class Value:
     """One component; arithmetic on values makes `Apply` values."""
 
     kind: ScalarKind
-    level: Uniformity
+    uniformity: Uniformity
 
     def __add__(self, other: Value) -> Value:
         return apply("add", self, other)
@@ -381,7 +381,7 @@ def apply(operation: str, *arguments: Value) -> Value:
     if simple is not None:
         return simple
     kind = _FIXED.get(operation, ScalarKind.BOOL if operation in _COMPARISONS else arguments[-1].kind)
-    return Apply(kind, max(argument.level for argument in arguments), operation, arguments)
+    return Apply(kind, max(argument.uniformity for argument in arguments), operation, arguments)
 
 
 def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
@@ -450,7 +450,7 @@ def _affine_sum(operation: str, a: Value, b: Value) -> Value | None:
 def _split(value: Value) -> tuple[Value | None, int]:
     if isinstance(value, Affine):
         return value.base, value.stride
-    return (value, 0) if value.level < Uniformity.VARYING else (None, 0)
+    return (value, 0) if value.uniformity < Uniformity.VARYING else (None, 0)
 
 
 # -- walking -----------------------------------------------------------------------------------------------

@@ -94,7 +94,7 @@ class _Analysis:
         magnitude = self.measure(value) if value is not None else None
         for variable in _written(statement):
             self._known.pop(id(variable), None)
-            if magnitude is not None and variable.level is Uniformity.VARYING:
+            if magnitude is not None and variable.uniformity is Uniformity.VARYING:
                 self._known[id(variable)] = self._name(magnitude, variable.name, statement.line)
 
     def measure(self, value: Value) -> _Magnitude | None:
@@ -144,7 +144,7 @@ def _inputs_of(value: Value) -> Iterator[int]:
 
 def _is_fixed(value: Value) -> bool:
     """Whether a value is the same for all vertices of an instance."""
-    if value.level is Uniformity.VARYING or (isinstance(value, Get) and value.variable.level is Uniformity.VARYING):
+    if value.uniformity is Uniformity.VARYING or (isinstance(value, Get) and value.variable.uniformity is Uniformity.VARYING):
         return False
     if isinstance(value, Load) and value.memory.space not in _FIXED:
         return False

@@ -48,12 +48,12 @@ class BuiltinLowering(ExpressionLowering):
 
     def uniform(self, value: Value) -> Value:
         """What the first lane has that takes part, for all lanes of a work-item."""
-        if self.width <= 1 or value.level < Uniformity.VARYING:
+        if self.width <= 1 or value.uniformity < Uniformity.VARYING:
             return value
         if value.kind is ScalarKind.BOOL:
             return apply("not_equal", self.uniform(self.convert(value, ScalarKind.INT)), number(0))
         mask = self.effect_mask()
-        taking_part = Get(ScalarKind.BOOL, mask.level, mask) if mask is not None else lanes.TRUE
+        taking_part = Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else lanes.TRUE
         first = self.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, taking_part)))
         if self.checked:
             wrong = self.let(apply("not_equal", value, first), "wrong")
@@ -66,7 +66,7 @@ class BuiltinLowering(ExpressionLowering):
         at = self.place(target)
         assert isinstance(at, MemoryPlace)
         (kind,) = all_kinds(at.type)
-        result = self.variable("old", kind, self.own_level) if wanted else None
+        result = self.variable("old", kind, self.own_uniformity) if wanted else None
         self.emit(
             lanes.Atomic(
                 self.line,
@@ -81,14 +81,14 @@ class BuiltinLowering(ExpressionLowering):
                 self.effect_mask(),
             )
         )
-        return [Get(kind, result.level, result)] if result is not None else []
+        return [Get(kind, result.uniformity, result)] if result is not None else []
 
     def barrier(self, waits: bool) -> None:
         """The work-group meets: all of it, so no condition that varies within it may lead here."""
         if waits:
-            conditions = [scope.level for scope in self.scopes_up_to(None) if scope.kind != "function"]
-            level = max([*conditions, self.frame.left])  # returns count from where they stand
-            if level > Uniformity.GROUP:
+            conditions = [scope.uniformity for scope in self.scopes_up_to(None) if scope.kind != "function"]
+            uniformity = max([*conditions, self.frame.left])  # returns count from where they stand
+            if uniformity > Uniformity.GROUP:
                 self.refuse(
                     rules.BARRIER,
                     "a barrier that part of a work-group may not reach",
@@ -103,8 +103,8 @@ class BuiltinLowering(ExpressionLowering):
                 return [self.local_index()]
             case "group_id" | "group_count":
                 place = lanes.DispatchIndex(name)
-                level = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
-                return [lanes.Input(ScalarKind.INT, level, place, axis) for axis in range(3)]
+                uniformity = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
+                return [lanes.Input(ScalarKind.INT, uniformity, place, axis) for axis in range(3)]
             case "local_id":
                 return [self.local_axis(axis) for axis in range(3)]
         groups = self.place_in_dispatch("group_id")

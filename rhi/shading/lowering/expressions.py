@@ -268,23 +268,23 @@ class ExpressionLowering(ScopeLowering):
             assert index is not None
             return self.load(home, home.kind, index, 1, 0)
         variable = home.variable
-        value: Value = Get(variable.kind, variable.level, variable)
+        value: Value = Get(variable.kind, variable.uniformity, variable)
         return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
     def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
         """A word of memory; what may be written is read now, and not where its value happens to be used."""
-        level = index.level
+        uniformity = index.uniformity
         match memory.space:
             case AddressSpace.PRIVATE:
-                level = max(level, memory.level)
+                uniformity = max(uniformity, memory.uniformity)
             case AddressSpace.SHARED:
-                level = max(level, Uniformity.GROUP)
+                uniformity = max(uniformity, Uniformity.GROUP)
             case AddressSpace.STORAGE if memory.writable:
-                level = max(level, Uniformity.GROUP)
+                uniformity = max(uniformity, Uniformity.GROUP)
         is_bool = kind is ScalarKind.BOOL and memory.space is not AddressSpace.PRIVATE
         stored = ScalarKind.UINT if is_bool else kind
-        mask = self.scope.mask if index.level > Uniformity.DISPATCH else None
-        value: Value = lanes.Load(stored, level, memory, index, scale, offset, mask)
+        mask = self.scope.mask if index.uniformity > Uniformity.DISPATCH else None
+        value: Value = lanes.Load(stored, uniformity, memory, index, scale, offset, mask)
         if memory.writable:
             value = self.let(value, memory.name)
         return apply("not_equal", value, literal(0, ScalarKind.UINT)) if is_bool else value
@@ -352,15 +352,15 @@ class ExpressionLowering(ScopeLowering):
         if is_simple(node.right):
             return [apply("and" if is_and else "or", left, self.one(node.right))]
         left = self.let(left)
-        level = max(left.level, self.level_of((self.frame.path, id(node))))
-        result = self.variable("condition", ScalarKind.BOOL, level)
+        uniformity = max(left.uniformity, self.known_uniformity((self.frame.path, id(node))))
+        result = self.variable("condition", ScalarKind.BOOL, uniformity)
         self.emit(lanes.Let(self.line, result, left))
         with self.branch(left if is_and else apply("not", left)):
             right = self.one(node.right)
             mask = self.scope.mask if self.scope.owns else None
-            level, _ = self.join((self.frame.path, id(node)), max(left.level, right.level))
+            uniformity, _ = self.join((self.frame.path, id(node)), max(left.uniformity, right.uniformity))
             self.emit(lanes.Set(self.line, result, right, mask))
-        return [Get(ScalarKind.BOOL, level, result)]
+        return [Get(ScalarKind.BOOL, uniformity, result)]
 
     def select(self, condition: Value, then: Expression, otherwise: Expression) -> list[Value]:
         """`a if c else b`."""
@@ -372,16 +372,16 @@ class ExpressionLowering(ScopeLowering):
         kinds, key = all_kinds(then.type), (self.frame.path, id(then))  # type: ignore[arg-type]
         slots = []
         for i, kind in enumerate(kinds):
-            slots.append(self.variable("chosen", kind, max(condition.level, self.level_of((key, i)))))
+            slots.append(self.variable("chosen", kind, max(condition.uniformity, self.known_uniformity((key, i)))))
             self.emit(lanes.Let(self.line, slots[-1], None))
         for chosen, node in ((condition, then), (opposite, otherwise)):
             with self.branch(chosen):
                 values = self.lower(node)
                 mask = self.scope.mask if self.scope.owns else None
                 for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
-                    slot.level, _ = self.join((key, i), max(condition.level, value.level))
+                    slot.uniformity, _ = self.join((key, i), max(condition.uniformity, value.uniformity))
                     self.emit(lanes.Set(self.line, slot, value, mask))
-        return [Get(slot.kind, slot.level, slot) for slot in slots]
+        return [Get(slot.kind, slot.uniformity, slot) for slot in slots]
 
     def matrix_multiply(self, node: tree.Binary) -> list[Value]:
         a, b = self.named(node.left), self.named(node.right)

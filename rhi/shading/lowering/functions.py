@@ -38,7 +38,7 @@ from rhi.shading.lowering.places import (
     leaf_kinds,
     member,
     part,
-    private_level,
+    private_uniformity,
     word_offsets,
 )
 from rhi.shading.lowering.scopes import Frame, MaskScope
@@ -128,15 +128,15 @@ class Lowering(TextureLowering):
         caller, outer, pending, at = self.frame, self.scope, self.pending, self.at
         early = self.is_left_early(function, path)
         frame = Frame(function, path, caller, left=caller.left, textures=textures or {})
-        level = self.level_of((path, "function"))
+        uniformity = self.known_uniformity((path, "function"))
         if early and function.result != VOID:
             for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
                 frame.results.append(
                     self.new_slot(f"{function.name}_result", kind, (path, "result", i), None)
                 )
         self.frame, self.pending = frame, False
-        masked = early and not (self.branches(level) and self.width)
-        self.scope = MaskScope("function", outer, level if masked else Uniformity.DISPATCH, outer.mask, False, path)
+        masked = early and not (self.branches(uniformity) and self.width)
+        self.scope = MaskScope("function", outer, uniformity if masked else Uniformity.DISPATCH, outer.mask, False, path)
         results: list[Value] = []
         with self.into([]) as block:
             if masked:
@@ -183,9 +183,9 @@ class Lowering(TextureLowering):
         """A component of a local begins."""
         stride = value.stride if isinstance(value, Affine) else 0
         if value is not None:
-            self.join(key, value.level, stride)
-        level, stride = self.facts.get(key, (Uniformity.DISPATCH, 0))
-        variable = self.variable(name, kind, Uniformity.LANES if stride else level)
+            self.join(key, value.uniformity, stride)
+        uniformity, stride = self.facts.get(key, (Uniformity.DISPATCH, 0))
+        variable = self.variable(name, kind, Uniformity.LANES if stride else uniformity)
         if stride and isinstance(value, Affine):
             value = value.base
         self.emit(lanes.Let(self.line, variable, value))
@@ -200,10 +200,10 @@ class Lowering(TextureLowering):
         for i, (kind, count) in enumerate(leaf_kinds(type)):  # type: ignore[arg-type]
             key = (path, id(local), i)
             if count:
-                level = private_level(self.level_of(key)) if self.width else self.level_of(key)
+                uniformity = private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
                 self.count += 1
                 name = f"{local.name}_{self.count}"
-                memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, level)
+                memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, uniformity)
                 self.private[id(memory)] = (key, self.scope)
                 self.emit(lanes.Begin(self.line, memory, zeros))
                 homes.append(memory)
@@ -260,40 +260,40 @@ class Lowering(TextureLowering):
         if isinstance(value, Literal):
             return value
         if isinstance(value, Affine):
-            return Affine(value.kind, value.level, self.copy(value.base), value.stride)
-        variable = self.variable("t", value.kind, value.level)
+            return Affine(value.kind, value.uniformity, self.copy(value.base), value.stride)
+        variable = self.variable("t", value.kind, value.uniformity)
         self.emit(lanes.Let(self.line, variable, value))
-        return Get(value.kind, value.level, variable)
+        return Get(value.kind, value.uniformity, variable)
 
     def assign(self, slot: Slot, value: Value) -> None:
         """A component of a local gets a value, blended where not all lanes that see it take part."""
-        level, blend = value.level, False
+        uniformity, blend = value.uniformity, False
         for scope in self.scopes_up_to(slot.scope):
-            level, blend = max(level, scope.level), blend or scope.owns
+            uniformity, blend = max(uniformity, scope.uniformity), blend or scope.owns
         if blend and self.scope.mask is not None:
-            level = max(level, self.scope.mask.level)
+            uniformity = max(uniformity, self.scope.mask.uniformity)
         stride = value.stride if isinstance(value, Affine) and not blend else 0
-        level, stride = self.join(slot.key, level, stride)
+        uniformity, stride = self.join(slot.key, uniformity, stride)
         variable = slot.variable
-        variable.level, slot.stride = Uniformity.LANES if stride else level, stride
+        variable.uniformity, slot.stride = Uniformity.LANES if stride else uniformity, stride
         if stride and isinstance(value, Affine):
             value = value.base
         self.emit(lanes.Set(self.line, variable, value, self.scope.mask if blend else None))
 
     def store_private(self, memory: MemoryRegion, index: Value, value: Value) -> None:
         key, scope = self.private[id(memory)]
-        level, blend = max(value.level, index.level), False
+        uniformity, blend = max(value.uniformity, index.uniformity), False
         for inner in self.scopes_up_to(scope):
-            level, blend = max(level, inner.level), blend or inner.owns
-        self.join(key, level)
-        memory.level = private_level(self.level_of(key)) if self.width else self.level_of(key)
+            uniformity, blend = max(uniformity, inner.uniformity), blend or inner.owns
+        self.join(key, uniformity)
+        memory.uniformity = private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
         # The index of a lane that doesn't take part may be anything.
-        mask = self.scope.mask if blend or index.level is Uniformity.VARYING else None
+        mask = self.scope.mask if blend or index.uniformity is Uniformity.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
 
     def store(self, at: MemoryPlace, values: list[Value]) -> None:
         memory, offsets = at.memory, word_offsets(at.type, at.layout)
-        if at.index.level < Uniformity.VARYING and self.scope.mask is None:
+        if at.index.uniformity < Uniformity.VARYING and self.scope.mask is None:
             self.check_race(memory, values)
         words = [
             apply("select", value, literal(1, ScalarKind.UINT), literal(0, ScalarKind.UINT))
@@ -314,7 +314,7 @@ class Lowering(TextureLowering):
             start = end
 
     def check_race(self, memory: MemoryRegion, values: list[Value]) -> None:
-        if math.prod(self.work_group) > 1 and any(value.level is Uniformity.VARYING for value in values):
+        if math.prod(self.work_group) > 1 and any(value.uniformity is Uniformity.VARYING for value in values):
             self.refuse(
                 rules.RACE,
                 f"a store to one element of {memory.name} by all invocations of a work-group",
@@ -392,7 +392,7 @@ class Lowering(TextureLowering):
         if isinstance(condition, Literal):
             self.statements(node.then if condition.value else node.otherwise)
             return
-        if not self.branches(condition.level):
+        if not self.branches(condition.uniformity):
             condition, opposite = self.two_branches(condition)
             with self.branch(condition):
                 self.statements(node.then)
@@ -401,7 +401,7 @@ class Lowering(TextureLowering):
                     self.statements(node.otherwise)
             return
         outer = self.scope
-        self.scope = MaskScope("branch", outer, condition.level, outer.mask, False)
+        self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
         with self.into([]) as then:
             self.statements(node.then)
         with self.into([]) as otherwise:
@@ -414,15 +414,15 @@ class Lowering(TextureLowering):
         start, stop, step = self.one(node.start), self.one(node.stop), self.one(node.step)
         start, stop, step = self.let(start), self.copy(stop), self.copy(step)
         key = (path, id(node), "count")
-        level = max(start.level, step.level)
-        stride = start.stride if isinstance(start, Affine) and step.level < Uniformity.VARYING else 0
-        level, stride = self.join(key, level, stride)
+        uniformity = max(start.uniformity, step.uniformity)
+        stride = start.stride if isinstance(start, Affine) and step.uniformity < Uniformity.VARYING else 0
+        uniformity, stride = self.join(key, uniformity, stride)
         first = start.base if stride and isinstance(start, Affine) else start
-        variable = self.variable(node.local.name, ScalarKind.INT, Uniformity.LANES if stride else level)
+        variable = self.variable(node.local.name, ScalarKind.INT, Uniformity.LANES if stride else uniformity)
         self.emit(lanes.Let(self.line, variable, first))
         slot = Slot(variable, stride, key, self.scope)
         self.frame.slots[node.local] = [slot]
-        advance = lanes.Set(self.line, variable, Get(ScalarKind.INT, variable.level, variable) + step, None)
+        advance = lanes.Set(self.line, variable, Get(ScalarKind.INT, variable.uniformity, variable) + step, None)
 
         def test() -> Value:
             count = self.read_home(slot, None)
@@ -438,31 +438,31 @@ class Lowering(TextureLowering):
     ) -> None:
         """A loop; masked where its test or one of its breaks varies."""
         key, outer, returns = (self.frame.path, id(node)), self.scope, self.returns
-        level, turn_level = self.level_of((key, "loop")), self.level_of((key, "turn"))
-        mask, masked = outer.mask, not self.branches(level)
-        self.frame.left = max(self.frame.left, self.level_of((key, "left")))
+        uniformity, iteration_uniformity = self.known_uniformity((key, "loop")), self.known_uniformity((key, "turn"))
+        mask, masked = outer.mask, not self.branches(uniformity)
+        self.frame.left = max(self.frame.left, self.known_uniformity((key, "left")))
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
-        scope = self.scope = MaskScope("loop", outer, level, mask, masked, key)
+        scope = self.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
         with self.into([]) as block:
             go_on = test()
-            self.join((key, "loop"), go_on.level)
+            self.join((key, "loop"), go_on.uniformity)
             if masked:
                 assert mask is not None
                 if not (isinstance(go_on, Literal) and go_on.value):
-                    both = apply("and", Get(ScalarKind.BOOL, mask.level, mask), go_on)
+                    both = apply("and", Get(ScalarKind.BOOL, mask.uniformity, mask), go_on)
                     self.emit(lanes.Set(self.line, mask, both, None))
                 self.emit(lanes.Break(self.line, mask))
             elif not (isinstance(go_on, Literal) and go_on.value):
                 stop: lanes.Block = [lanes.Break(self.line)]
                 self.emit(lanes.If(self.line, apply("not", go_on), stop, []))
-            if not masked and mask is not None and not self.branches(self.level_of((key, "left"))):
+            if not masked and mask is not None and not self.branches(self.known_uniformity((key, "left"))):
                 self.emit(lanes.Break(self.line, mask))
-            if not self.branches(turn_level):
+            if not self.branches(iteration_uniformity):
                 turn = self.new_mask(self.mask_value(), "turn")
-                self.scope = MaskScope("turn", scope, turn_level, turn, True, key)
+                self.scope = MaskScope("turn", scope, iteration_uniformity, turn, True, key)
             else:
-                self.scope = MaskScope("turn", scope, turn_level, mask, masked, key)
+                self.scope = MaskScope("turn", scope, iteration_uniformity, mask, masked, key)
             self.statements(body)
         self.scope = outer
         self.join((key, "left"), self.frame.left)
@@ -472,11 +472,11 @@ class Lowering(TextureLowering):
     def exit(self, kind: str, jump: lanes.Statement) -> None:
         """A break, continue or return: a jump where it is the same for all lanes, else the masks lose lanes."""
         target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
-        level = max([scope.level for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH)
-        level, _ = self.join((target.key, kind), level)
+        uniformity = max([scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH)
+        uniformity, _ = self.join((target.key, kind), uniformity)
         if kind == "function":
-            self.frame.left = max(self.frame.left, level)
-        if self.branches(level) and (self.width or kind != "function"):
+            self.frame.left = max(self.frame.left, uniformity)
+        if self.branches(uniformity) and (self.width or kind != "function"):
             if isinstance(jump, lanes.Return):
                 jump.body.is_left = True
             self.emit(jump)

@@ -218,9 +218,9 @@ def element(at: AnyPlace, index: Value) -> AnyPlace:
             return Choice(inner, at.index, [element(one, index) for one in at.places])
 
 
-def private_level(level: Uniformity) -> Uniformity:
+def private_uniformity(uniformity: Uniformity) -> Uniformity:
     """Private memory is never shared beyond the lanes of a work-item."""
-    return max(level, Uniformity.LANES)
+    return max(uniformity, Uniformity.LANES)
 
 
 def select_by_index(index: Value, values: list[Value]) -> Value:

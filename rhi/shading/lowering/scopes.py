@@ -3,7 +3,7 @@
 - A `MaskScope` is a part of the program under one condition: a branch, a loop, a turn of a loop, a called function's
   body. Where its condition varies among lanes it owns a mask. A variable that is assigned inside scopes that don't
   hold its declaration is as varying as they are, and blended if one of them owns a mask.
-- Facts (the level of a variable, of a loop's exits, of a function's returns) only rise. Lowering runs until it finds
+- Facts (the uniformity of a variable, of a loop's exits, of a function's returns) only rise. Lowering runs until it finds
   no new one, so what a loop's end says about its beginning is known in the last run.
 """
 
@@ -32,7 +32,7 @@ class MaskScope:
 
     kind: str
     parent: MaskScope | None
-    level: Uniformity
+    uniformity: Uniformity
     mask: Variable | None
     owns: bool
     key: object = None
@@ -75,27 +75,27 @@ class ScopeLowering:
 
     # -- what the machine has
 
-    def branches(self, level: Uniformity) -> bool:
-        """Whether a condition of this level is a real branch: OpenCL's scalars, NumPy's single values."""
-        return level <= Uniformity.LANES if self.width else level is Uniformity.DISPATCH
+    def branches(self, uniformity: Uniformity) -> bool:
+        """Whether a condition of this uniformity is a real branch: OpenCL's scalars, NumPy's single values."""
+        return uniformity <= Uniformity.LANES if self.width else uniformity is Uniformity.DISPATCH
 
     @property
-    def own_level(self) -> Uniformity:
-        """The level of what each invocation has for itself."""
+    def own_uniformity(self) -> Uniformity:
+        """The uniformity of what each invocation has for itself."""
         return Uniformity.LANES if self.width == 1 else Uniformity.VARYING
 
     # -- facts
 
-    def level_of(self, key: object) -> Uniformity:
-        """The level known so far."""
+    def known_uniformity(self, key: object) -> Uniformity:
+        """The uniformity known so far."""
         return self.facts.get(key, (Uniformity.DISPATCH, 0))[0]
 
-    def join(self, key: object, level: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
+    def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
         """Add what was found; gives what holds now."""
         known = self.facts.get(key)
-        now = (level, stride)
+        now = (uniformity, stride)
         if known is not None and known != now:
-            now = (max(known[0], level), 0)
+            now = (max(known[0], uniformity), 0)
         if now != known:
             self.facts[key] = now
             self.changed = True
@@ -117,18 +117,18 @@ class ScopeLowering:
         yield block
         self.block = before
 
-    def variable(self, name: str, kind: ScalarKind, level: Uniformity) -> Variable:
+    def variable(self, name: str, kind: ScalarKind, uniformity: Uniformity) -> Variable:
         """A new variable with a name of its own."""
         self.count += 1
-        return Variable(f"{name}_{self.count}", kind, level)
+        return Variable(f"{name}_{self.count}", kind, uniformity)
 
     def let(self, value: Value, name: str = "t") -> Value:
         """The value with a name, unless it is as short itself."""
         if isinstance(value, lanes.Literal | Get | lanes.Affine | lanes.Argument):
             return value
-        variable = self.variable(name, value.kind, value.level)
+        variable = self.variable(name, value.kind, value.uniformity)
         self.emit(lanes.Let(self.line, variable, value))
-        return Get(value.kind, value.level, variable)
+        return Get(value.kind, value.uniformity, variable)
 
     def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
         """Refuse what stands at the current place."""
@@ -147,7 +147,7 @@ class ScopeLowering:
     def mask_value(self) -> Value:
         """Who takes part now."""
         mask = self.scope.mask
-        return Get(ScalarKind.BOOL, mask.level, mask) if mask is not None else TRUE
+        return Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else TRUE
 
     def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
         """The scopes from the current one outwards, up to `end`."""
@@ -159,7 +159,7 @@ class ScopeLowering:
             yield scope
 
     def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(name, ScalarKind.BOOL, value.level if not self.width else Uniformity.VARYING)
+        mask = self.variable(name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING)
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 
@@ -167,13 +167,13 @@ class ScopeLowering:
         """Take the current lanes out of all masks up to and with that of `end`."""
         mask = self.scope.mask
         assert mask is not None
-        current = Get(ScalarKind.BOOL, mask.level, mask)
+        current = Get(ScalarKind.BOOL, mask.uniformity, mask)
         left = self.let(apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
             if scope.owns and other is not None and other is not mask:
                 self.emit(
-                    lanes.Set(self.line, other, apply("and", Get(ScalarKind.BOOL, other.level, other), left), None)
+                    lanes.Set(self.line, other, apply("and", Get(ScalarKind.BOOL, other.uniformity, other), left), None)
                 )
         self.emit(lanes.Set(self.line, mask, FALSE, None))
 
@@ -199,8 +199,8 @@ class ScopeLowering:
     def branch(self, condition: Value) -> Iterator[None]:
         """What happens where the condition holds."""
         outer = self.scope
-        if self.branches(condition.level):
-            self.scope = MaskScope("branch", outer, condition.level, outer.mask, False)
+        if self.branches(condition.uniformity):
+            self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
             with self.into([]) as block:
                 yield
             self.scope = outer
@@ -208,12 +208,12 @@ class ScopeLowering:
                 self.emit(lanes.If(self.line, condition, block, []))
             return
         mask = self.new_mask(apply("and", self.mask_value(), condition), "mask")
-        self.scope = MaskScope("branch", outer, condition.level, mask, True)
+        self.scope = MaskScope("branch", outer, condition.uniformity, mask, True)
         with self.into([]) as block:
             yield
         self.scope = outer
         if is_heavy(block):
-            taken = Get(ScalarKind.BOOL, mask.level, mask)
+            taken = Get(ScalarKind.BOOL, mask.uniformity, mask)
             self.emit(lanes.If(self.line, taken, block, [], any_lane=True))
         else:
             self.block.extend(block)

@@ -1,6 +1,6 @@
 """The stages of a draw in lane code: what flows in and out, who takes part, discard, differences between pixels.
 
-- A stage's inputs are arguments. What is the same for 16 vertices or a block of 4 by 4 pixels has the level LANES:
+- A stage's inputs are arguments. What is the same for 16 vertices or a block of 4 by 4 pixels has the uniformity LANES:
   flat varyings, the instance, the draw, which face is seen. So a material's index gives scalar loads.
 - Covered lanes have effects. If a stage takes differences between pixels, the other pixels of their quads come
   along as helpers: they compute and read (within bounds, whatever their extrapolated inputs say), and never write.
@@ -42,19 +42,19 @@ from rhi.shading.lowering.scopes import Frame
 __rhi_internal__ = True
 
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
-"""The built-ins that compare pixels of a quad; of a texture's methods those that find their level by themselves."""
+"""The built-ins that compare pixels of a quad; of a texture's methods those that find their uniformity by themselves."""
 
 _DEPTH: Final = -1
 
 
-def _argument(name: str, kind: ScalarKind = ScalarKind.INT, level: Uniformity = Uniformity.LANES) -> Argument:
-    return Argument(kind, level, name)
+def _argument(name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES) -> Argument:
+    return Argument(kind, uniformity, name)
 
 
 _MASK: Final = _argument("mask", ScalarKind.BOOL, Uniformity.VARYING)
 _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
     Stage.VERTEX: {
-        "vertex_index": (_argument(FIRST_VERTEX, level=Uniformity.VARYING),),
+        "vertex_index": (_argument(FIRST_VERTEX, uniformity=Uniformity.VARYING),),
         "instance_index": (_argument("instance"),),
         "draw_index": (_argument("draw"),),
     },
@@ -226,15 +226,15 @@ class StageLowering(Lowering):
         while frame.caller is not None and frame.caller.caller is not None:
             frame = frame.caller
         target = scopes[-2]  # the entry's; the last one holds the mask that the stage is given
-        level = max([scope.level for scope in scopes[:-2]], default=Uniformity.DISPATCH)
-        self.join((target.key, "function"), level)
-        self.discarded = max(self.discarded, level)
-        self.frame.left = max(self.frame.left, level)
+        uniformity = max([scope.uniformity for scope in scopes[:-2]], default=Uniformity.DISPATCH)
+        self.join((target.key, "function"), uniformity)
+        self.discarded = max(self.discarded, uniformity)
+        self.frame.left = max(self.frame.left, uniformity)
         assert frame.body is not None
         assert isinstance(self.kept, Get)
         left = apply("not", self.mask_value())
         self.emit(lanes.Set(self.line, self.kept.variable, self.kept & left, None))
-        if self.branches(level) and self.width:
+        if self.branches(uniformity) and self.width:
             frame.body.is_left = True
             self.emit(lanes.Return(self.line, frame.body))
         else:
@@ -264,7 +264,7 @@ class StageLowering(Lowering):
 
     def limited(self, index: Value, last: Value) -> Value:
         """An index of memory; helpers may have any."""
-        if not self.has_helpers or index.level < Uniformity.VARYING:
+        if not self.has_helpers or index.uniformity < Uniformity.VARYING:
             return index
         return self.let(apply("max", apply("min", index, last), number(0)))
 
@@ -286,12 +286,12 @@ class StageLowering(Lowering):
 
     def difference(self, name: str, value: Value) -> Value:
         """`ddx` or `ddy` of a component."""
-        return apply(name, value) if value.level is Uniformity.VARYING else literal(0.0)
+        return apply(name, value) if value.uniformity is Uniformity.VARYING else literal(0.0)
 
 
 def get(variable: Variable) -> Value:
     """A variable's value."""
-    return Get(variable.kind, variable.level, variable)
+    return Get(variable.kind, variable.uniformity, variable)
 
 
 def takes_differences(stage: tree.StageTree) -> bool:

@@ -90,7 +90,7 @@ class TextureLowering(BuiltinLowering):
             return self.access("load", memory, place, KINDS[type.scalar], 4)
         (values,), at = rest, place[:3]
         mask = self.effect_mask()
-        if mask is None and all(value.level < Uniformity.VARYING for value in at):
+        if mask is None and all(value.uniformity < Uniformity.VARYING for value in at):
             self.check_race(memory, values)
         self.emit(lanes.TextureAccess(self.line, "store", memory, (*at, *values), (), mask))
         return []
@@ -102,7 +102,7 @@ class TextureLowering(BuiltinLowering):
             return [*at, level]
         (count,) = self.access("levels", memory, [], ScalarKind.INT, 1)
         level = self.check_index(level, count)
-        if level.level is Uniformity.VARYING and self.width != 1:
+        if level.uniformity is Uniformity.VARYING and self.width != 1:
             return [*at, level]
         axes = 2 if memory.shape is TextureKind.D2 else 3
         sizes = self.access("size", memory, [level], ScalarKind.INT, axes)
@@ -152,10 +152,10 @@ class TextureLowering(BuiltinLowering):
     ) -> list[Value]:
         """An access and its results."""
         arguments = [self.let(value) for value in arguments]
-        level = max([value.level for value in arguments], default=Uniformity.DISPATCH)
+        uniformity = max([value.uniformity for value in arguments], default=Uniformity.DISPATCH)
         if memory.writable and operation == "load":
-            level = max(level, Uniformity.GROUP)
-        results = tuple(self.variable(memory.name, kind, level) for _ in range(count))
+            uniformity = max(uniformity, Uniformity.GROUP)
+        results = tuple(self.variable(memory.name, kind, uniformity) for _ in range(count))
         mask = self.scope.mask
         self.emit(lanes.TextureAccess(self.line, operation, memory, tuple(arguments), results, mask))
-        return [Get(kind, level, result) for result in results]
+        return [Get(kind, uniformity, result) for result in results]

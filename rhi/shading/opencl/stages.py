@@ -102,4 +102,4 @@ class _StageWriter(Writer):
         array, _, word = node.name.partition("_")
         if not word:
             return node.name if node.name != FIRST_VERTEX else "vertex.s0"
-        return self.cast(node.kind, node.level is Uniformity.VARYING, f"{array}[{word}]")
+        return self.cast(node.kind, node.uniformity is Uniformity.VARYING, f"{array}[{word}]")

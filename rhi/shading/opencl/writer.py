@@ -146,7 +146,7 @@ class Writer:
         return _NAMES[kind] + (self.suffix if vector else "")
 
     def is_vector(self, value: Value) -> bool:
-        return value.level is Uniformity.VARYING and self.width > 1
+        return value.uniformity is Uniformity.VARYING and self.width > 1
 
     def wide(self, value: Value, vector: bool = True) -> str:
         """A value as a vector, if that is wanted."""
@@ -288,7 +288,7 @@ class Writer:
         place = self.wide(index)
         if node.mask is not None:
             place = f"({place} & {self.mask(node.mask)})"
-        varying = memory.level is Uniformity.VARYING
+        varying = memory.uniformity is Uniformity.VARYING
         if varying:
             place = f"{place} * {self.width} + RHI_LANES"
         text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {place})")
@@ -312,7 +312,7 @@ class Writer:
     def statement(self, node: lanes.Statement) -> None:
         match node:
             case lanes.Let(variable=variable, value=value):
-                vector = variable.level is Uniformity.VARYING
+                vector = variable.uniformity is Uniformity.VARYING
                 name = f"{self.type(variable.kind, vector)} {variable.name}"
                 text = self.wide(value, vector) if value is not None else "0"
                 self.add(node, f"{name} = {text};")
@@ -359,7 +359,7 @@ class Writer:
         self.add(node, f"rhi_check({bad}, {self.wide(given)}, {self.value(limit)}, rhi_faults, RHI_HERE);")
 
     def begin(self, node: lanes.Statement, memory: MemoryRegion, zeros: bool) -> None:
-        vector = memory.level is Uniformity.VARYING
+        vector = memory.uniformity is Uniformity.VARYING
         self.add(node, f"{self.type(memory.kind, vector)} {self.name(memory)}[{memory.length}];")
         if zeros:
             fill = f"{self.name(memory)}[i] = 0"
@@ -367,7 +367,7 @@ class Writer:
 
     def set(self, node: lanes.Set) -> str:
         variable = node.variable
-        text = self.wide(node.value, variable.level is Uniformity.VARYING)
+        text = self.wide(node.value, variable.uniformity is Uniformity.VARYING)
         if node.mask is not None:
             text = f"select({variable.name}, {text}, {node.mask.name})"
         return f"{variable.name} = {text}"
@@ -428,7 +428,7 @@ class Writer:
 
     def store_private(self, node: lanes.Store) -> None:
         memory, index, (value,) = node.memory, node.index, node.values
-        vector = memory.level is Uniformity.VARYING
+        vector = memory.uniformity is Uniformity.VARYING
         if not self.is_vector(index):
             place = f"{self.name(memory)}[{self.value(index)}]"
             text = self.wide(value, vector)
@@ -473,7 +473,7 @@ class Writer:
         operation, name, results = node.operation, node.memory.name, node.results
         self.textures.add(node.memory.shape)
         each = self.width > 1
-        varies = each and bool(results) and results[0].level is Uniformity.VARYING
+        varies = each and bool(results) and results[0].uniformity is Uniformity.VARYING
         first = ".s0" if each and not varies else ""
         texts = [self.wide(value, each) for value in node.arguments]
         if operation in ("size", "levels"):
