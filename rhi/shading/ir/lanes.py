@@ -154,7 +154,7 @@ class Load(Value):
 
 
 @dataclass(slots=True, eq=False)
-class Count(Value):
+class ElementCount(Value):
     """How many elements a storage buffer has."""
 
     memory: MemoryRegion
@@ -173,7 +173,7 @@ class DispatchIndex(enum.Enum):
 
 @dataclass(slots=True, eq=False)
 class Input(Value):
-    place: DispatchIndex
+    index: DispatchIndex
     axis: int = 0
 
 
@@ -201,7 +201,7 @@ class Let(Statement):
 
 
 @dataclass(slots=True, eq=False)
-class Begin(Statement):
+class DeclareMemory(Statement):
     """Private memory begins, filled with zeros if asked for."""
 
     memory: MemoryRegion
@@ -305,12 +305,12 @@ class Loop(Statement):
 class Break(Statement):
     """Return the loop: always, or if `none` of the lanes has the mask."""
 
-    none: Variable | None = None
+    when_empty: Variable | None = None
 
 
 @dataclass(slots=True, eq=False)
 class Continue(Statement):
-    none: Variable | None = None
+    when_empty: Variable | None = None
 
 
 @dataclass(slots=True, eq=False)
@@ -319,13 +319,13 @@ class InlinedCall(Statement):
 
     label: str
     block: Block
-    is_left: bool = False
+    returns_early: bool = False
 
 
 @dataclass(slots=True, eq=False)
 class Return(Statement):
-    body: InlinedCall
-    none: Variable | None = None
+    call: InlinedCall
+    when_empty: Variable | None = None
 
 
 Block: TypeAlias = list[Statement]
@@ -538,7 +538,7 @@ class StageCode:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
+class PositionBounds:
     """Lane code of clip positions and their slacks.
 
     Attributes:

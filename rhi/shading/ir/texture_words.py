@@ -102,7 +102,7 @@ class Edge(enum.IntEnum):
     SEAM = 4
 
 
-class LevelPlace(NamedTuple):
+class LevelLayout(NamedTuple):
     """Where a level lies, in bytes, and its size in texels."""
 
     start: int
@@ -140,7 +140,7 @@ _LOADS: Final = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
 def describe_texture(
-    format: Format, kind: TextureKind, levels: Sequence[LevelPlace], sampler: SamplerDescriptor = _LOADS
+    format: Format, kind: TextureKind, levels: Sequence[LevelLayout], sampler: SamplerDescriptor = _LOADS
 ) -> NDArray[np.int32]:
     """The words of a texture read through a sampler, or of one level as an image.
 

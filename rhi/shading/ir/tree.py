@@ -73,7 +73,7 @@ class Local:
 @dataclass(slots=True, eq=False)
 class Expression:
     type: Type
-    place: SourceSpan
+    span: SourceSpan
 
 
 @dataclass(slots=True, eq=False)
@@ -204,7 +204,7 @@ class BuiltinCall(Expression):
 
 @dataclass(slots=True, eq=False)
 class Statement:
-    place: SourceSpan
+    span: SourceSpan
 
 
 @dataclass(slots=True, eq=False)
@@ -287,7 +287,7 @@ class Function:
 
     name: str
     file: str
-    place: SourceSpan
+    span: SourceSpan
     parameters: tuple[Local, ...]
     result: Type
     body: Block = field(default_factory=list)
@@ -364,11 +364,11 @@ def _returns(statement: Statement) -> bool:
     return False
 
 
-def root_of(place: Expression) -> Expression:
+def root_of(lvalue: Expression) -> Expression:
     """The variable or binding that a place lies in."""
-    while isinstance(place, Member | Swizzle | Index):
-        place = place.base
-    return place
+    while isinstance(lvalue, Member | Swizzle | Index):
+        lvalue = lvalue.base
+    return lvalue
 
 
 def walk(block: Block) -> Iterator[Statement | Expression]:
@@ -397,11 +397,11 @@ def walk(block: Block) -> Iterator[Statement | Expression]:
                 yield from walk(body)
 
 
-def _indices(place: Expression) -> Iterator[Expression]:
-    while isinstance(place, Member | Swizzle | Index):
-        if isinstance(place, Index):
-            yield from _expressions(place.index)
-        place = place.base
+def _indices(lvalue: Expression) -> Iterator[Expression]:
+    while isinstance(lvalue, Member | Swizzle | Index):
+        if isinstance(lvalue, Index):
+            yield from _expressions(lvalue.index)
+        lvalue = lvalue.base
 
 
 def _expressions(node: Expression) -> Iterator[Expression]:

@@ -25,11 +25,11 @@ from rhi.shading.ir.lanes import (
     AddressSpace,
     Apply,
     Argument,
-    Bounds,
     Get,
     Let,
     Literal,
     Load,
+    PositionBounds,
     ScalarKind,
     Set,
     StageCode,
@@ -53,7 +53,7 @@ _Magnitude: TypeAlias = "tuple[Value, int]"
 """And the most roundings on a component's way."""
 
 
-def bound_positions(stage: StageCode) -> Bounds | None:
+def bound_positions(stage: StageCode) -> PositionBounds | None:
     """Bounds for a vertex stage; None where positions aren't affine, or more is done than to compute outputs."""
     code = stage.code
     positions = [value for word, value in zip(stage.words, code.results, strict=False) if word < 4]
@@ -73,7 +73,7 @@ def bound_positions(stage: StageCode) -> Bounds | None:
     if not inputs:
         return None
     code = replace(code, block=block, results=results)
-    return Bounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
+    return PositionBounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
 
 
 class _Analysis:
@@ -144,7 +144,9 @@ def _inputs_of(value: Value) -> Iterator[int]:
 
 def _is_fixed(value: Value) -> bool:
     """Whether a value is the same for all vertices of an instance."""
-    if value.uniformity is Uniformity.VARYING or (isinstance(value, Get) and value.variable.uniformity is Uniformity.VARYING):
+    if value.uniformity is Uniformity.VARYING:
+        return False
+    if isinstance(value, Get) and value.variable.uniformity is Uniformity.VARYING:
         return False
     if isinstance(value, Load) and value.memory.space not in _FIXED:
         return False

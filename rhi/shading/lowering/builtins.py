@@ -8,9 +8,10 @@ from rhi.shading.ir.lanes import Get, ScalarKind, Uniformity, Value, apply, numb
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.types import ImageType, TextureType
+from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.expansions import expansion_of
 from rhi.shading.lowering.expressions import ExpressionLowering
-from rhi.shading.lowering.places import MemoryPlace, all_kinds
+from rhi.shading.lowering.lvalues import MemoryLvalue
 
 __rhi_internal__ = True
 
@@ -26,18 +27,18 @@ class BuiltinLowering(ExpressionLowering):
 
     # -- all calls
 
-    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
-        """A built-in's scalars; `wanted`: somebody uses them."""
+    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
+        """A built-in's scalars; `needs_result`: somebody uses them."""
         name = node.builtin.name
         if node.arguments and isinstance(node.arguments[0].type, TextureType | ImageType):
             return self.texture(node)
         if name.startswith("atomic_"):
-            return self.atomic(node, wanted)
+            return self.atomic(node, needs_result)
         if node.builtin.effect is Effect.BARRIER:
             self.barrier(waits=name == "barrier")
             return []
         if name in ("global_id", "local_id", "group_id", "group_count", "local_index"):
-            return self.place_in_dispatch(name)
+            return self.dispatch_index(name)
         if name == "uniform":
             return [self.uniform(value) for value in self.named(node.arguments[0])]
         try:
@@ -60,13 +61,13 @@ class BuiltinLowering(ExpressionLowering):
             self.emit(lanes.Check(self.line, wrong, apply("as_int", value), number(-1), self.effect_mask()))
         return first
 
-    def atomic(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+    def atomic(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
         target, *rest = node.arguments
         values = [self.let(value) for argument in rest for value in self.lower(argument)]
-        at = self.place(target)
-        assert isinstance(at, MemoryPlace)
+        at = self.lvalue(target)
+        assert isinstance(at, MemoryLvalue)
         (kind,) = all_kinds(at.type)
-        result = self.variable("old", kind, self.own_uniformity) if wanted else None
+        result = self.variable("old", kind, self.own_uniformity) if needs_result else None
         self.emit(
             lanes.Atomic(
                 self.line,
@@ -87,7 +88,9 @@ class BuiltinLowering(ExpressionLowering):
         """The work-group meets: all of it, so no condition that varies within it may lead here."""
         if waits:
             conditions = [scope.uniformity for scope in self.scopes_up_to(None) if scope.kind != "function"]
-            uniformity = max([*conditions, self.frame.left])  # returns count from where they stand
+            uniformity = max(
+                [*conditions, self.frame.return_uniformity]
+            )  # returns count from where they stand
             if uniformity > Uniformity.GROUP:
                 self.refuse(
                     rules.BARRIER,
@@ -96,7 +99,7 @@ class BuiltinLowering(ExpressionLowering):
                 )
         self.emit(lanes.Barrier(self.line, waits))
 
-    def place_in_dispatch(self, name: str) -> list[Value]:
+    def dispatch_index(self, name: str) -> list[Value]:
         sizes = self.work_group
         match name:
             case "local_index":
@@ -107,7 +110,7 @@ class BuiltinLowering(ExpressionLowering):
                 return [lanes.Input(ScalarKind.INT, uniformity, place, axis) for axis in range(3)]
             case "local_id":
                 return [self.local_axis(axis) for axis in range(3)]
-        groups = self.place_in_dispatch("group_id")
+        groups = self.dispatch_index("group_id")
         return [groups[axis] * number(sizes[axis]) + self.local_axis(axis) for axis in range(3)]
 
     def local_index(self) -> Value:

@@ -24,22 +24,19 @@ from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import StorageType, scalar_of
+from rhi.shading.lowering.components import KINDS, all_kinds, word_offsets, words_of
 from rhi.shading.lowering.expansions import all_of, any_of, by_component, dot, float_modulo
-from rhi.shading.lowering.places import (
-    KINDS,
-    AnyPlace,
-    Choice,
-    LocalPlace,
-    MemoryPlace,
+from rhi.shading.lowering.lvalues import (
+    LocalLvalue,
+    Lvalue,
+    LvalueChoice,
+    MemoryLvalue,
     Slot,
-    all_kinds,
     count_parts,
     element,
     member,
     part,
     select_by_index,
-    word_offsets,
-    words_of,
 )
 from rhi.shading.lowering.scopes import ScopeLowering
 
@@ -81,8 +78,8 @@ class ExpressionLowering(ScopeLowering):
 
     # -- what built-ins provide
 
-    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
-        """A built-in's scalars; `wanted`: somebody uses them."""
+    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
+        """A built-in's scalars; `needs_result`: somebody uses them."""
         raise NotImplementedError
 
     # -- what stages decide
@@ -104,7 +101,7 @@ class ExpressionLowering(ScopeLowering):
 
     def lower(self, node: Expression) -> list[Value]:
         """The scalars of an expression, in order."""
-        at = self.place(node)
+        at = self.lvalue(node)
         if at is not None:
             return self.read(at)
         match node:
@@ -118,7 +115,7 @@ class ExpressionLowering(ScopeLowering):
                         return values[start : start + words_of(field.type)]
                     start += words_of(field.type)
             case tree.Swizzle(base=base, components=components):
-                whole = self.place(base)
+                whole = self.lvalue(base)
                 if whole is not None:
                     return [value for c in components for value in self.read(part(whole, c))]
                 values = self.lower(base)
@@ -127,7 +124,9 @@ class ExpressionLowering(ScopeLowering):
                 return self.index_value(self.named(base), words_of(node.type), self.one(index))  # type: ignore[arg-type]
             case tree.Length(base=base):
                 assert isinstance(base, tree.BindingRead)
-                return [lanes.Count(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))]
+                return [
+                    lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))
+                ]
             case tree.Unary(operator=operator, operand=operand):
                 return [apply(_OPERATIONS[operator], value) for value in self.lower(operand)]
             case tree.Binary():
@@ -144,7 +143,7 @@ class ExpressionLowering(ScopeLowering):
             case tree.Call():
                 return self.call(node)
             case tree.BuiltinCall():
-                return self.builtin(node, wanted=True)
+                return self.builtin(node, needs_result=True)
         raise TypeError(f"no lane code for {node}")
 
     def convert(self, value: Value, kind: ScalarKind) -> Value:
@@ -187,36 +186,36 @@ class ExpressionLowering(ScopeLowering):
             self.memories[declaration.name] = known
         return known
 
-    def place(self, node: Expression) -> AnyPlace | None:
+    def lvalue(self, node: Expression) -> Lvalue | None:
         """Where the expression's value lives, or None if it has to be computed."""
         match node:
             case tree.Read(local=local):
                 homes = self.frame.slots[local]
-                return LocalPlace(local.type, homes)  # type: ignore[arg-type]
+                return LocalLvalue(local.type, homes)  # type: ignore[arg-type]
             case tree.BindingRead(declaration=declaration) if declaration.storage_class in (
                 StorageClass.UNIFORM,
                 StorageClass.SHARED,
             ):
                 layout = Layout.STD140 if declaration.storage_class is StorageClass.UNIFORM else None
                 memory = self.memory(declaration)
-                return MemoryPlace(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
+                return MemoryLvalue(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
             case tree.ConstantArray(type=type):
-                return MemoryPlace(type, self.constants(node), None, number(0), 1, 0)  # type: ignore[arg-type]
+                return MemoryLvalue(type, self.constants(node), None, number(0), 1, 0)  # type: ignore[arg-type]
             case tree.Member(base=base, name=name):
-                at = self.place(base)
+                at = self.lvalue(base)
                 return member(at, name) if at is not None else None
             case tree.Swizzle(base=base, components=(component,)):
-                at = self.place(base)
+                at = self.lvalue(base)
                 return part(at, component) if at is not None else None
             case tree.Index(base=tree.BindingRead(declaration=declaration), index=index) if isinstance(
                 declaration.type, StorageType
             ):
                 memory = self.memory(declaration)
                 row = self.let(self.convert(self.one(index), ScalarKind.INT))
-                row = self.check_index(row, lanes.Count(ScalarKind.INT, Uniformity.DISPATCH, memory))
-                return MemoryPlace(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
+                row = self.check_index(row, lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory))
+                return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
             case tree.Index(base=base, index=index):
-                at = self.place(base)
+                at = self.lvalue(base)
                 if at is None:
                     return None
                 row = self.let(self.convert(self.one(index), ScalarKind.INT))
@@ -244,24 +243,26 @@ class ExpressionLowering(ScopeLowering):
             )
         return self.memories[key]
 
-    def read(self, at: AnyPlace) -> list[Value]:
+    def read(self, at: Lvalue) -> list[Value]:
         """The scalars at a place."""
         match at:
-            case LocalPlace(type=ArrayType(length=length)):
+            case LocalLvalue(type=ArrayType(length=length)):
                 return [value for i in range(length) for value in self.read(part(at, i))]
-            case LocalPlace(type=StructType(fields=fields)):
+            case LocalLvalue(type=StructType(fields=fields)):
                 return [value for field in fields for value in self.read(member(at, field.name))]
-            case LocalPlace(homes=homes, index=index):
+            case LocalLvalue(homes=homes, index=index):
                 return [self.read_home(home, index) for home in homes]
-            case MemoryPlace(type=type, layout=layout, offset=offset):
+            case MemoryLvalue(type=type, layout=layout, offset=offset):
                 offsets = word_offsets(type, layout)
                 return [
                     self.load(at.memory, kind, at.index, at.scale, offset + place)
                     for kind, place in zip(all_kinds(type), offsets, strict=True)
                 ]
-            case Choice(index=index, places=places):
-                choices = [self.read(one) for one in places]
-                return [select_by_index(index, list(values)) for values in zip(*choices, strict=True)]
+            case LvalueChoice(index=index, choices=choices):
+                values_of_choices = [self.read(one) for one in choices]
+                return [
+                    select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)
+                ]
 
     def read_home(self, home: Slot | MemoryRegion, index: Value | None) -> Value:
         if isinstance(home, MemoryRegion):
@@ -357,7 +358,7 @@ class ExpressionLowering(ScopeLowering):
         self.emit(lanes.Let(self.line, result, left))
         with self.branch(left if is_and else apply("not", left)):
             right = self.one(node.right)
-            mask = self.scope.mask if self.scope.owns else None
+            mask = self.scope.mask if self.scope.owns_mask else None
             uniformity, _ = self.join((self.frame.path, id(node)), max(left.uniformity, right.uniformity))
             self.emit(lanes.Set(self.line, result, right, mask))
         return [Get(ScalarKind.BOOL, uniformity, result)]
@@ -372,12 +373,14 @@ class ExpressionLowering(ScopeLowering):
         kinds, key = all_kinds(then.type), (self.frame.path, id(then))  # type: ignore[arg-type]
         slots = []
         for i, kind in enumerate(kinds):
-            slots.append(self.variable("chosen", kind, max(condition.uniformity, self.known_uniformity((key, i)))))
+            slots.append(
+                self.variable("chosen", kind, max(condition.uniformity, self.known_uniformity((key, i))))
+            )
             self.emit(lanes.Let(self.line, slots[-1], None))
         for chosen, node in ((condition, then), (opposite, otherwise)):
             with self.branch(chosen):
                 values = self.lower(node)
-                mask = self.scope.mask if self.scope.owns else None
+                mask = self.scope.mask if self.scope.owns_mask else None
                 for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
                     slot.uniformity, _ = self.join((key, i), max(condition.uniformity, value.uniformity))
                     self.emit(lanes.Set(self.line, slot, value, mask))

@@ -27,21 +27,19 @@ from rhi.shading.ir.lanes import (
 )
 from rhi.shading.language import rules
 from rhi.shading.language.types import VOID, TextureType
-from rhi.shading.lowering.places import (
-    AnyPlace,
-    Choice,
+from rhi.shading.lowering.components import all_kinds, leaf_kinds, word_offsets
+from rhi.shading.lowering.lvalues import (
     Home,
-    LocalPlace,
-    MemoryPlace,
+    LocalLvalue,
+    Lvalue,
+    LvalueChoice,
+    MemoryLvalue,
     Slot,
-    all_kinds,
-    leaf_kinds,
     member,
     part,
     private_uniformity,
-    word_offsets,
 )
-from rhi.shading.lowering.scopes import Frame, MaskScope
+from rhi.shading.lowering.scopes import InlinedFrame, MaskScope
 from rhi.shading.lowering.textures import TextureLowering
 
 __rhi_internal__ = True
@@ -93,12 +91,14 @@ class Lowering(TextureLowering):
 
     def entry(self, function: tree.Function, arguments: tuple[Value, ...]) -> list[Value]:
         """The outermost function."""
-        self.frame = Frame(function, ())
+        self.frame = InlinedFrame(function, ())
         invocations = math.prod(self.work_group)
         if self.width > 1 and invocations % self.width:
-            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
+            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(
+                self.width
+            )
             present = apply("less", self.lanes_from(first), number(invocations))
-            self.scope.mask, self.scope.owns = self.new_mask(present, "present"), True
+            self.scope.mask, self.scope.owns_mask = self.new_mask(present, "present"), True
         return self.inline(function, list(arguments), ())
 
     # -- calls
@@ -125,24 +125,26 @@ class Lowering(TextureLowering):
             self.refuse(
                 rules.NATIVE, f"{function.name} has no Python body", tip="give it one for other languages"
             )
-        caller, outer, pending, at = self.frame, self.scope, self.pending, self.at
-        early = self.is_left_early(function, path)
-        frame = Frame(function, path, caller, left=caller.left, textures=textures or {})
+        caller, outer, pending, at = self.frame, self.scope, self.jump_pending, self.span
+        early = self.returns_early(function, path)
+        frame = InlinedFrame(function, path, caller, caller.return_uniformity, textures=textures or {})
         uniformity = self.known_uniformity((path, "function"))
         if early and function.result != VOID:
             for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
                 frame.results.append(
                     self.new_slot(f"{function.name}_result", kind, (path, "result", i), None)
                 )
-        self.frame, self.pending = frame, False
+        self.frame, self.jump_pending = frame, False
         masked = early and not (self.branches(uniformity) and self.width)
-        self.scope = MaskScope("function", outer, uniformity if masked else Uniformity.DISPATCH, outer.mask, False, path)
+        if not masked:
+            uniformity = Uniformity.DISPATCH
+        self.scope = MaskScope("function", outer, uniformity, outer.mask, False, path)
         results: list[Value] = []
         with self.into([]) as block:
             if masked:
                 self.scope.mask = self.new_mask(self.mask_value(), "inside")
-                self.scope.owns = True
-            frame.body = InlinedCall(caller_line(caller, at), f"{function.name}_{self.count}", block)
+                self.scope.owns_mask = True
+            frame.inlined_call = InlinedCall(caller_line(caller, at), f"{function.name}_{self.count}", block)
             self.count += 1
             start = 0
             for parameter in function.parameters:
@@ -153,15 +155,15 @@ class Lowering(TextureLowering):
                 start += len(kinds)
             for statement in function.body:
                 if not early and isinstance(statement, tree.Return):
-                    self.at = statement.place
+                    self.span = statement.span
                     results = self.lower(statement.value) if statement.value is not None else []
                     results = [self.let(value) for value in results]
                     break
                 self.statement(statement)
-                self.leave_if_nobody_is_left()
-        self.frame, self.scope, self.pending, self.at = caller, outer, pending, at
+                self.emit_pending_jump()
+        self.frame, self.scope, self.jump_pending, self.span = caller, outer, pending, at
         if early:
-            self.emit(frame.body)
+            self.emit(frame.inlined_call)
             results = [self.read_home(slot, None) for slot in frame.results]
         else:
             self.block.extend(block)
@@ -169,7 +171,7 @@ class Lowering(TextureLowering):
 
     # -- what stages decide
 
-    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+    def returns_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
         """Whether a function is left anywhere but in its last statement."""
         return tree.has_early_return(function.body)
 
@@ -184,7 +186,7 @@ class Lowering(TextureLowering):
         stride = value.stride if isinstance(value, Affine) else 0
         if value is not None:
             self.join(key, value.uniformity, stride)
-        uniformity, stride = self.facts.get(key, (Uniformity.DISPATCH, 0))
+        uniformity, stride = self.joined.get(key, (Uniformity.DISPATCH, 0))
         variable = self.variable(name, kind, Uniformity.LANES if stride else uniformity)
         if stride and isinstance(value, Affine):
             value = value.base
@@ -200,12 +202,14 @@ class Lowering(TextureLowering):
         for i, (kind, count) in enumerate(leaf_kinds(type)):  # type: ignore[arg-type]
             key = (path, id(local), i)
             if count:
-                uniformity = private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
+                uniformity = self.known_uniformity(key)
+                if self.width:
+                    uniformity = private_uniformity(uniformity)
                 self.count += 1
                 name = f"{local.name}_{self.count}"
                 memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, uniformity)
                 self.private[id(memory)] = (key, self.scope)
-                self.emit(lanes.Begin(self.line, memory, zeros))
+                self.emit(lanes.DeclareMemory(self.line, memory, zeros))
                 homes.append(memory)
             elif has_arrays:
                 zero = literal(0, kind) if zeros else None
@@ -214,24 +218,24 @@ class Lowering(TextureLowering):
                 value = literal(0, kind) if zeros else values[i] if values is not None else None
                 homes.append(self.new_slot(local.name, kind, key, value))
         if has_arrays and values is not None:
-            self.write(LocalPlace(type, homes), values)  # type: ignore[arg-type]
+            self.write(LocalLvalue(type, homes), values)  # type: ignore[arg-type]
 
     # -- assignment
 
-    def write(self, at: AnyPlace, values: list[Value]) -> None:
+    def write(self, at: Lvalue, values: list[Value]) -> None:
         """Assign the scalars at a place."""
         match at:
-            case LocalPlace(type=ArrayType(length=length)):
+            case LocalLvalue(type=ArrayType(length=length)):
                 size = len(values) // length
                 for i in range(length):
                     self.write(part(at, i), values[i * size : (i + 1) * size])
-            case LocalPlace(type=StructType(fields=fields)):
+            case LocalLvalue(type=StructType(fields=fields)):
                 start = 0
                 for field in fields:
                     size = len(all_kinds(field.type))
                     self.write(member(at, field.name), values[start : start + size])
                     start += size
-            case LocalPlace(homes=homes, index=index):
+            case LocalLvalue(homes=homes, index=index):
                 values = self.apart(homes, values)
                 for home, value in zip(homes, values, strict=True):
                     if isinstance(home, Slot):
@@ -239,11 +243,11 @@ class Lowering(TextureLowering):
                     else:
                         assert index is not None
                         self.store_private(home, index, value)
-            case MemoryPlace():
+            case MemoryLvalue():
                 self.store(at, values)
-            case Choice(index=index, places=places):
+            case LvalueChoice(index=index, choices=choices):
                 values = [self.let(value) for value in values]
-                for which, one in enumerate(places):
+                for which, one in enumerate(choices):
                     with self.branch(apply("equal", index, number(which))):
                         self.write(one, values)
 
@@ -269,7 +273,7 @@ class Lowering(TextureLowering):
         """A component of a local gets a value, blended where not all lanes that see it take part."""
         uniformity, blend = value.uniformity, False
         for scope in self.scopes_up_to(slot.scope):
-            uniformity, blend = max(uniformity, scope.uniformity), blend or scope.owns
+            uniformity, blend = max(uniformity, scope.uniformity), blend or scope.owns_mask
         if blend and self.scope.mask is not None:
             uniformity = max(uniformity, self.scope.mask.uniformity)
         stride = value.stride if isinstance(value, Affine) and not blend else 0
@@ -284,14 +288,16 @@ class Lowering(TextureLowering):
         key, scope = self.private[id(memory)]
         uniformity, blend = max(value.uniformity, index.uniformity), False
         for inner in self.scopes_up_to(scope):
-            uniformity, blend = max(uniformity, inner.uniformity), blend or inner.owns
+            uniformity, blend = max(uniformity, inner.uniformity), blend or inner.owns_mask
         self.join(key, uniformity)
-        memory.uniformity = private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
+        memory.uniformity = (
+            private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
+        )
         # The index of a lane that doesn't take part may be anything.
         mask = self.scope.mask if blend or index.uniformity is Uniformity.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
 
-    def store(self, at: MemoryPlace, values: list[Value]) -> None:
+    def store(self, at: MemoryLvalue, values: list[Value]) -> None:
         memory, offsets = at.memory, word_offsets(at.type, at.layout)
         if at.index.uniformity < Uniformity.VARYING and self.scope.mask is None:
             self.check_race(memory, values)
@@ -327,11 +333,11 @@ class Lowering(TextureLowering):
         """The statements of a block."""
         for node in block:
             self.statement(node)
-            self.leave_if_nobody_is_left()
+            self.emit_pending_jump()
 
     def statement(self, node: tree.Statement) -> None:
         """One statement."""
-        self.at = node.place
+        self.span = node.span
         match node:
             case tree.Declare(local=local, value=None):
                 self.declare(local, None)
@@ -346,7 +352,7 @@ class Lowering(TextureLowering):
                     values = [self.let(one) for one in values]
                 self.assign_to(target, values)
             case tree.Evaluate(value=tree.BuiltinCall() as value):
-                self.builtin(value, wanted=False)
+                self.builtin(value, needs_result=False)
             case tree.Evaluate(value=value):
                 for one in self.lower(value):
                     self.let(one)
@@ -359,31 +365,31 @@ class Lowering(TextureLowering):
             case tree.Break():
                 self.exit("loop", lanes.Break(self.line))
             case tree.Continue():
-                self.exit("turn", lanes.Continue(self.line))
+                self.exit("iteration", lanes.Continue(self.line))
             case tree.Return(value=value):
                 values = self.lower(value) if value is not None else []
                 values = [self.let(one) for one in values]
                 for slot, one in zip(self.frame.results, values, strict=True):
                     self.assign(slot, one)
-                assert self.frame.body is not None
+                assert self.frame.inlined_call is not None
                 if node is self.frame.function.body[-1]:
                     return  # nothing follows
-                self.exit("function", lanes.Return(self.line, self.frame.body))
+                self.exit("function", lanes.Return(self.line, self.frame.inlined_call))
             case tree.Discard():
                 self.discard()
 
     def assign_to(self, target: tree.Expression, values: list[Value]) -> None:
         if isinstance(target, tree.Swizzle) and len(target.components) > 1:
-            whole = self.place(target.base)
+            whole = self.lvalue(target.base)
             assert whole is not None
-            if isinstance(whole, LocalPlace):
+            if isinstance(whole, LocalLvalue):
                 homes = [whole.homes[c] for c in target.components]
                 values = self.apart(homes, values)
             values = [self.let(value) for value in values]
             for component, value in zip(target.components, values, strict=True):
                 self.write(part(whole, component), [value])
             return
-        at = self.place(target)
+        at = self.lvalue(target)
         assert at is not None
         self.write(at, values)
 
@@ -422,7 +428,9 @@ class Lowering(TextureLowering):
         self.emit(lanes.Let(self.line, variable, first))
         slot = Slot(variable, stride, key, self.scope)
         self.frame.slots[node.local] = [slot]
-        advance = lanes.Set(self.line, variable, Get(ScalarKind.INT, variable.uniformity, variable) + step, None)
+        advance = lanes.Set(
+            self.line, variable, Get(ScalarKind.INT, variable.uniformity, variable) + step, None
+        )
 
         def test() -> Value:
             count = self.read_home(slot, None)
@@ -438,9 +446,10 @@ class Lowering(TextureLowering):
     ) -> None:
         """A loop; masked where its test or one of its breaks varies."""
         key, outer, returns = (self.frame.path, id(node)), self.scope, self.returns
-        uniformity, iteration_uniformity = self.known_uniformity((key, "loop")), self.known_uniformity((key, "turn"))
+        uniformity = self.known_uniformity((key, "loop"))
+        iteration_uniformity = self.known_uniformity((key, "iteration"))
         mask, masked = outer.mask, not self.branches(uniformity)
-        self.frame.left = max(self.frame.left, self.known_uniformity((key, "left")))
+        self.frame.return_uniformity = max(self.frame.return_uniformity, self.known_uniformity((key, "left")))
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
         scope = self.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
@@ -459,33 +468,35 @@ class Lowering(TextureLowering):
             if not masked and mask is not None and not self.branches(self.known_uniformity((key, "left"))):
                 self.emit(lanes.Break(self.line, mask))
             if not self.branches(iteration_uniformity):
-                turn = self.new_mask(self.mask_value(), "turn")
-                self.scope = MaskScope("turn", scope, iteration_uniformity, turn, True, key)
+                turn = self.new_mask(self.mask_value(), "iteration")
+                self.scope = MaskScope("iteration", scope, iteration_uniformity, turn, True, key)
             else:
-                self.scope = MaskScope("turn", scope, iteration_uniformity, mask, masked, key)
+                self.scope = MaskScope("iteration", scope, iteration_uniformity, mask, masked, key)
             self.statements(body)
         self.scope = outer
-        self.join((key, "left"), self.frame.left)
+        self.join((key, "left"), self.frame.return_uniformity)
         self.emit(lanes.Loop(self.line, block, advance))
-        self.pending = self.returns > returns
+        self.jump_pending = self.returns > returns
 
     def exit(self, kind: str, jump: lanes.Statement) -> None:
         """A break, continue or return: a jump where it is the same for all lanes, else the masks lose lanes."""
         target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
-        uniformity = max([scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH)
+        uniformity = max(
+            [scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH
+        )
         uniformity, _ = self.join((target.key, kind), uniformity)
         if kind == "function":
-            self.frame.left = max(self.frame.left, uniformity)
+            self.frame.return_uniformity = max(self.frame.return_uniformity, uniformity)
         if self.branches(uniformity) and (self.width or kind != "function"):
             if isinstance(jump, lanes.Return):
-                jump.body.is_left = True
+                jump.call.returns_early = True
             self.emit(jump)
         elif self.scope.mask is not None:  # else a later run knows the mask
             self.narrow(target)
-            self.pending = True
+            self.jump_pending = True
             self.returns += kind == "function"
 
 
-def caller_line(frame: Frame, at: object) -> tuple[str, int]:
+def caller_line(frame: InlinedFrame, at: object) -> tuple[str, int]:
     """The line of a call."""
     return frame.function.file, getattr(at, "line", 0)

@@ -18,7 +18,7 @@ from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import FALSE, TRUE, Get, InlinedCall, ScalarKind, Uniformity, Value, Variable, apply
 from rhi.shading.language.source import SourceSpan, show
-from rhi.shading.lowering.places import Home, Slot
+from rhi.shading.lowering.lvalues import Home, Slot
 
 __rhi_internal__ = True
 
@@ -34,19 +34,19 @@ class MaskScope:
     parent: MaskScope | None
     uniformity: Uniformity
     mask: Variable | None
-    owns: bool
+    owns_mask: bool
     key: object = None
 
 
 @dataclass(slots=True, eq=False)
-class Frame:
+class InlinedFrame:
     """A function being lowered in place."""
 
     function: tree.Function
     path: tuple[int, ...]
-    caller: Frame | None = None
-    left: Uniformity = Uniformity.DISPATCH  # of the returns so far, those of callers included
-    body: InlinedCall | None = None
+    caller: InlinedFrame | None = None
+    return_uniformity: Uniformity = Uniformity.DISPATCH  # of the returns so far, those of callers included
+    inlined_call: InlinedCall | None = None
     results: list[Slot] = field(default_factory=list)
     textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
@@ -57,7 +57,7 @@ class ScopeLowering:
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self.facts: dict[object, tuple[Uniformity, int]] = {}
+        self.joined: dict[object, tuple[Uniformity, int]] = {}
         self.changed = False
         self.start()
 
@@ -66,12 +66,12 @@ class ScopeLowering:
         self.changed = False
         self.block: lanes.Block = []
         self.count = 0
-        self.at = SourceSpan(0)
-        self.pending = False  # masks were narrowed: whether a lane is left is to be asked
+        self.span = SourceSpan(0)
+        self.jump_pending = False  # masks were narrowed: whether a lane is left is to be asked
         self.returns = 0  # how many returns narrowed masks
         self.private: dict[int, tuple[object, MaskScope]] = {}
         self.scope = MaskScope("function", None, Uniformity.DISPATCH, None, False)
-        self.frame: Frame
+        self.frame: InlinedFrame
 
     # -- what the machine has
 
@@ -88,16 +88,16 @@ class ScopeLowering:
 
     def known_uniformity(self, key: object) -> Uniformity:
         """The uniformity known so far."""
-        return self.facts.get(key, (Uniformity.DISPATCH, 0))[0]
+        return self.joined.get(key, (Uniformity.DISPATCH, 0))[0]
 
     def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
         """Add what was found; gives what holds now."""
-        known = self.facts.get(key)
+        known = self.joined.get(key)
         now = (uniformity, stride)
         if known is not None and known != now:
             now = (max(known[0], uniformity), 0)
         if now != known:
-            self.facts[key] = now
+            self.joined[key] = now
             self.changed = True
         return now
 
@@ -105,7 +105,7 @@ class ScopeLowering:
 
     @property
     def line(self) -> tuple[str, int]:
-        return self.frame.function.file, self.at.line
+        return self.frame.function.file, self.span.line
 
     def emit(self, statement: lanes.Statement) -> None:
         self.block.append(statement)
@@ -135,11 +135,11 @@ class ScopeLowering:
         function = self.frame.function
         raise ShaderError(
             rule,
-            f"{function.name}\n{show(function.file, self.at)}",
+            f"{function.name}\n{show(function.file, self.span)}",
             given,
             allowed,
             tip,
-            CallSite(function.file, self.at.line, function.name),
+            CallSite(function.file, self.span.line, function.name),
         )
 
     # -- masks
@@ -159,7 +159,9 @@ class ScopeLowering:
             yield scope
 
     def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING)
+        mask = self.variable(
+            name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING
+        )
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 
@@ -171,28 +173,33 @@ class ScopeLowering:
         left = self.let(apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
-            if scope.owns and other is not None and other is not mask:
+            if scope.owns_mask and other is not None and other is not mask:
                 self.emit(
-                    lanes.Set(self.line, other, apply("and", Get(ScalarKind.BOOL, other.uniformity, other), left), None)
+                    lanes.Set(
+                        self.line,
+                        other,
+                        apply("and", Get(ScalarKind.BOOL, other.uniformity, other), left),
+                        None,
+                    )
                 )
         self.emit(lanes.Set(self.line, mask, FALSE, None))
 
-    def leave_if_nobody_is_left(self) -> None:
+    def emit_pending_jump(self) -> None:
         """After an exit: go on only if a lane is left, where a real jump can tell."""
         mask = self.scope.mask
-        if not self.pending or mask is None:
+        if not self.jump_pending or mask is None:
             return
         for scope in self.scopes_up_to(None):
-            if scope.kind == "branch" and scope.owns:
+            if scope.kind == "branch" and scope.owns_mask:
                 return
-            self.pending = False
-            if scope.kind in ("loop", "turn"):
-                self.emit((lanes.Continue if scope.owns else lanes.Break)(self.line, mask))
+            self.jump_pending = False
+            if scope.kind in ("loop", "iteration"):
+                self.emit((lanes.Continue if scope.owns_mask else lanes.Break)(self.line, mask))
                 return
             if scope.kind == "function":
-                if scope.owns and self.frame.body is not None and self.width:
-                    self.frame.body.is_left = True
-                    self.emit(lanes.Return(self.line, self.frame.body, mask))
+                if scope.owns_mask and self.frame.inlined_call is not None and self.width:
+                    self.frame.inlined_call.returns_early = True
+                    self.emit(lanes.Return(self.line, self.frame.inlined_call, mask))
                 return
 
     @contextmanager

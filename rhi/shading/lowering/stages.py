@@ -23,7 +23,7 @@ from rhi.shading.ir.lanes import (
     Affine,
     Argument,
     Code,
-    Count,
+    ElementCount,
     Get,
     MemoryRegion,
     ScalarKind,
@@ -35,19 +35,21 @@ from rhi.shading.ir.lanes import (
     literal,
     number,
 )
+from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.functions import Lowering
-from rhi.shading.lowering.places import all_kinds
-from rhi.shading.lowering.scopes import Frame
+from rhi.shading.lowering.scopes import InlinedFrame
 
 __rhi_internal__ = True
 
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
-"""The built-ins that compare pixels of a quad; of a texture's methods those that find their uniformity by themselves."""
+"""The built-ins that compare pixels of a quad; of a texture's methods those that find their level by themselves."""
 
 _DEPTH: Final = -1
 
 
-def _argument(name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES) -> Argument:
+def _argument(
+    name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES
+) -> Argument:
     return Argument(kind, uniformity, name)
 
 
@@ -59,7 +61,9 @@ _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
         "draw_index": (_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"),
+        "fragment_coordinate": tuple(
+            _argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"
+        ),
         "front_facing": (_argument("front", ScalarKind.BOOL),),
         "primitive_index": (_argument("primitive"),),
     },
@@ -188,19 +192,19 @@ class StageLowering(Lowering):
     def run(self, arguments: list[Value]) -> list[Value]:
         """The whole stage; gives its result's components."""
         entry = self.stage.entry
-        self.frame = Frame(entry, ())
+        self.frame = InlinedFrame(entry, ())
         present = self.covered = self.new_mask(_MASK, "covered")
         if self.has_helpers:
             present = self.new_mask(apply("quads", get(present)), "present")
-        self.scope.mask, self.scope.owns = present, True
+        self.scope.mask, self.scope.owns_mask = present, True
         self.kept = get(self.new_mask(get(self.covered), "kept")) if self.stage.discards else _MASK
         return self.inline(entry, list(arguments), ())
 
     # -- who takes part
 
-    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+    def returns_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
         whole = not path and self.stage.discards
-        return whole or super().is_left_early(function, path)
+        return whole or super().returns_early(function, path)
 
     def effect_mask(self) -> Variable | None:
         if not self.has_helpers:
@@ -217,8 +221,8 @@ class StageLowering(Lowering):
         before = self.discards
         results = super().inline(function, values, path, textures)
         if self.discards > before:  # callers lose lanes as the function does
-            self.pending = True
-            self.frame.left = max(self.frame.left, self.discarded)
+            self.jump_pending = True
+            self.frame.return_uniformity = max(self.frame.return_uniformity, self.discarded)
         return results
 
     def discard(self) -> None:
@@ -229,23 +233,23 @@ class StageLowering(Lowering):
         uniformity = max([scope.uniformity for scope in scopes[:-2]], default=Uniformity.DISPATCH)
         self.join((target.key, "function"), uniformity)
         self.discarded = max(self.discarded, uniformity)
-        self.frame.left = max(self.frame.left, uniformity)
-        assert frame.body is not None
+        self.frame.return_uniformity = max(self.frame.return_uniformity, uniformity)
+        assert frame.inlined_call is not None
         assert isinstance(self.kept, Get)
         left = apply("not", self.mask_value())
         self.emit(lanes.Set(self.line, self.kept.variable, self.kept & left, None))
         if self.branches(uniformity) and self.width:
-            frame.body.is_left = True
-            self.emit(lanes.Return(self.line, frame.body))
+            frame.inlined_call.returns_early = True
+            self.emit(lanes.Return(self.line, frame.inlined_call))
         else:
             self.narrow(target)
             if self.has_helpers:  # those that nobody needs any more leave, too
                 needed = self.let(apply("quads", self.kept))
                 for scope in scopes[:-1]:
-                    if scope.owns and scope.mask is not None:
+                    if scope.owns_mask and scope.mask is not None:
                         both = get(scope.mask) & needed
                         self.emit(lanes.Set(self.line, scope.mask, both, None))
-            self.pending = True
+            self.jump_pending = True
             self.discards += 1
             self.returns += 1
 
@@ -254,7 +258,7 @@ class StageLowering(Lowering):
     def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
         last: Value = number((memory.length - 1 - offset) // scale)
         if memory.space is AddressSpace.STORAGE:  # scale is an element's words, or 1
-            count = Count(ScalarKind.INT, Uniformity.DISPATCH, memory)
+            count = ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory)
             whole = scale == memory.stride
             last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
         return super().load(memory, kind, self.limited(index, last), scale, offset)
@@ -268,7 +272,7 @@ class StageLowering(Lowering):
             return index
         return self.let(apply("max", apply("min", index, last), number(0)))
 
-    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
         name = node.builtin.name
         if name == "vertex_index" and self.width:
             return [Affine(ScalarKind.INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1)]
@@ -282,7 +286,7 @@ class StageLowering(Lowering):
                 apply("abs", self.difference("ddx", value)) + apply("abs", self.difference("ddy", value))
                 for value in values
             ]
-        return super().builtin(node, wanted)
+        return super().builtin(node, needs_result)
 
     def difference(self, name: str, value: Value) -> Value:
         """`ddx` or `ddy` of a component."""

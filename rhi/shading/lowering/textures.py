@@ -23,7 +23,7 @@ from rhi.shading.ir.lanes import (
 )
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.builtins import BuiltinLowering
-from rhi.shading.lowering.places import KINDS, all_kinds
+from rhi.shading.lowering.components import KINDS, all_kinds
 
 __rhi_internal__ = True
 

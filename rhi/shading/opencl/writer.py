@@ -171,11 +171,11 @@ class Writer:
                 steps = steps if stride == 1 else f"{steps} * {stride}"
                 steps = f"as_uint{self.width}({steps})" if kind is ScalarKind.UINT else steps
                 return f"({self.value(base)} + {steps})"
-            case lanes.Count(memory=memory):
+            case lanes.ElementCount(memory=memory):
                 return f"{self.name(memory)}_count"
-            case lanes.Input(place=lanes.DispatchIndex.ITEM):
+            case lanes.Input(index=lanes.DispatchIndex.ITEM):
                 return "rhi_item"
-            case lanes.Input(place=place, axis=axis):
+            case lanes.Input(index=place, axis=axis):
                 function = "get_group_id" if place is lanes.DispatchIndex.GROUP_ID else "get_num_groups"
                 return f"((int){function}({axis}))"
             case lanes.Apply():
@@ -316,7 +316,7 @@ class Writer:
                 name = f"{self.type(variable.kind, vector)} {variable.name}"
                 text = self.wide(value, vector) if value is not None else "0"
                 self.add(node, f"{name} = {text};")
-            case lanes.Begin(memory=memory, zeros=zeros):
+            case lanes.DeclareMemory(memory=memory, zeros=zeros):
                 self.begin(node, memory, zeros)
             case lanes.Set():
                 self.add(node, f"{self.set(node)};")
@@ -337,16 +337,16 @@ class Writer:
                 steps = ", ".join(self.set(step) for step in advance if isinstance(step, lanes.Set))
                 with self.lines.braces(f"for (;; {steps})", *node.line):
                     self.block(body)
-            case lanes.Break(none=mask):
+            case lanes.Break(when_empty=mask):
                 self.jump(node, "break", mask)
-            case lanes.Continue(none=mask):
+            case lanes.Continue(when_empty=mask):
                 self.jump(node, "continue", mask)
-            case lanes.Return(body=body, none=mask):
+            case lanes.Return(call=body, when_empty=mask):
                 self.jump(node, f"goto end_{body.label}", mask)
-            case lanes.InlinedCall(label=label, block=inner, is_left=is_left):
+            case lanes.InlinedCall(label=label, block=inner, returns_early=returns_early):
                 with self.lines.braces("", *node.line):
                     self.block(inner)
-                    if is_left:
+                    if returns_early:
                         self.add(node, f"end_{label}: ;")
             case _:
                 raise TypeError(f"no OpenCL C for {node}")

@@ -20,7 +20,7 @@ from rhi.shading.language.textures import methods_of
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, with_scalar
 from rhi.shading.language.vectors import array
 from rhi.shading.parser.expressions import ExpressionParser, member_tip
-from rhi.shading.parser.signatures import AnyLength, Callee, Signature, fits
+from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, fits
 
 __rhi_internal__ = True
 
@@ -53,9 +53,9 @@ class CallParser(ExpressionParser):
         return self._call_object(node, found)
 
     def _call_method(self, node: ast.Call, name: str, after: type | None) -> Expression:
-        found = self.program.method(name, after)
+        found = self.stage_context.method(name, after)
         if found is None:
-            shader = self.program.shader
+            shader = self.stage_context.shader
             if name in shader._declared:
                 self.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
             self.refuse(
@@ -95,18 +95,18 @@ class CallParser(ExpressionParser):
                 default = self._default(callee, parameter.default, node)
                 if default is None:
                     self.refuse(rules.WRONG_ARGUMENTS, node, f"no {parameter.name!r}", ", ".join(names))
-                assert not isinstance(parameter.type, AnyLength)
+                assert not isinstance(parameter.type, UnsizedArray)
                 values[parameter.name] = self.convert(default, parameter.type, node)
         arguments = tuple(values[name] for name in names)
         types = tuple(argument.type for argument in arguments)
-        function = self.program.instance(callee, types, node, self.source)
+        function = self.stage_context.instance(callee, types, node, self.source)
         if function.has_effect:
             self.mark_effect()
         return tree.Call(function.result, span_of(node), function, arguments)
 
     def _argument(self, callee: Callee, signature: Signature, name: str, at: ast.expr) -> Expression:
         wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
-        if not isinstance(wanted, AnyLength):
+        if not isinstance(wanted, UnsizedArray):
             return self.converted(at, wanted, name)
         value = self.expression(at)
         if not fits(wanted, value.type):
@@ -116,7 +116,7 @@ class CallParser(ExpressionParser):
     def _default(self, callee: Callee, default: ast.expr | None, node: ast.Call) -> Expression | None:
         if default is None:
             return None
-        return CallParser(self.program, callee.source, None, None).expression(default)
+        return CallParser(self.stage_context, callee.source, None, None).expression(default)
 
     def _call_on_value(self, node: ast.Call) -> Expression:
         if not isinstance(node.func, ast.Attribute):
@@ -172,7 +172,7 @@ class CallParser(ExpressionParser):
         if overload is None:
             given = f"{row.name}({', '.join(str(type) for type in types)})"
             self.refuse(rules.WRONG_ARGUMENTS, node, given, row.signatures())
-        self.program.check_stage(row, node, self.source)
+        self.stage_context.check_stage(row, node, self.source)
         converted = []
         for argument, parameter, at in zip(
             arguments,
@@ -193,7 +193,7 @@ class CallParser(ExpressionParser):
             self.mark_effect()
         return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 
-    def check_memory(self, place: Expression, at: ast.AST) -> None:
+    def check_memory(self, target: Expression, at: ast.AST) -> None:
         """Refuse an atomic's first argument unless it is a place in writable storage or shared memory."""
         raise NotImplementedError
 
@@ -256,29 +256,29 @@ class CallParser(ExpressionParser):
         if node.keywords:
             self.refuse(rules.WRONG_ARGUMENTS, node, f"{node.keywords[0].arg}=…", "arguments by position")
         parts = [self.expression(argument) for argument in node.args]
-        place = span_of(node)
+        span = span_of(node)
         types = ", ".join(str(part.type) for part in parts)
         if isinstance(type, ScalarType):
             if len(parts) == 1 and isinstance(parts[0].type, ScalarType):
-                return self.cast(parts[0], type, place)
+                return self.cast(parts[0], type, span)
         elif isinstance(type, VectorType):
             only = parts[0] if len(parts) == 1 else None
             if only is not None and isinstance(only.type, VectorType) and only.type.size == type.size:
-                return self.cast(only, type, place)
+                return self.cast(only, type, span)
             if only is not None and isinstance(only.type, ScalarType):
-                return tree.Construct(type, place, (self._component(only, type, node.args[0]),))
+                return tree.Construct(type, span, (self._component(only, type, node.args[0]),))
             if sum(getattr(part.type, "size", 1) for part in parts) == type.size and len(parts) > 1:
                 components = [self._component(p, type, at) for p, at in zip(parts, node.args, strict=True)]
-                return tree.Construct(type, place, tuple(components))
+                return tree.Construct(type, span, tuple(components))
         elif isinstance(type, MatrixType):
             row = VECTORS[FLOAT, type.size]
             if len(parts) == 1 and isinstance(parts[0].type, MatrixType):
-                return tree.Construct(type, place, tuple(parts))
+                return tree.Construct(type, span, tuple(parts))
             if len(parts) == type.size and all(part.type == row for part in parts):
-                return tree.Construct(type, place, tuple(parts))
+                return tree.Construct(type, span, tuple(parts))
             if len(parts) in (1, type.size**2):
                 scalars = [self.convert(p, FLOAT, at) for p, at in zip(parts, node.args, strict=True)]
-                return tree.Construct(type, place, tuple(scalars))
+                return tree.Construct(type, span, tuple(scalars))
         self.refuse(rules.WRONG_ARGUMENTS, node, f"{type}({types})", _constructor_tip(type))
 
     def _component(self, part: Expression, type: VectorType, at: ast.AST) -> Expression:

@@ -94,8 +94,10 @@ class StageContext(Protocol):
 class ExpressionParser:
     """Parses the expressions of one function."""
 
-    def __init__(self, program: StageContext, source: Source, owner: type | None, self_name: str | None) -> None:
-        self.program = program
+    def __init__(
+        self, stage_context: StageContext, source: Source, owner: type | None, self_name: str | None
+    ) -> None:
+        self.stage_context = stage_context
         self.source = source
         self.owner = owner
         self.self_name = self_name
@@ -190,30 +192,30 @@ class ExpressionParser:
             )
         return constant
 
-    def constant(self, value: Any, place: SourceSpan, name: str) -> Expression | None:
+    def constant(self, value: Any, span: SourceSpan, name: str) -> Expression | None:
         """A Python value as a constant, or None if it can't be one."""
         if isinstance(value, enum.Enum) and isinstance(value, int):
             value = int(value)
         if isinstance(value, bool):
-            return Constant(BOOL, place, value)
+            return Constant(BOOL, span, value)
         if isinstance(value, numbers.Integral):
             if isinstance(getattr(type(value), "shading_type", None), ScalarType):
-                return Constant(UINT, place, int(value))
+                return Constant(UINT, span, int(value))
             if not -(2**31) <= int(value) < 2**32:
-                self.refuse(rules.OUT_OF_RANGE, place, str(value), "32 bits")
-            return Constant(INT, place, int(value), literal=True)
+                self.refuse(rules.OUT_OF_RANGE, span, str(value), "32 bits")
+            return Constant(INT, span, int(value), literal=True)
         if isinstance(value, numbers.Real):
-            return Constant(FLOAT, place, float(value))
+            return Constant(FLOAT, span, float(value))
         if isinstance(value, Composite):
             scalar = scalar_of(value.shading_type) or FLOAT
-            parts = [Constant(scalar, place, component) for component in value.components]
-            return tree.Construct(value.shading_type, place, tuple(parts))
+            parts = [Constant(scalar, span, component) for component in value.components]
+            return tree.Construct(value.shading_type, span, tuple(parts))
         if isinstance(value, tuple) and value:
-            return self._constant_array(value, place, name)
+            return self._constant_array(value, span, name)
         return None
 
-    def _constant_array(self, value: tuple[Any, ...], place: SourceSpan, name: str) -> Expression | None:
-        elements = [self.constant(part, place, name) for part in value]
+    def _constant_array(self, value: tuple[Any, ...], span: SourceSpan, name: str) -> Expression | None:
+        elements = [self.constant(part, span, name) for part in value]
         types = [element.type for element in elements if element is not None]
         if len(types) != len(elements):
             return None
@@ -224,7 +226,7 @@ class ExpressionParser:
         ):
             return None
         parts = tuple(element for element in converted if element is not None)
-        return tree.ConstantArray(ArrayType(element_type, len(parts)), place, name, parts)
+        return tree.ConstantArray(ArrayType(element_type, len(parts)), span, name, parts)
 
     # -- operators
 
@@ -325,14 +327,14 @@ class ExpressionParser:
         if found is not MISSING:
             return self._as_expression(found, node, node.attr)
         base = self.expression(node.value)
-        place = span_of(node)
+        span = span_of(node)
         if isinstance(base.type, StructType):
             field = base.type.field(node.attr)
             if field is None:
                 names = [field.name for field in base.type.fields]
                 tip = suggest(node.attr, names)
                 self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", ", ".join(names), tip)
-            return tree.Member(field.type, place, base, node.attr)
+            return tree.Member(field.type, span, base, node.attr)
         if isinstance(base.type, VectorType):
             return self._swizzle(base, base.type, node)
         self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=member_tip(base.type))
@@ -347,12 +349,12 @@ class ExpressionParser:
         self.refuse(rules.UNKNOWN_MEMBER, node, f"{type}.{node.attr}", f"up to 4 of {allowed}")
 
     def _field_of_shader(self, node: ast.Attribute) -> Expression:
-        shader, place = self.program.shader, span_of(node)
+        shader, span = self.stage_context.shader, span_of(node)
         declared: Declaration | None = shader._declared.get(node.attr)
         if declared is not None:
-            return tree.BindingRead(declared.type, place, declared)
+            return tree.BindingRead(declared.type, span, declared)
         found = getattr(shader, node.attr, MISSING)
-        constant = self.constant(found, place, node.attr) if found is not MISSING else None
+        constant = self.constant(found, span, node.attr) if found is not MISSING else None
         if constant is None:
             names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
             self.refuse(
@@ -362,7 +364,7 @@ class ExpressionParser:
 
     def _subscript(self, node: ast.Subscript) -> Expression:
         base = self.expression(node.value)
-        type, place = base.type, span_of(node)
+        type, span = base.type, span_of(node)
         if isinstance(type, StorageType | ArrayType):
             element: Type = type.element
         elif isinstance(type, VectorType):
@@ -382,7 +384,7 @@ class ExpressionParser:
             self.refuse(rules.WRONG_TYPE, node.slice, str(index.type), "int or uint")
         if isinstance(index, Constant):
             index = self._constant_index(index, type, node)
-        return tree.Index(element, place, base, index)
+        return tree.Index(element, span, base, index)
 
     def _constant_index(self, index: Constant, type: Type, node: ast.Subscript) -> Constant:
         value = int(index.value)
@@ -393,21 +395,21 @@ class ExpressionParser:
         length = type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
         if not -length <= value < length:
             self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), f"{-length} to {length - 1}")
-        return Constant(INT, index.place, value % length)
+        return Constant(INT, index.span, value % length)
 
     # -- for calls and statements
 
-    def cast(self, value: Expression, type: ScalarType | VectorType, place: SourceSpan) -> Expression:
+    def cast(self, value: Expression, type: ScalarType | VectorType, span: SourceSpan) -> Expression:
         """A conversion asked for by name."""
         if value.type == type:
             return value
         if isinstance(value, Constant) and isinstance(type, ScalarType):
             number = value.value
             if type is UINT:
-                return Constant(UINT, place, int(number) & 0xFFFFFFFF)
+                return Constant(UINT, span, int(number) & 0xFFFFFFFF)
             made = {BOOL: bool, INT: int, FLOAT: float}[type](number)
-            return Constant(type, place, made)
-        return tree.Convert(type, place, value)
+            return Constant(type, span, made)
+        return tree.Convert(type, span, value)
 
     def check_value(self, value: Expression, at: ast.AST) -> None:
         """Refuse what can't be held in a variable."""

@@ -58,11 +58,11 @@ def convert(value: Expression, type: Type) -> Expression | None:
     if not converts(value.type, type, literal):
         return None
     if isinstance(value, Constant):
-        return Constant(type, value.place, float(value.value) if type is FLOAT else value.value)
-    return Convert(type, value.place, value)
+        return Constant(type, value.span, float(value.value) if type is FLOAT else value.value)
+    return Convert(type, value.span, value)
 
 
-def unary(op: Operator, operand: Expression, place: SourceSpan) -> Expression | None:
+def unary(op: Operator, operand: Expression, span: SourceSpan) -> Expression | None:
     """`-x`, `~x` or `not x`."""
     scalar = scalar_of(operand.type)
     if op is Operator.NOT:
@@ -76,17 +76,17 @@ def unary(op: Operator, operand: Expression, place: SourceSpan) -> Expression | 
     if isinstance(operand, Constant) and operand.type is not UINT:
         value = operand.value
         result = not value if op is Operator.NOT else ~int(value) if op is Operator.INVERT else -value
-        return Constant(operand.type, place, result, operand.literal)
-    return Unary(operand.type, place, op, operand)
+        return Constant(operand.type, span, result, operand.literal)
+    return Unary(operand.type, span, op, operand)
 
 
-def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     """`left op right`, folded if both are constants.
 
     Raises:
         ZeroDivisionError: a constant division by zero. OverflowError, ValueError: other constant nonsense.
     """
-    node = _binary(op, left, right, place)
+    node = _binary(op, left, right, span)
     if isinstance(node, Binary) and isinstance(node.left, Constant) and isinstance(node.right, Constant):
         if op in SHIFTS and not 0 <= node.right.value < 32:
             raise ValueError(f"a shift by {node.right.value}")
@@ -94,7 +94,7 @@ def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan)
         literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
         if node.type is UINT:
             value &= 0xFFFFFFFF
-        return Constant(node.type, place, value, literal)
+        return Constant(node.type, span, value, literal)
     if isinstance(node, Binary) and op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
         divisor = node.right
         if isinstance(divisor, Constant) and divisor.value == 0 and divisor.type is not FLOAT:
@@ -102,19 +102,19 @@ def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan)
     return node
 
 
-def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def _binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     if op is Operator.MATRIX_MULTIPLY:
-        return _matrix_multiply(left, right, place)
+        return _matrix_multiply(left, right, span)
     if op in (Operator.AND, Operator.OR):
         both = left.type is BOOL and right.type is BOOL
-        return Binary(BOOL, place, op, left, right) if both else None
+        return Binary(BOOL, span, op, left, right) if both else None
     if isinstance(left.type, MatrixType) or isinstance(right.type, MatrixType):
-        return _with_matrix(op, left, right, place)
+        return _with_matrix(op, left, right, span)
     a, b = left.type, right.type
     if not isinstance(a, ScalarType | VectorType) or not isinstance(b, ScalarType | VectorType):
         return None
     if op in EQUALITY and a == b:
-        return Binary(BOOL, place, op, left, right)
+        return Binary(BOOL, span, op, left, right)
     if op in EQUALITY | ORDER and (isinstance(a, VectorType) or isinstance(b, VectorType)):
         return None
     if scalar_of(a) is BOOL or scalar_of(b) is BOOL:
@@ -122,11 +122,11 @@ def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan
     if op in SHIFTS:
         integers = scalar_of(a) in (INT, UINT) and scalar_of(b) in (INT, UINT)
         shapes = isinstance(b, ScalarType) or (isinstance(a, VectorType) and a.size == b.size)
-        return Binary(a, place, op, left, right) if integers and shapes else None
+        return Binary(a, span, op, left, right) if integers and shapes else None
     if op is Operator.POWER and _is_whole_power(right):
         # A constant whole exponent means multiplications: exact, and right for negative bases.
         if scalar_of(a) is FLOAT or (isinstance(right, Constant) and right.value >= 0):
-            return Binary(a, place, op, left, right)
+            return Binary(a, span, op, left, right)
         return None
     if op is Operator.DIVIDE:
         left, right = _to_float(left), _to_float(right)
@@ -146,7 +146,7 @@ def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan
     if converted_left is None or converted_right is None:
         return None
     result = BOOL if op in EQUALITY | ORDER else with_scalar(shape, scalar)
-    return Binary(result, place, op, converted_left, converted_right)
+    return Binary(result, span, op, converted_left, converted_right)
 
 
 def _is_whole_power(exponent: Expression) -> bool:
@@ -162,8 +162,8 @@ def _to_float(value: Expression) -> Expression:
     if not isinstance(type, ScalarType | VectorType) or scalar_of(type) is FLOAT:
         return value
     if isinstance(value, Constant):
-        return Constant(FLOAT, value.place, float(value.value))
-    return Convert(with_scalar(type, FLOAT), value.place, value)
+        return Constant(FLOAT, value.span, float(value.value))
+    return Convert(with_scalar(type, FLOAT), value.span, value)
 
 
 def _meet(left: Expression, right: Expression) -> ScalarType | None:
@@ -179,24 +179,24 @@ def _meet(left: Expression, right: Expression) -> ScalarType | None:
     return None
 
 
-def _matrix_multiply(left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def _matrix_multiply(left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     a, b = left.type, right.type
     if isinstance(a, MatrixType) and a == b:
-        return Binary(a, place, Operator.MATRIX_MULTIPLY, left, right)
+        return Binary(a, span, Operator.MATRIX_MULTIPLY, left, right)
     for matrix, vector in ((a, b), (b, a)):
         if isinstance(matrix, MatrixType) and vector == VectorType(FLOAT, matrix.size):
-            return Binary(vector, place, Operator.MATRIX_MULTIPLY, left, right)
+            return Binary(vector, span, Operator.MATRIX_MULTIPLY, left, right)
     return None
 
 
-def _with_matrix(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def _with_matrix(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     a, b = left.type, right.type
     if a == b and op in (Operator.ADD, Operator.SUBTRACT, Operator.MULTIPLY):
-        return Binary(a, place, op, left, right)
+        return Binary(a, span, op, left, right)
     if isinstance(a, MatrixType) and op in (Operator.MULTIPLY, Operator.DIVIDE):
         factor = convert(right, FLOAT)
-        return Binary(a, place, op, left, factor) if factor is not None else None
+        return Binary(a, span, op, left, factor) if factor is not None else None
     if isinstance(b, MatrixType) and op is Operator.MULTIPLY:
         factor = convert(left, FLOAT)
-        return Binary(b, place, op, factor, right) if factor is not None else None
+        return Binary(b, span, op, factor, right) if factor is not None else None
     return None

@@ -22,7 +22,7 @@ __rhi_internal__ = True
 
 
 @dataclass(frozen=True, slots=True)
-class AnyLength:
+class UnsizedArray:
     """An array parameter: it takes arrays of every length, and the function is compiled for each."""
 
     element: Type
@@ -32,11 +32,11 @@ class AnyLength:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class FunctionParameter:
     """A parameter; `host` is the annotation, `default` the syntax of its default."""
 
     name: str
-    type: Type | AnyLength
+    type: Type | UnsizedArray
     host: Any
     default: ast.expr | None
 
@@ -45,7 +45,7 @@ class Parameter:
 class Signature:
     """Parameters without `self`, its name if there is one, and the result with its annotation."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FunctionParameter, ...]
     result: Type
     result_host: Any
     self_name: str | None
@@ -76,7 +76,7 @@ def signature_of(source: Source, is_method: bool) -> Signature:
         wanted = _parameter_type(host)
         if wanted is None:
             _refuse(source, argument.annotation or argument, host)
-        parameters.append(Parameter(argument.arg, wanted, host, default))
+        parameters.append(FunctionParameter(argument.arg, wanted, host, default))
     node = source.node
     host = _annotation(source, "return", node, node.returns)
     result: Type | None = VOID if host is None or host is type(None) else value_type(host)
@@ -100,18 +100,21 @@ def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -
         return source.scope.evaluate(known if isinstance(known, str) else ast.unparse(node))
     except NameError as error:
         source.refuse(
-            rules.UNKNOWN_NAME, node, repr(error.name), tip=suggest_name(error.name or "", source.scope.names())
+            rules.UNKNOWN_NAME,
+            node,
+            repr(error.name),
+            tip=suggest_name(error.name or "", source.scope.names()),
         )
     except Exception as error:
         source.refuse(rules.ANNOTATION, node, f"{type(error).__name__}: {error}")
 
 
-def _parameter_type(host: Any) -> Type | AnyLength | None:
+def _parameter_type(host: Any) -> Type | UnsizedArray | None:
     if isinstance(host, type) and issubclass(host, Texture):
         return host.shading_type
     if get_origin(host) in (Array, ReadOnlyArray):
         element = value_type(get_args(host)[0])
-        return AnyLength(element) if element is not None else None
+        return UnsizedArray(element) if element is not None else None
     return value_type(host)
 
 
@@ -125,10 +128,10 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
     source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)
 
 
-def fits(parameter: Type | AnyLength, given: Type) -> bool:
+def fits(parameter: Type | UnsizedArray, given: Type) -> bool:
     """Whether an argument's type is one that an array parameter takes."""
     return (
-        isinstance(parameter, AnyLength)
+        isinstance(parameter, UnsizedArray)
         and isinstance(given, ArrayType)
         and given.element == parameter.element
     )

@@ -20,7 +20,7 @@ from rhi.shading.language.builtins import Builtin, Effect
 from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import Source, show, span_of
 from rhi.shading.language.types import StorageType, Type
-from rhi.shading.parser.signatures import AnyLength, Callee, find_method
+from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
 from rhi.shading.parser.statements import FunctionParser
 
 __rhi_internal__ = True
@@ -39,7 +39,7 @@ class StageParser:
         """The stage whose entry is `entry`."""
         types = []
         for parameter in entry.signature.parameters:
-            if isinstance(parameter.type, AnyLength):
+            if isinstance(parameter.type, UnsizedArray):
                 entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
             types.append(parameter.type)
         function = self._compile(entry, tuple(types))
@@ -140,11 +140,11 @@ def _collect(
                 case tree.Constant(type=type, value=value) if type is INT and not -(2**31) <= value < 2**31:
                     raise ShaderError(
                         rules.OUT_OF_RANGE,
-                        f"{function.name}\n{show(function.file, node.place)}",
+                        f"{function.name}\n{show(function.file, node.span)}",
                         str(value),
                         "an int of 32 bits",
                         "write uint(…) for numbers above 2147483647",
-                        CallSite(function.file, node.place.line, function.name),
+                        CallSite(function.file, node.span.line, function.name),
                     )
     bindings = tuple(d for d in shader._declared.values() if d.name in declared)
     for declaration in bindings:

@@ -48,7 +48,7 @@ _STATEMENT_TIPS: Final = {
 }
 
 
-class Block(list[tree.Statement]):
+class BlockBuilder(list[tree.Statement]):
     """A block under construction: locals to be declared before the statement at an index, and statements
     that go before all."""
 
@@ -62,18 +62,18 @@ class Block(list[tree.Statement]):
 class Splice(tree.Statement):
     """A block that goes into its parent as it is: the branch taken of a condition known now."""
 
-    block: Block
+    block: BlockBuilder
 
 
 @dataclass(slots=True, eq=False)
-class Variable:
+class TrackedLocal:
     """A local, where it was first assigned, and the narrowest block so far that holds all its uses."""
 
     local: Local
-    path: list[Block]
+    path: list[BlockBuilder]
     indices: list[int]
     first: tree.Statement | None = None
-    first_block: Block | None = None
+    first_block: BlockBuilder | None = None
     loops: list[tree.For] = field(default_factory=list)
 
 
@@ -81,21 +81,21 @@ class FunctionParser(CallParser):
     """Parses one function into a `tree.Function`."""
 
     def __init__(
-        self, program: StageContext, callee: Callee, types: tuple[Type, ...], function: tree.Function
+        self, stage_context: StageContext, callee: Callee, types: tuple[Type, ...], function: tree.Function
     ) -> None:
         signature = callee.signature
-        super().__init__(program, callee.source, callee.owner, signature.self_name)
+        super().__init__(stage_context, callee.source, callee.owner, signature.self_name)
         self.function = function
-        self.variables: dict[str, Variable] = {}
-        self.done: list[Variable] = []
+        self.variables: dict[str, TrackedLocal] = {}
+        self.done: list[TrackedLocal] = []
         self.assigned: set[Local] = set()
         self.reachable = True
-        self.blocks: list[Block] = [Block()]
+        self.blocks: list[BlockBuilder] = [BlockBuilder()]
         # For each loop we are in: the assigned sets at its breaks.
         self.breaks: list[list[set[Local]]] = []
         self.stored = _stored_names(callee.source.node)
         for local in function.parameters:
-            self.variables[local.name] = Variable(local, [self.blocks[0]], [0])
+            self.variables[local.name] = TrackedLocal(local, [self.blocks[0]], [0])
             self.assigned.add(local)
 
     def parse(self) -> None:
@@ -136,7 +136,7 @@ class FunctionParser(CallParser):
     def variable_names(self) -> list[str]:
         return list(self.variables)
 
-    def _use(self, variable: Variable) -> None:
+    def _use(self, variable: TrackedLocal) -> None:
         depth = 0
         for mine, now in zip(variable.path, self.blocks, strict=False):
             if mine is not now:
@@ -145,15 +145,15 @@ class FunctionParser(CallParser):
         del variable.path[depth:]
         del variable.indices[depth:]
 
-    def _new_variable(self, name: str, type: Type) -> Variable:
+    def _new_variable(self, name: str, type: Type) -> TrackedLocal:
         local = Local(name, type)
-        variable = Variable(local, list(self.blocks), [len(block) for block in self.blocks])
+        variable = TrackedLocal(local, list(self.blocks), [len(block) for block in self.blocks])
         if name in self.variables:
             self.done.append(self.variables[name])
         self.variables[name] = variable
         return variable
 
-    def _settle(self, variable: Variable) -> None:
+    def _settle(self, variable: TrackedLocal) -> None:
         """Put the variable's declaration into its home block."""
         if variable.local.is_parameter or not variable.path:
             return
@@ -166,19 +166,19 @@ class FunctionParser(CallParser):
             for loop in variable.loops:
                 # The body assigns the variable, or it lives longer than the loop: the loop counts by itself.
                 loop.local = Local(f"{variable.local.name}_count", INT, writes=1)
-                count = tree.Read(INT, loop.place, loop.local)
-                assert isinstance(loop.body, Block)
+                count = tree.Read(INT, loop.span, loop.local)
+                assert isinstance(loop.body, BlockBuilder)
                 loop.body.prologue.append(
-                    tree.Declare(loop.place, variable.local, count)
+                    tree.Declare(loop.span, variable.local, count)
                     if own
-                    else tree.Assign(loop.place, tree.Read(INT, loop.place, variable.local), count)
+                    else tree.Assign(loop.span, tree.Read(INT, loop.span, variable.local), count)
                 )
             if own:
                 return
         if variable.first is not None and variable.first_block is home:
             assert isinstance(variable.first, tree.Assign)
             at = next(i for i, statement in enumerate(home) if statement is variable.first)
-            home[at] = tree.Declare(variable.first.place, variable.local, variable.first.value)
+            home[at] = tree.Declare(variable.first.span, variable.local, variable.first.value)
             return
         home.declares.setdefault(index, []).append(variable.local)
 
@@ -195,8 +195,8 @@ class FunctionParser(CallParser):
             parse(node)
 
     @contextmanager
-    def _block(self) -> Iterator[Block]:
-        block = Block()
+    def _block(self) -> Iterator[BlockBuilder]:
+        block = BlockBuilder()
         self.blocks.append(block)
         yield block
         self.blocks.pop()
@@ -235,8 +235,8 @@ class FunctionParser(CallParser):
             value = self.expression(node.value, known.local.type if known is not None else None)
             self._assign_name(target, value, node)
             return
-        place = self._place(target)
-        self._append(tree.Assign(span_of(node), place, self.converted(node.value, place.type)))
+        lvalue = self._assignment_target(target)
+        self._append(tree.Assign(span_of(node), lvalue, self.converted(node.value, lvalue.type)))
 
     def _annassign(self, node: ast.AnnAssign) -> None:
         if not isinstance(node.target, ast.Name) or node.value is None:
@@ -274,29 +274,29 @@ class FunctionParser(CallParser):
         self._append(statement)
 
     def _augassign(self, node: ast.AugAssign) -> None:
-        place = self._place(node.target)
-        if tree.has_effect(place):
+        target = self._assignment_target(node.target)
+        if tree.has_effect(target):
             self.refuse(rules.EVALUATED_TWICE, node.target)
-        value = self.binary(BINARY[type(node.op)], place, self.expression(node.value), node)
+        value = self.binary(BINARY[type(node.op)], target, self.expression(node.value), node)
         if isinstance(node.target, ast.Name):
             self._assign_name(node.target, value, node)
             return
-        self._append(tree.Assign(span_of(node), place, self.convert(value, place.type, node)))
+        self._append(tree.Assign(span_of(node), target, self.convert(value, target.type, node)))
 
-    def _place(self, node: ast.expr) -> Expression:
+    def _assignment_target(self, node: ast.expr) -> Expression:
         """An expression that can be assigned to, or a refusal."""
-        place = self.expression(node)
-        self._check_place(place, node)
-        if isinstance(place, tree.Index) and isinstance(place.base.type, MatrixType):
+        target = self.expression(node)
+        self._check_target(target, node)
+        if isinstance(target, tree.Index) and isinstance(target.base.type, MatrixType):
             self.refuse(
                 rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix"
             )
-        if isinstance(place, tree.Swizzle) and len(set(place.components)) < len(place.components):
+        if isinstance(target, tree.Swizzle) and len(set(target.components)) < len(target.components):
             self.refuse(rules.NOT_WRITABLE, node, "a component twice")
-        return place
+        return target
 
-    def _check_place(self, place: Expression, node: ast.AST) -> StorageClass | None:
-        root = tree.root_of(place)
+    def _check_target(self, target: Expression, node: ast.AST) -> StorageClass | None:
+        root = tree.root_of(target)
         if isinstance(root, tree.Read):
             root.local.writes += 1
             return None
@@ -310,7 +310,7 @@ class FunctionParser(CallParser):
             if not declaration.type.writable:
                 tip = f"declare it as StorageRW[{declaration.type.element}]"
                 self.refuse(rules.NOT_WRITABLE, node, f"{declaration.name}: {declaration.type}", tip=tip)
-            if root is place:
+            if root is target:
                 self.refuse(rules.NOT_WRITABLE, node, "a whole buffer", "its elements")
         elif declaration.storage_class is not StorageClass.SHARED:
             self.refuse(
@@ -322,8 +322,8 @@ class FunctionParser(CallParser):
         self.mark_effect()
         return declaration.storage_class
 
-    def check_memory(self, place: Expression, at: ast.AST) -> None:
-        if self._check_place(place, at) is None or isinstance(place, tree.Swizzle):
+    def check_memory(self, target: Expression, at: ast.AST) -> None:
+        if self._check_target(target, at) is None or isinstance(target, tree.Swizzle):
             allowed = "an int or uint in storage or shared memory"
             self.refuse(rules.NOT_WRITABLE, at, "a place that atomics can't reach", allowed)
 
@@ -382,11 +382,11 @@ class FunctionParser(CallParser):
                 rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])"
             )
         bounds = [self._bound(argument) for argument in call.args]
-        place = span_of(node)
+        span = span_of(node)
         if len(bounds) == 1:
-            bounds.insert(0, Constant(INT, place, 0))
+            bounds.insert(0, Constant(INT, span, 0))
         if len(bounds) == 2:
-            bounds.append(Constant(INT, place, 1))
+            bounds.append(Constant(INT, span, 1))
         if isinstance(bounds[2], Constant) and bounds[2].value == 0:
             self.refuse(rules.OUT_OF_RANGE, call.args[2], "a step of 0", "any other")
         before, reachable = set(self.assigned), self.reachable
@@ -444,18 +444,18 @@ class FunctionParser(CallParser):
         self._append(tree.Return(span_of(node), value))
 
 
-def _finish(block: Block) -> tree.Block:
+def _finish(block: BlockBuilder) -> tree.Block:
     """The block with its declarations in place and branches spliced in."""
     result: tree.Block = list(block.prologue)
     for index, statement in enumerate(block):
-        result.extend(tree.Declare(statement.place, local, None) for local in block.declares.get(index, ()))
+        result.extend(tree.Declare(statement.span, local, None) for local in block.declares.get(index, ()))
         match statement:
             case Splice(block=inner):
                 result.extend(_finish(inner))
                 continue
-            case tree.If(then=Block() as then, otherwise=Block() as otherwise):
+            case tree.If(then=BlockBuilder() as then, otherwise=BlockBuilder() as otherwise):
                 statement.then, statement.otherwise = _finish(then), _finish(otherwise)
-            case tree.For(body=Block() as body) | tree.While(body=Block() as body):
+            case tree.For(body=BlockBuilder() as body) | tree.While(body=BlockBuilder() as body):
                 statement.body = _finish(body)
         result.append(statement)
     return result

@@ -43,9 +43,9 @@ def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
     named = {name for method in methods for name in _named(method)}
     for name in unused:
         if name not in named:
-            file, place = _declaration(shader, methods[0], name)
-            call = f"class {shader.__name__}: {name}\n{show(file, place)}"
-            site = CallSite(file, place.line, shader.__qualname__)
+            file, span = _declaration(shader, methods[0], name)
+            call = f"class {shader.__name__}: {name}\n{show(file, span)}"
+            site = CallSite(file, span.line, shader.__qualname__)
             raise ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site)
 
 

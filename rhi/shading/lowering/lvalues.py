@@ -3,7 +3,7 @@
 - A local of any type is its components, each a `Slot`: a variable, or private memory where an array is in the type.
 - A place in a buffer or shared memory is an index, a scale and an offset in words. Of one index the scale is kept,
   so that elements of structs are read with vector loads; of several, words are added up.
-- An index that isn't constant, into a vector or into a matrix, gives a `Choice` between places.
+- An index that isn't constant, into a vector or into a matrix, gives a `LvalueChoice` between places.
 """
 
 from __future__ import annotations
@@ -12,24 +12,19 @@ from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 from rhi.contract.layout import (
-    BOOL,
     FLOAT,
-    INT,
-    UINT,
     ArrayType,
     HostType,
     Layout,
     MatrixType,
-    ScalarType,
     StructType,
     VectorType,
     place,
 )
-from rhi.shading.ir.lanes import Literal, MemoryRegion, ScalarKind, Uniformity, Value, Variable, apply, number
+from rhi.shading.ir.lanes import Literal, MemoryRegion, Uniformity, Value, Variable, apply, number
+from rhi.shading.lowering.components import leaf_kinds, words_of
 
 __rhi_internal__ = True
-
-KINDS = {FLOAT: ScalarKind.FLOAT, INT: ScalarKind.INT, UINT: ScalarKind.UINT, BOOL: ScalarKind.BOOL}
 
 
 @dataclass(slots=True, eq=False)
@@ -46,7 +41,7 @@ Home: TypeAlias = Slot | MemoryRegion
 
 
 @dataclass(slots=True)
-class LocalPlace:
+class LocalLvalue:
     """Components of a local. Of those in arrays, `index` says which element (None: the first of all)."""
 
     type: HostType
@@ -55,7 +50,7 @@ class LocalPlace:
 
 
 @dataclass(slots=True)
-class MemoryPlace:
+class MemoryLvalue:
     """A value in memory: at `index * scale + offset` words."""
 
     type: HostType
@@ -67,69 +62,15 @@ class MemoryPlace:
 
 
 @dataclass(slots=True)
-class Choice:
+class LvalueChoice:
     """The one of several places that `index` says."""
 
     type: HostType
     index: Value
-    places: list[AnyPlace]
+    choices: list[Lvalue]
 
 
-AnyPlace: TypeAlias = LocalPlace | MemoryPlace | Choice
-
-
-def leaf_kinds(type: HostType) -> list[tuple[ScalarKind, int]]:
-    """The kinds of a type's components, and how many elements of arrays share each."""
-    match type:
-        case ScalarType():
-            return [(KINDS[type], 0)]
-        case VectorType(scalar=scalar, size=size):
-            return [(KINDS[scalar], 0)] * size
-        case MatrixType(size=size):
-            return [(ScalarKind.FLOAT, 0)] * size**2
-        case ArrayType(element=element, length=length):
-            return [(kind, max(count, 1) * length) for kind, count in leaf_kinds(element)]
-        case StructType(fields=fields):
-            return [leaf for field in fields for leaf in leaf_kinds(field.type)]
-
-
-def words_of(type: HostType) -> int:
-    """Words of a value without padding: shared memory's layout, where a bool is a word."""
-    return sum(max(count, 1) for _, count in leaf_kinds(type))
-
-
-def all_kinds(type: HostType) -> list[ScalarKind]:
-    """The kinds of all scalars of a value, arrays' elements one by one."""
-    match type:
-        case ArrayType(element=element, length=length):
-            return all_kinds(element) * length
-        case StructType(fields=fields):
-            return [kind for field in fields for kind in all_kinds(field.type)]
-        case _:
-            return [kind for kind, _ in leaf_kinds(type)]
-
-
-def word_offsets(type: HostType, layout: Layout | None) -> list[int]:
-    """Where each scalar of a value lies, in words; without a layout they lie side by side."""
-    if layout is None:
-        return list(range(words_of(type)))
-    placement = place(type, layout)
-    match type:
-        case ScalarType():
-            return [0]
-        case VectorType(size=size):
-            return list(range(size))
-        case MatrixType(size=size):
-            return [row * placement.stride // 4 + column for row in range(size) for column in range(size)]
-        case ArrayType(element=element, length=length):
-            inner = word_offsets(element, layout)
-            return [i * placement.stride // 4 + offset for i in range(length) for offset in inner]
-        case StructType(fields=fields):
-            return [
-                start // 4 + offset
-                for field, start in zip(fields, placement.offsets, strict=True)
-                for offset in word_offsets(field.type, layout)
-            ]
+Lvalue: TypeAlias = LocalLvalue | MemoryLvalue | LvalueChoice
 
 
 def _element_words(type: HostType, layout: Layout | None) -> int:
@@ -160,7 +101,7 @@ def count_parts(type: HostType) -> int:
     return type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
 
 
-def member(at: AnyPlace, name: str) -> AnyPlace:
+def member(at: Lvalue, name: str) -> Lvalue:
     """A struct's field."""
     assert isinstance(at.type, StructType)
     field = at.type.field(name)
@@ -168,54 +109,54 @@ def member(at: AnyPlace, name: str) -> AnyPlace:
     index = at.type.fields.index(field)
     before = at.type.fields[:index]
     match at:
-        case LocalPlace():
+        case LocalLvalue():
             start = sum(len(leaf_kinds(part.type)) for part in before)
             homes = at.homes[start : start + len(leaf_kinds(field.type))]
-            return LocalPlace(field.type, homes, at.index)
-        case MemoryPlace(layout=layout):
+            return LocalLvalue(field.type, homes, at.index)
+        case MemoryLvalue(layout=layout):
             if layout is not None:
                 start = place(at.type, layout).offsets[index] // 4
             else:
                 start = sum(words_of(part.type) for part in before)
             return replace(at, type=field.type, offset=at.offset + start)
-        case Choice():
-            return Choice(field.type, at.index, [member(part, name) for part in at.places])
+        case LvalueChoice():
+            return LvalueChoice(field.type, at.index, [member(part, name) for part in at.choices])
 
 
-def part(at: AnyPlace, which: int) -> AnyPlace:
+def part(at: Lvalue, which: int) -> Lvalue:
     """A vector's component, a matrix's row or an array's element whose number is known."""
     inner = element_type(at.type)
     match at:
-        case LocalPlace(type=ArrayType()):
+        case LocalLvalue(type=ArrayType()):
             return element(at, number(which))
-        case LocalPlace():
+        case LocalLvalue():
             size = len(leaf_kinds(inner))
-            return LocalPlace(inner, at.homes[which * size : (which + 1) * size], at.index)
-        case MemoryPlace():
+            return LocalLvalue(inner, at.homes[which * size : (which + 1) * size], at.index)
+        case MemoryLvalue():
             offset = at.offset + which * _element_words(at.type, at.layout)
             return replace(at, type=inner, offset=offset)
-        case Choice():
-            return Choice(inner, at.index, [part(one, which) for one in at.places])
+        case LvalueChoice():
+            return LvalueChoice(inner, at.index, [part(one, which) for one in at.choices])
 
 
-def element(at: AnyPlace, index: Value) -> AnyPlace:
+def element(at: Lvalue, index: Value) -> Lvalue:
     """What `at[index]` names."""
     inner = element_type(at.type)
     match at:
-        case LocalPlace(type=ArrayType(length=length)):
+        case LocalLvalue(type=ArrayType(length=length)):
             row = index if at.index is None else at.index * number(length) + index
-            return LocalPlace(inner, at.homes, row)
-        case LocalPlace(type=type):
+            return LocalLvalue(inner, at.homes, row)
+        case LocalLvalue(type=type):
             size = getattr(type, "size", 0)
-            return Choice(inner, index, [part(at, which) for which in range(size)])
-        case MemoryPlace():
+            return LvalueChoice(inner, index, [part(at, which) for which in range(size)])
+        case MemoryLvalue():
             words = _element_words(at.type, at.layout)
             if isinstance(at.index, Literal) and at.index.value == 0:
                 return replace(at, type=inner, index=index, scale=words)
             row = at.index * number(at.scale) + index * number(words)
             return replace(at, type=inner, index=row, scale=1)
-        case Choice():
-            return Choice(inner, at.index, [element(one, index) for one in at.places])
+        case LvalueChoice():
+            return LvalueChoice(inner, at.index, [element(one, index) for one in at.choices])
 
 
 def private_uniformity(uniformity: Uniformity) -> Uniformity:
