@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from rhi.contract.descriptors import ProgramDescriptor, Stage
+from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 
@@ -20,7 +20,7 @@ _LINE: Final = re.compile(r"^(?:ERROR: |WARNING: )?\d+[:(](\d+)[):(]")
 
 
 def make_shader_error(
-    descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: str
+    descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: StageText
 ) -> ShaderError:
     """The error for a program of which `stage` (None: linking) was refused; `source` is the stage's GLSL."""
     return make_driver_error(descriptor, stage, source, _messages(log), "GLSL")

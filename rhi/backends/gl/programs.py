@@ -25,7 +25,7 @@ from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import VERTEX_TYPES
 from rhi.backends.gl.resources import Buffers
-from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, VertexArrayDescriptor
+from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, StageText, VertexArrayDescriptor
 from rhi.contract.states import AlphaFunction
 
 __rhi_internal__ = True
@@ -209,11 +209,11 @@ class Programs:
             self._gl.ProgramUniform1f(pipeline.program.glo, location, reference)
         return pipeline
 
-    def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, str]) -> Pipeline:
+    def _link(self, descriptor: ProgramDescriptor, sources: dict[Stage, StageText]) -> Pipeline:
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
         # Bytes, because moderngl strips and preprocesses text, which would move its lines.
-        encoded = {stage: source.encode() for stage, source in sources.items()}
+        encoded = {stage: source.text.encode() for stage, source in sources.items()}
         program: GlProgram
         try:
             if Stage.COMPUTE in encoded:
@@ -225,21 +225,21 @@ class Programs:
         except moderngl.Error as error:
             title, log = _split_message(str(error))
             stage = _TITLES.get(title)
-            source = sources[stage] if stage is not None else ""
+            source = sources[stage] if stage is not None else StageText("")
             raise make_shader_error(descriptor, log, stage, source) from None
         if descriptor.name:
             self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
         return Pipeline(self._gl, self._arrays, program, descriptor.writes_memory)
 
 
-def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> str | None:
+def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> StageText | None:
     """The fragment stage's source ending in the test, or None where it tests nothing: with ALWAYS, and for
     programs that give target 0 no alpha."""
     output = next((o for o in descriptor.outputs if o.location == 0), None)
     if function is AlphaFunction.ALWAYS or output is None or (output.kind, output.components) != ("float", 4):
         return None
     source = descriptor.emit("glsl", Stage.FRAGMENT)
-    declared = _OUTPUT.search(source)
+    declared = _OUTPUT.search(source.text)
     alpha = f"{declared[1] if declared else output.name}.a"
     passes = (
         "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
@@ -247,10 +247,11 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> st
     return _extend_main(source, f"if (!({passes})) discard;", "uniform float rhi_alpha_reference;")
 
 
-def _extend_main(source: str, statement: str, declaration: str = "") -> str:
+def _extend_main(source: StageText, statement: str, declaration: str = "") -> StageText:
     """`source` with `statement` at the end of its main function."""
-    renamed = _MAIN.sub("void rhi_inner_main()", source)
-    return f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
+    renamed = _MAIN.sub("void rhi_inner_main()", source.text)
+    text = f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
+    return StageText(text, source.origins)
 
 
 def _split_message(message: str) -> tuple[str, str]:

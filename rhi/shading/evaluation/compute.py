@@ -260,7 +260,7 @@ def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
                 "no compute stage",
                 "compute(self) -> None",
             )
-        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE), descriptor.name)
+        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE).text, descriptor.name)
     return known
 
 

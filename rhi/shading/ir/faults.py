@@ -3,7 +3,7 @@
 A shader whose `checked` is true tests every index of a buffer, array, vector or matrix, and every `uniform(x)`, where
 it is used. On OpenCL its kernel, or the function of a stage that draws, has one argument more, behind its bindings:
 `global int *`, three words that are zeros before a launch. The first fault of a launch leaves there its line in the
-stage's text (`ProgramDescriptor.lines` leads from it to the Python line), the index, and what it should be below; -1
+stage's text (`StageText.origins` leads from it to the Python line), the index, and what it should be below; -1
 stands for values of `uniform` that differ. On NumPy the error is raised at once.
 """
 

@@ -4,17 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 __rhi_internal__ = True
-
-
-@dataclass(frozen=True, slots=True)
-class StageText:
-    """A stage's text, and for each of its lines the Python file and line it came from."""
-
-    text: str
-    origins: tuple[tuple[str, int], ...]
 
 
 class Lines:

@@ -1,10 +1,11 @@
-"""Scopes, masks and facts: who takes part in what, and how far values are the same for all.
+"""Scopes, masks and uniformities: which lanes take part in what, and how uniform each value is.
 
-- A `MaskScope` is a part of the program under one condition: a branch, a loop, a turn of a loop, a called function's
-  body. Where its condition varies among lanes it owns a mask. A variable that is assigned inside scopes that don't
-  hold its declaration is as varying as they are, and blended if one of them owns a mask.
-- Facts (the uniformity of a variable, of a loop's exits, of a function's returns) only rise. Lowering runs until it finds
-  no new one, so what a loop's end says about its beginning is known in the last run.
+- A `MaskScope` is a part of the stage under one condition: a branch, a loop, an iteration of a loop, the body of an
+  inlined call. Where its condition varies among lanes, it owns a mask. A variable that is assigned inside scopes that
+  don't hold its declaration varies at least as they do, and the assignment is blended if one of them owns a mask.
+- The uniformity of a variable, of a loop's exits and of a function's returns is found by iteration to a fixpoint: each
+  run joins what it finds with what is known, so that values only rise in the semilattice of `Uniformity`. Lowering runs
+  again until a run changes nothing. The last run therefore knows at a loop's beginning what its end implies.
 """
 
 from __future__ import annotations

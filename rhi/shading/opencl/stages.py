@@ -27,10 +27,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from rhi.contract.descriptors import Binding, Stage
+from rhi.contract.descriptors import Binding, Stage, StageText
 from rhi.shading.ir import tree
 from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, PositionBounds, StageCode, Uniformity
-from rhi.shading.ir.text import StageText
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl.writer import Writer
 

@@ -13,7 +13,7 @@ import math
 import struct
 from typing import Final
 
-from rhi.contract.descriptors import Binding, BindingKind, TextureKind
+from rhi.contract.descriptors import Binding, BindingKind, StageText, TextureKind
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     AddressSpace,
@@ -27,7 +27,7 @@ from rhi.shading.ir.lanes import (
     number,
 )
 from rhi.shading.ir.primitives import spelling
-from rhi.shading.ir.text import Lines, StageText, power_steps
+from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl import prelude as prelude
 from rhi.shading.opencl.textures import textures_text

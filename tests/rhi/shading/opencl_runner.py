@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from rhi.contract.descriptors import BindingKind
+from rhi.contract.descriptors import BindingKind, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
-from rhi.shading.ir.text import StageText
 from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 from rhi.shading.numpy.textures import HostTexture
 

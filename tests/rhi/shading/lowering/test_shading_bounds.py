@@ -172,7 +172,7 @@ class ShadedVarying(Base):
 
 def boxed(shader: type[Shader]) -> list[int] | None:
     """The words that positions are bounded by."""
-    text = compile_shader(shader).emit("opencl16", Stage.VERTEX)
+    text = compile_shader(shader).emit("opencl16", Stage.VERTEX).text
     lines = [line for line in text.splitlines() if line.startswith("#define RHI_BOXED")]
     assert ("rhi_bounds(" in text) == bool(lines)
     return [int(word[5:-1]) for line in lines for word in line.split()[2:]] if lines else None
@@ -199,7 +199,7 @@ def test_other_positions_are_not_bounded(shader: type[Shader]) -> None:
 
 def test_bounds_read_nothing_by_a_vertex() -> None:
     """A corner's other inputs are unknown: an index among them would read anywhere."""
-    text = compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX)
+    text = compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX).text
     whole, bounds = text.split("#define RHI_BOXED")
     assert "places_" in whole.split("void rhi_vertex")[1].split("{", 1)[1]
     assert "places_" not in bounds.split("{", 1)[1]
@@ -235,7 +235,7 @@ ROUNDS = 512
 
 @pytest.fixture(scope="module", params=[Placed, Swayed])
 def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
-    text = compile_shader(request.param).emit("opencl16", Stage.VERTEX) + KERNEL
+    text = compile_shader(request.param).emit("opencl16", Stage.VERTEX).text + KERNEL
     return cl.Kernel(cl.Program(queue().context, text).build(["-w"]), "run")
 
 

@@ -258,7 +258,7 @@ def test_a_discard_that_all_lanes_reach_ends_the_stage():
     out = run_fragment_lanes(Holes, {"value": value}, SHAPE, limits=np.array([2, 4], "f4"), hits=20)
     assert not out["kept"].any()
     assert not out["hits"].any()
-    text = compile_shader(Holes).emit("opencl16", Stage.FRAGMENT)
+    text = compile_shader(Holes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end
 
 
@@ -345,7 +345,7 @@ def test_helpers_leave_with_the_last_fragment_of_their_quad(run):
     kept = mask & (COLUMNS >= 4)
     np.testing.assert_array_equal(out["kept"], kept)
     np.testing.assert_array_equal(out["color"][kept][:, :2], np.broadcast_to([3.0, 0.0], (kept.sum(), 2)))
-    text = compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT)
+    text = compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"= rhi_quads\(kept_\d+\);", text)
 
 
@@ -372,7 +372,7 @@ class NativeOnly(Shader):
 
 
 def test_a_stage_that_is_native_in_another_language_has_no_lanes():
-    assert compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX)
+    assert compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX).text
     with pytest.raises(ShaderError):
         compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
 
@@ -412,7 +412,7 @@ def test_a_vertex_stage_reads_buffers_whatever_the_order_of_its_vertices(indices
 
 
 def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX)
+    assert "rhi_load_global_4_0(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
 
 
 class Value(Struct):
@@ -509,8 +509,8 @@ def test_the_same_position_in_two_programs_is_the_same_bits():
 
 def test_lines_of_a_stage_lead_back_to_python():
     descriptor = compile_shader(Slopes)
-    lines = descriptor.emit("opencl16", Stage.FRAGMENT).splitlines()
-    origins = descriptor.lines[Stage.FRAGMENT]
+    emitted = descriptor.emit("opencl16", Stage.FRAGMENT)
+    lines, origins = emitted.text.splitlines(), emitted.origins
     assert len(lines) == len(origins)
     at = next(i for i, line in enumerate(lines) if "rhi_ddy(" in line and "inline" not in line)
     file, number = origins[at]
