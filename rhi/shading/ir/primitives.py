@@ -1,12 +1,12 @@
-"""What lane code can do to components: one table with the spelling in OpenCL C and in NumPy.
+"""The primitive operations of lane code: one table with their spellings in OpenCL C and NumPy.
 
-Operators stand here; built-ins that act by component have their spellings in their own row
-(`rhi.shading.language.builtins`) and are found through `spelling`.
+The table holds operators. Built-ins that act by component have their spellings in their own row of
+`rhi.shading.language.builtins`; `spelling` finds both.
 
 - `{0}`, `{1}` are the arguments, `{type}` is the OpenCL type of the result.
-- `infix`: OpenCL takes a scalar beside a vector. Elsewhere all arguments are widened to the widest.
+- `infix`: OpenCL accepts a scalar operand beside a vector. For all others, arguments are widened to the widest.
 - `fast` replaces the OpenCL form with Precision.FAST.
-- A `vector` form replaces the OpenCL one where a lane's value varies: there a bool is 0 or -1.
+- A `vector` form replaces the OpenCL form where the value varies among lanes: a varying bool is 0 or -1.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveOperation:
-    """A row: the spellings."""
+    """The spellings of one operation."""
 
     opencl: str
     numpy: str
@@ -74,7 +74,7 @@ PRIMITIVES: Final[dict[str, PrimitiveOperation]] = {
 
 
 def spelling(operation: str, precision: Precision = Precision.EXACT) -> PrimitiveOperation:
-    """The row of an operation: an operator's, or that of a built-in by component."""
+    """Return the spellings of an operator or of a built-in that acts by component."""
     row: PrimitiveOperation | Builtin | None = PRIMITIVES.get(operation)
     if row is None:
         row = BUILTINS[operation]

@@ -1,4 +1,4 @@
-"""Calls: of functions, built-ins, methods and constructors, with Python's rules for arguments."""
+"""The parser of calls of functions, built-ins, methods and constructors, with Python's rules for arguments."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
 
 
 class CallParser(ExpressionParser):
-    """Parses calls."""
+    """Parses the calls of one function."""
 
     def _call(self, node: ast.Call) -> Expression:
         for part in node.args:
@@ -84,7 +84,7 @@ class CallParser(ExpressionParser):
                     suggest(name, names),
                 )
             given[name] = keyword.value
-        # Arguments are evaluated in the order written, which is the order of `given`.
+        # Python evaluates arguments in the order in which they are written, which is the order of `given`.
         values = {name: self._argument(callee, signature, name, at) for name, at in given.items()}
         if [name for name in names if name in given] != list(given) and any(
             map(tree.has_effect, values.values())
@@ -194,11 +194,11 @@ class CallParser(ExpressionParser):
         return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 
     def check_memory(self, target: Expression, at: ast.AST) -> None:
-        """Refuse an atomic's first argument unless it is a place in writable storage or shared memory."""
+        """Refuse an atomic's first argument unless it is an lvalue in writable storage or shared memory."""
         raise NotImplementedError
 
     def mark_effect(self) -> None:
-        """Note that the function changes memory."""
+        """Record that the function has side effects."""
         raise NotImplementedError
 
     def _length(self, node: ast.Call) -> Expression:
@@ -242,7 +242,7 @@ class CallParser(ExpressionParser):
         if list(given) != [name for name in names if name in given] and any(
             map(tree.has_effect, parts.values())
         ):
-            # Python evaluates in the order written, a constructor in the order of the fields.
+            # Python evaluates arguments in the order written, a constructor in the order of the fields.
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
         for field in type.fields:
             if field.name not in parts:
@@ -293,7 +293,9 @@ class CallParser(ExpressionParser):
 
 def _constructor_tip(type: Type) -> str:
     if isinstance(type, VectorType):
-        return f"{type.size} components in all, one for all, or another vector of {type.size}"
+        return f"{type.size} components in total, one scalar for all, or another vector of {type.size}"
     if isinstance(type, MatrixType):
-        return f"{type.size} rows, {type.size**2} numbers row by row, one for the diagonal, or a matrix"
+        return (
+            f"{type.size} rows, {type.size**2} numbers row by row, one number for the diagonal, or a matrix"
+        )
     return "one scalar"

@@ -1,9 +1,9 @@
-"""The typing rules of operators: operands in, a typed node with converted operands out, or None.
+"""The typing rules of operators: from operands to a typed node with converted operands, or None if there is none.
 
-- Python's meaning decides: `/` gives floats, a constant expression is computed by Python, and int meets float
-  as float.
-- Operands of different scalar types meet only as int with float, or an int literal with uint; two vectors
-  only when they agree.
+- Python's semantics apply: `/` gives floats, Python computes constant expressions, and an int is converted to float
+  where it meets a float.
+- Operands of different scalar types can be combined only if they are int and float, or an int literal and uint. Two
+  vectors must have the same type.
 """
 
 from __future__ import annotations
@@ -47,11 +47,11 @@ EQUALITY: Final = frozenset({Operator.EQUAL, Operator.NOT_EQUAL})
 ORDER: Final = frozenset({Operator.LESS, Operator.LESS_EQUAL, Operator.GREATER, Operator.GREATER_EQUAL})
 
 MAX_POWER: Final = 16
-"""Constant whole exponents up to this one become multiplications."""
+"""The greatest constant integer exponent that is expanded to multiplications."""
 
 
 def convert(value: Expression, type: Type) -> Expression | None:
-    """`value` as `type`: itself, or with the conversions that happen by themselves; None if there is none."""
+    """Return `value` as `type`, implicitly converted if needed; None if there is no implicit conversion."""
     if value.type == type:
         return value
     literal = isinstance(value, Constant) and value.literal and int(value.value) >= 0
@@ -63,7 +63,7 @@ def convert(value: Expression, type: Type) -> Expression | None:
 
 
 def unary(op: Operator, operand: Expression, span: SourceSpan) -> Expression | None:
-    """`-x`, `~x` or `not x`."""
+    """Return a typed `-x`, `~x` or `not x`, folded if x is a constant; None if the type is wrong."""
     scalar = scalar_of(operand.type)
     if op is Operator.NOT:
         allowed = operand.type is BOOL
@@ -81,10 +81,11 @@ def unary(op: Operator, operand: Expression, span: SourceSpan) -> Expression | N
 
 
 def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
-    """`left op right`, folded if both are constants.
+    """Return a typed `left op right`, folded if both are constants; None if the types don't fit.
 
     Raises:
-        ZeroDivisionError: a constant division by zero. OverflowError, ValueError: other constant nonsense.
+        ZeroDivisionError: a constant division by zero.
+        OverflowError, ValueError: another constant operation without a valid result.
     """
     node = _binary(op, left, right, span)
     if isinstance(node, Binary) and isinstance(node.left, Constant) and isinstance(node.right, Constant):
@@ -123,8 +124,8 @@ def _binary(op: Operator, left: Expression, right: Expression, span: SourceSpan)
         integers = scalar_of(a) in (INT, UINT) and scalar_of(b) in (INT, UINT)
         shapes = isinstance(b, ScalarType) or (isinstance(a, VectorType) and a.size == b.size)
         return Binary(a, span, op, left, right) if integers and shapes else None
-    if op is Operator.POWER and _is_whole_power(right):
-        # A constant whole exponent means multiplications: exact, and right for negative bases.
+    if op is Operator.POWER and _is_integer_power(right):
+        # A constant integer exponent is expanded to multiplications: exact, and correct for negative bases.
         if scalar_of(a) is FLOAT or (isinstance(right, Constant) and right.value >= 0):
             return Binary(a, span, op, left, right)
         return None
@@ -134,7 +135,7 @@ def _binary(op: Operator, left: Expression, right: Expression, span: SourceSpan)
     shape = b if isinstance(a, ScalarType) else a
     if isinstance(a, VectorType) and isinstance(b, VectorType) and a != b:
         return None
-    scalar = _meet(left, right)
+    scalar = _common_scalar(left, right)
     if scalar is None or (isinstance(shape, VectorType) and shape.scalar is not scalar):
         return None
     if (op in BITWISE and scalar is FLOAT) or (op is Operator.POWER and scalar is not FLOAT):
@@ -149,7 +150,7 @@ def _binary(op: Operator, left: Expression, right: Expression, span: SourceSpan)
     return Binary(result, span, op, converted_left, converted_right)
 
 
-def _is_whole_power(exponent: Expression) -> bool:
+def _is_integer_power(exponent: Expression) -> bool:
     return (
         isinstance(exponent, Constant)
         and exponent.type in (INT, UINT)
@@ -166,8 +167,8 @@ def _to_float(value: Expression) -> Expression:
     return Convert(with_scalar(type, FLOAT), value.span, value)
 
 
-def _meet(left: Expression, right: Expression) -> ScalarType | None:
-    """The scalar type at which two operands meet."""
+def _common_scalar(left: Expression, right: Expression) -> ScalarType | None:
+    """Return the scalar type that both operands are converted to; None if there is none."""
     a, b = scalar_of(left.type), scalar_of(right.type)
     if a is b:
         return a

@@ -1,4 +1,4 @@
-"""What a function takes and gives, from its annotations."""
+"""Signatures: the parameters and results of functions, read from their annotations."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class UnsizedArray:
-    """An array parameter: it takes arrays of every length, and the function is compiled for each."""
+    """The type of an array parameter. It accepts arrays of any length; the function is compiled for each."""
 
     element: Type
 
@@ -33,7 +33,7 @@ class UnsizedArray:
 
 @dataclass(frozen=True, slots=True)
 class FunctionParameter:
-    """A parameter; `host` is the annotation, `default` the syntax of its default."""
+    """A parameter of a function. `host` is its annotation, `default` the syntax tree of its default value."""
 
     name: str
     type: Type | UnsizedArray
@@ -43,7 +43,7 @@ class FunctionParameter:
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """Parameters without `self`, its name if there is one, and the result with its annotation."""
+    """The parameters of a function without `self`, the name of `self`, and the result with its annotation."""
 
     parameters: tuple[FunctionParameter, ...]
     result: Type
@@ -55,7 +55,7 @@ _MISSING: Final = object()
 
 
 def signature_of(source: Source, is_method: bool) -> Signature:
-    """The signature of a function, or a refusal at the parameter that is wrong."""
+    """Return the signature of a function, or refuse the parameter that is wrong."""
     arguments = source.node.args
     for extra in (arguments.vararg, arguments.kwarg):
         if extra is not None:
@@ -93,7 +93,7 @@ def _annotation(source: Source, name: str, at: ast.AST, node: ast.expr | None) -
 
 
 def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -> Any:
-    """What an annotation means: `known` unless that is text or missing."""
+    """Return the object that an annotation names: `known` unless that is a string or missing."""
     if known is not _MISSING and not isinstance(known, str):
         return known
     try:
@@ -122,14 +122,14 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
     allowed = "float, int, uint, bool, vectors, matrices, Struct classes, textures"
     tip = ""
     if get_origin(host) in (Array, ReadOnlyArray):
-        tip = "arrays can't be returned; put one in a Struct"
+        tip = "arrays can't be returned; return a Struct with an array field"
     elif get_origin(host) in (Uniform, Storage, StorageRW):
         tip = "bindings are read through self: make the function a method, or pass an element"
     source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)
 
 
 def fits(parameter: Type | UnsizedArray, given: Type) -> bool:
-    """Whether an argument's type is one that an array parameter takes."""
+    """Return whether an array parameter accepts an argument of this type."""
     return (
         isinstance(parameter, UnsizedArray)
         and isinstance(given, ArrayType)
@@ -138,13 +138,13 @@ def fits(parameter: Type | UnsizedArray, given: Type) -> bool:
 
 
 def struct_class(host: Any) -> type[Struct] | None:
-    """The Struct class that an annotation names, or None."""
+    """Return the Struct class that an annotation names, or None."""
     return host if isinstance(host, type) and issubclass(host, Struct) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Callee:
-    """A Python function to call; `owner` is the class that defines it, None for a module-level function."""
+    """A Python function that is called. `owner` is the class that defines it, None for a module-level function."""
 
     source: Source
     owner: type | None
@@ -152,7 +152,7 @@ class Callee:
 
     @property
     def signature(self) -> Signature:
-        """What the function takes and gives; its annotations are read once."""
+        """The function's signature. Its annotations are read once."""
         source = self.source
         if source.signature is None:
             source.signature = signature_of(source, self.owner is not None and self.has_self)
@@ -161,7 +161,7 @@ class Callee:
 
 
 def find_method(shader: type[Shader], name: str, after: type | None = None) -> Callee | None:
-    """A method of the shader as written: the nearest class that has it, searched beyond `after`."""
+    """Return a method from the first class of the shader's MRO, behind `after`, that defines it; None if none does."""
     classes = shader.__mro__
     start = classes.index(after) + 1 if after is not None else 0
     for cls in classes[start:]:
