@@ -1,5 +1,5 @@
-"""Built-in functions as components: those of values by their expansions, and those that know of other invocations:
-places in a dispatch, atomics, barriers, `uniform`."""
+"""The lowering of built-in functions: those of values through their expansions, and those that involve other
+invocations: indices in the dispatch, atomics, barriers, `uniform`."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ __rhi_internal__ = True
 class BuiltinLowering(ExpressionLowering):
     """Lowers calls of `rhi.shading.language.functions`."""
 
-    # -- what textures provide
+    # -- provided by TextureLowering
 
     def texture(self, node: tree.BuiltinCall) -> list[Value]:
-        """A method of a texture or image, which is the call's first argument."""
+        """Lower a method of a texture or image, which is the call's first argument."""
         raise NotImplementedError
 
     # -- all calls
 
     def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
-        """A built-in's scalars; `needs_result`: somebody uses them."""
+        """Lower a call of a built-in to its scalars. `needs_result` is false if they are unused."""
         name = node.builtin.name
         if node.arguments and isinstance(node.arguments[0].type, TextureType | ImageType):
             return self.texture(node)
@@ -44,18 +44,18 @@ class BuiltinLowering(ExpressionLowering):
         try:
             expand = expansion_of(node.builtin)
         except LookupError:
-            self.refuse(rules.STAGE, name, tip="lanes don't have it yet")
+            self.refuse(rules.STAGE, name, tip="lane code doesn't support it yet")
         return expand(self.let, *(self.named(argument) for argument in node.arguments))
 
     def uniform(self, value: Value) -> Value:
-        """What the first lane has that takes part, for all lanes of a work-item."""
+        """Return the value of the first active lane for all lanes of a work-item."""
         if self.width <= 1 or value.uniformity < Uniformity.VARYING:
             return value
         if value.kind is ScalarKind.BOOL:
             return apply("not_equal", self.uniform(self.convert(value, ScalarKind.INT)), number(0))
         mask = self.effect_mask()
-        taking_part = Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else lanes.TRUE
-        first = self.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, taking_part)))
+        active = Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else lanes.TRUE
+        first = self.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, active)))
         if self.checked:
             wrong = self.let(apply("not_equal", value, first), "wrong")
             self.emit(lanes.Check(self.line, wrong, apply("as_int", value), number(-1), self.effect_mask()))
@@ -85,12 +85,15 @@ class BuiltinLowering(ExpressionLowering):
         return [Get(kind, result.uniformity, result)] if result is not None else []
 
     def barrier(self, waits: bool) -> None:
-        """The work-group meets: all of it, so no condition that varies within it may lead here."""
+        """Synchronise the work-group.
+
+        All of its invocations must reach a barrier, so no enclosing condition may vary within the work-group.
+        """
         if waits:
             conditions = [scope.uniformity for scope in self.scopes_up_to(None) if scope.kind != "function"]
             uniformity = max(
                 [*conditions, self.frame.return_uniformity]
-            )  # returns count from where they stand
+            )  # returns matter from where they are on
             if uniformity > Uniformity.GROUP:
                 self.refuse(
                     rules.BARRIER,
@@ -114,7 +117,7 @@ class BuiltinLowering(ExpressionLowering):
         return [groups[axis] * number(sizes[axis]) + self.local_axis(axis) for axis in range(3)]
 
     def local_index(self) -> Value:
-        """The invocation's number in its work-group: of W lanes, consecutive ones."""
+        """Return the invocation's index in its work-group. The indices of the lanes are consecutive."""
         if self.work_group == (1, 1, 1):
             return number(0)
         if self.width == 0:
@@ -133,7 +136,7 @@ class BuiltinLowering(ExpressionLowering):
         if size == 1:
             return number(0)
         if self.work_group[0] % max(self.width, 1) == 0 and self.width:
-            # The lanes of a work-item lie in one row.
+            # The lanes of a work-item are in one row.
             first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(
                 self.width
             )

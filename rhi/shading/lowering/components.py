@@ -1,4 +1,4 @@
-"""A type's components: the scalars that a value of it consists of, their kinds and their places in memory."""
+"""The components of a type: the scalars that a value consists of, their kinds and their offsets in memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ KINDS: Final = {FLOAT: ScalarKind.FLOAT, INT: ScalarKind.INT, UINT: ScalarKind.U
 
 
 def leaf_kinds(type: HostType) -> list[tuple[ScalarKind, int]]:
-    """The kinds of a type's components, and how many elements of arrays share each."""
+    """Return the kinds of a type's components, each with the number of array elements that share it (0: no array)."""
     match type:
         case ScalarType():
             return [(KINDS[type], 0)]
@@ -41,12 +41,12 @@ def leaf_kinds(type: HostType) -> list[tuple[ScalarKind, int]]:
 
 
 def words_of(type: HostType) -> int:
-    """Words of a value without padding: shared memory's layout, where a bool is a word."""
+    """Return the words of a value without padding. This is the layout of shared memory, where a bool is a word."""
     return sum(max(count, 1) for _, count in leaf_kinds(type))
 
 
 def all_kinds(type: HostType) -> list[ScalarKind]:
-    """The kinds of all scalars of a value, arrays' elements one by one."""
+    """Return the kinds of all scalars of a value, including each element of arrays."""
     match type:
         case ArrayType(element=element, length=length):
             return all_kinds(element) * length
@@ -57,7 +57,7 @@ def all_kinds(type: HostType) -> list[ScalarKind]:
 
 
 def word_offsets(type: HostType, layout: Layout | None) -> list[int]:
-    """Where each scalar of a value lies, in words; without a layout they lie side by side."""
+    """Return the offset of each scalar of a value in words. Without a layout they are consecutive."""
     if layout is None:
         return list(range(words_of(type)))
     placement = place(type, layout)

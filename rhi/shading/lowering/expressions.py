@@ -1,4 +1,4 @@
-"""From typed expressions to components: places and operators."""
+"""The lowering of expressions to components: lvalues and operators."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ _OPERATIONS: Final = {
 
 
 class ExpressionLowering(ScopeLowering):
-    """Lowers the expressions of the current frame; an expression is the list of its scalars."""
+    """Lowers the expressions of the current frame. A lowered expression is the list of its scalars."""
 
     def __init__(self, width: int, work_group: tuple[int, int, int]) -> None:
         super().__init__(width)
@@ -71,36 +71,36 @@ class ExpressionLowering(ScopeLowering):
         self.memories: dict[object, MemoryRegion] = {}
         self.checked = False
 
-    # -- what statements provide
+    # -- provided by Lowering
 
     def call(self, node: tree.Call) -> list[Value]:
         raise NotImplementedError
 
-    # -- what built-ins provide
+    # -- provided by BuiltinLowering
 
     def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
-        """A built-in's scalars; `needs_result`: somebody uses them."""
+        """Lower a call of a built-in to its scalars. `needs_result` is false if they are unused."""
         raise NotImplementedError
 
-    # -- what stages decide
+    # -- overridden by StageLowering
 
     def effect_mask(self) -> Variable | None:
-        """Who writes to memory that others see."""
+        """Return the mask of the lanes that may write to memory which other invocations see."""
         return self.scope.mask
 
     # -- entry points
 
     def one(self, node: Expression) -> Value:
-        """A scalar expression."""
+        """Lower a scalar expression."""
         (value,) = self.lower(node)
         return value
 
     def named(self, node: Expression) -> list[Value]:
-        """An expression whose components will be used more than once."""
+        """Lower an expression whose components are used more than once."""
         return [self.let(value) for value in self.lower(node)]
 
     def lower(self, node: Expression) -> list[Value]:
-        """The scalars of an expression, in order."""
+        """Lower an expression to its scalars, in order."""
         at = self.lvalue(node)
         if at is not None:
             return self.read(at)
@@ -147,7 +147,7 @@ class ExpressionLowering(ScopeLowering):
         raise TypeError(f"no lane code for {node}")
 
     def convert(self, value: Value, kind: ScalarKind) -> Value:
-        """A component as another kind."""
+        """Return a component converted to another kind."""
         if value.kind is kind:
             return value
         if value.kind is ScalarKind.BOOL:
@@ -160,10 +160,10 @@ class ExpressionLowering(ScopeLowering):
             return apply(f"to_{kind.value}", value)
         return apply(f"as_{kind.value}", value)
 
-    # -- places
+    # -- lvalues
 
     def memory(self, declaration: Declaration) -> MemoryRegion:
-        """A binding's memory."""
+        """Return the memory region of a binding."""
         known = self.memories.get(declaration.name)
         if known is None:
             type = declaration.type
@@ -181,13 +181,13 @@ class ExpressionLowering(ScopeLowering):
                     rules.NATIVE,
                     f"{declaration.name}: {type}",
                     "buffers and values",
-                    "lanes have no textures",
+                    "lane code accesses textures only by their methods",
                 )
             self.memories[declaration.name] = known
         return known
 
     def lvalue(self, node: Expression) -> Lvalue | None:
-        """Where the expression's value lives, or None if it has to be computed."""
+        """Return an expression as an lvalue, or None if its value has to be computed."""
         match node:
             case tree.Read(local=local):
                 homes = self.frame.slots[local]
@@ -224,7 +224,7 @@ class ExpressionLowering(ScopeLowering):
         return None
 
     def check_index(self, index: Value, limit: Value) -> Value:
-        """An index, reported where it isn't below `limit` and 0 there; as it is unless the shader is checked."""
+        """Return an index. In a checked shader, one that isn't below `limit` is reported and replaced by 0."""
         if not self.checked or (isinstance(index, Literal) and isinstance(limit, Literal)):
             return index
         wrong = self.let(apply("greater_equal", apply("as_uint", index), apply("as_uint", limit)), "wrong")
@@ -232,7 +232,7 @@ class ExpressionLowering(ScopeLowering):
         return self.let(apply("select", wrong, number(0), index))
 
     def constants(self, node: tree.ConstantArray) -> MemoryRegion:
-        """The memory of a module's constant."""
+        """Return the memory region of a constant array."""
         key = ("constant", id(node))
         if key not in self.memories:
             values = [value for one in node.elements for value in self.lower(one)]
@@ -244,7 +244,7 @@ class ExpressionLowering(ScopeLowering):
         return self.memories[key]
 
     def read(self, at: Lvalue) -> list[Value]:
-        """The scalars at a place."""
+        """Return the scalars of an lvalue."""
         match at:
             case LocalLvalue(type=ArrayType(length=length)):
                 return [value for i in range(length) for value in self.read(part(at, i))]
@@ -273,7 +273,7 @@ class ExpressionLowering(ScopeLowering):
         return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
     def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
-        """A word of memory; what may be written is read now, and not where its value happens to be used."""
+        """Return a word of memory. Writable memory is read here, not later where the value is used."""
         uniformity = index.uniformity
         match memory.space:
             case AddressSpace.PRIVATE:
@@ -291,7 +291,7 @@ class ExpressionLowering(ScopeLowering):
         return apply("not_equal", value, literal(0, ScalarKind.UINT)) if is_bool else value
 
     def index_value(self, values: list[Value], size: int, index: Value) -> list[Value]:
-        """Parts of a value that has no place."""
+        """Return an element of a value that isn't an lvalue; an element has `size` components."""
         rows = [values[start : start + size] for start in range(0, len(values), size)]
         if isinstance(index, Literal):
             return rows[int(index.value)]
@@ -301,7 +301,7 @@ class ExpressionLowering(ScopeLowering):
     # -- operators
 
     def binary(self, node: tree.Binary) -> list[Value]:
-        """An operator, with Python's meaning."""
+        """Lower a binary operator, with Python's semantics."""
         op = node.operator
         match op:
             case Operator.AND:
@@ -331,14 +331,14 @@ class ExpressionLowering(ScopeLowering):
         return any_of(self.let, results) if op is Operator.NOT_EQUAL else results
 
     def operands(self, node: tree.Binary) -> tuple[list[Value], list[Value]]:
-        """Both sides, the left one first."""
+        """Lower both operands, the left one first."""
         left = self.lower(node.left)
         if node.operator in (Operator.FLOOR_DIVIDE, Operator.MODULO):
             return [self.let(value) for value in left], self.named(node.right)
         return left, self.lower(node.right)
 
     def floored(self, divide: bool, a: Value, b: Value) -> Value:
-        """`//` and `%`."""
+        """Return `a // b` or, if `divide` is false, `a % b`."""
         if a.kind is ScalarKind.FLOAT:
             return apply("floor", a / b) if divide else float_modulo(a, b)
         if isinstance(b, Literal) and b.value > 0 and int(b.value).bit_count() == 1:
@@ -348,7 +348,7 @@ class ExpressionLowering(ScopeLowering):
         return apply("floor_divide" if divide else "modulo", a, b)
 
     def short_circuit(self, node: tree.Binary, is_and: bool) -> list[Value]:
-        """`and`, `or`: the right side where the left one doesn't decide."""
+        """Lower `and` or `or`: the right operand is evaluated only where the left one doesn't decide."""
         left = self.one(node.left)
         if is_simple(node.right):
             return [apply("and" if is_and else "or", left, self.one(node.right))]
@@ -364,7 +364,7 @@ class ExpressionLowering(ScopeLowering):
         return [Get(ScalarKind.BOOL, uniformity, result)]
 
     def select(self, condition: Value, then: Expression, otherwise: Expression) -> list[Value]:
-        """`a if c else b`."""
+        """Lower `then if condition else otherwise`."""
         if is_simple(then) and is_simple(otherwise):
             condition = self.let(condition)
             pairs = zip(self.lower(then), self.lower(otherwise), strict=True)
@@ -432,7 +432,7 @@ class ExpressionLowering(ScopeLowering):
 
 
 def is_simple(node: Expression) -> bool:
-    """Whether an expression may be evaluated for lanes that don't want it: no memory, no call, no effect."""
+    """Return whether inactive lanes may evaluate an expression: it has no memory access, call or side effect."""
     if isinstance(node, tree.Call | tree.ConstantArray):
         return False
     if isinstance(node, tree.BindingRead):

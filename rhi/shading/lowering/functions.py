@@ -1,6 +1,6 @@
-"""From the typed tree to lane code: statements, control flow, calls, whole stages and functions.
+"""The lowering of statements, control flow and calls, and of whole compute stages and functions.
 
-Lowering runs several times, until it finds no new fact (`rhi.shading.lowering.scopes`).
+Lowering is repeated until the uniformities that it finds no longer change (`rhi.shading.lowering.scopes`).
 """
 
 from __future__ import annotations
@@ -46,18 +46,20 @@ __rhi_internal__ = True
 
 
 def has_lane_code(stage: tree.StageTree) -> bool:
-    """Whether lane code has all that a stage uses: everything but native functions."""
+    """Return whether a stage can be lowered: all its functions have a Python body."""
     return not any(function.native and not function.body for function in stage.functions)
 
 
 def lower_compute(
     stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, checked: bool = False
 ) -> Code:
-    """A compute stage in lane code for `width` lanes; 0 for whole arrays of any shape. `checked`: with a test of every
-    index.
+    """Lower a compute stage for `width` lanes, or for whole arrays of any shape with 0.
+
+    Args:
+        checked: whether to test every index.
 
     Raises:
-        ShaderError: a rule that only shows here, such as a barrier that part of a work-group may not reach.
+        ShaderError: a rule that only lowering can check, such as a barrier that part of a work-group may not reach.
     """
     lowering = Lowering(width, work_group)
     lowering.checked = checked
@@ -71,7 +73,7 @@ def lower_compute(
 
 
 def lower_function(function: tree.Function) -> Code:
-    """A function of values in lane code for whole arrays, its parameters' scalars as arguments."""
+    """Lower a function of values for whole arrays. Its arguments are the scalars of the parameters."""
     lowering = Lowering(0, (1, 1, 1))
     kinds: list[ScalarKind] = []
     for parameter in function.parameters:
@@ -87,10 +89,10 @@ def lower_function(function: tree.Function) -> Code:
 
 
 class Lowering(TextureLowering):
-    """Lowers functions."""
+    """Lowers functions, with all functions that they call inlined."""
 
     def entry(self, function: tree.Function, arguments: tuple[Value, ...]) -> list[Value]:
-        """The outermost function."""
+        """Lower the outermost function and return its result's scalars."""
         self.frame = InlinedFrame(function, ())
         invocations = math.prod(self.work_group)
         if self.width > 1 and invocations % self.width:
@@ -120,10 +122,18 @@ class Lowering(TextureLowering):
         path: tuple[int, ...],
         textures: dict[tree.Local, tree.BindingRead] | None = None,
     ) -> list[Value]:
-        """A function's body in place of a call; `textures` are those among its parameters."""
+        """Inline a call and return the scalars of its result.
+
+        Args:
+            values: the scalars of the arguments.
+            path: the calls that lead here.
+            textures: the bindings that are passed for texture parameters.
+        """
         if function.native and not function.body:
             self.refuse(
-                rules.NATIVE, f"{function.name} has no Python body", tip="give it one for other languages"
+                rules.NATIVE,
+                f"{function.name} has no Python body",
+                tip="write a Python body for the other languages",
             )
         caller, outer, pending, at = self.frame, self.scope, self.jump_pending, self.span
         early = self.returns_early(function, path)
@@ -169,20 +179,20 @@ class Lowering(TextureLowering):
             self.block.extend(block)
         return results
 
-    # -- what stages decide
+    # -- overridden by StageLowering
 
     def returns_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
-        """Whether a function is left anywhere but in its last statement."""
+        """Return whether a function returns anywhere but in its last statement."""
         return tree.has_early_return(function.body)
 
     def discard(self) -> None:
-        """The lanes that are here end."""
+        """End the active lanes."""
         self.refuse(rules.STAGE, "discard()")
 
     # -- locals
 
     def new_slot(self, name: str, kind: ScalarKind, key: object, value: Value | None) -> Slot:
-        """A component of a local begins."""
+        """Declare a component of a local."""
         stride = value.stride if isinstance(value, Affine) else 0
         if value is not None:
             self.join(key, value.uniformity, stride)
@@ -194,7 +204,7 @@ class Lowering(TextureLowering):
         return Slot(variable, stride, key, self.scope)
 
     def declare(self, local: tree.Local, values: list[Value] | None, zeros: bool = False) -> None:
-        """A local begins, with its scalars, zeros or nothing."""
+        """Declare a local, with initial scalars, zeros or no value."""
         path, type = self.frame.path, local.type
         homes: list[Home] = []
         self.frame.slots[local] = homes
@@ -223,7 +233,7 @@ class Lowering(TextureLowering):
     # -- assignment
 
     def write(self, at: Lvalue, values: list[Value]) -> None:
-        """Assign the scalars at a place."""
+        """Assign scalars to an lvalue."""
         match at:
             case LocalLvalue(type=ArrayType(length=length)):
                 size = len(values) // length
@@ -236,7 +246,7 @@ class Lowering(TextureLowering):
                     self.write(member(at, field.name), values[start : start + size])
                     start += size
             case LocalLvalue(homes=homes, index=index):
-                values = self.apart(homes, values)
+                values = self.without_aliases(homes, values)
                 for home, value in zip(homes, values, strict=True):
                     if isinstance(home, Slot):
                         self.assign(home, value)
@@ -251,8 +261,8 @@ class Lowering(TextureLowering):
                     with self.branch(apply("equal", index, number(which))):
                         self.write(one, values)
 
-    def apart(self, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
-        """Values that don't read what is assigned before them: `v = v.yx`."""
+    def without_aliases(self, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
+        """Return the values, copied if assigning one of them would change another: `v = v.yx`."""
         targets = {id(home.variable) for home in homes if isinstance(home, Slot)}
         clash = len(values) > 1 and any(
             id(variable) in targets for value in values for variable in lanes.variables_of(value)
@@ -260,7 +270,7 @@ class Lowering(TextureLowering):
         return [self.copy(value) for value in values] if clash else values
 
     def copy(self, value: Value) -> Value:
-        """The value as it is now."""
+        """Return a copy of the current value."""
         if isinstance(value, Literal):
             return value
         if isinstance(value, Affine):
@@ -270,7 +280,7 @@ class Lowering(TextureLowering):
         return Get(value.kind, value.uniformity, variable)
 
     def assign(self, slot: Slot, value: Value) -> None:
-        """A component of a local gets a value, blended where not all lanes that see it take part."""
+        """Assign a component of a local, blended unless all lanes that can read it are active."""
         uniformity, blend = value.uniformity, False
         for scope in self.scopes_up_to(slot.scope):
             uniformity, blend = max(uniformity, scope.uniformity), blend or scope.owns_mask
@@ -293,7 +303,7 @@ class Lowering(TextureLowering):
         memory.uniformity = (
             private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
         )
-        # The index of a lane that doesn't take part may be anything.
+        # The index of an inactive lane is undefined.
         mask = self.scope.mask if blend or index.uniformity is Uniformity.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
 
@@ -330,13 +340,13 @@ class Lowering(TextureLowering):
     # -- statements
 
     def statements(self, block: tree.Block) -> None:
-        """The statements of a block."""
+        """Lower the statements of a block."""
         for node in block:
             self.statement(node)
             self.emit_pending_jump()
 
     def statement(self, node: tree.Statement) -> None:
-        """One statement."""
+        """Lower a statement."""
         self.span = node.span
         match node:
             case tree.Declare(local=local, value=None):
@@ -363,9 +373,9 @@ class Lowering(TextureLowering):
             case tree.While(condition=condition, body=body):
                 self.loop(node, lambda: self.one(condition), body, [])
             case tree.Break():
-                self.exit("loop", lanes.Break(self.line))
+                self.jump("loop", lanes.Break(self.line))
             case tree.Continue():
-                self.exit("iteration", lanes.Continue(self.line))
+                self.jump("iteration", lanes.Continue(self.line))
             case tree.Return(value=value):
                 values = self.lower(value) if value is not None else []
                 values = [self.let(one) for one in values]
@@ -373,8 +383,8 @@ class Lowering(TextureLowering):
                     self.assign(slot, one)
                 assert self.frame.inlined_call is not None
                 if node is self.frame.function.body[-1]:
-                    return  # nothing follows
-                self.exit("function", lanes.Return(self.line, self.frame.inlined_call))
+                    return  # the end of the body: no jump is needed
+                self.jump("function", lanes.Return(self.line, self.frame.inlined_call))
             case tree.Discard():
                 self.discard()
 
@@ -384,7 +394,7 @@ class Lowering(TextureLowering):
             assert whole is not None
             if isinstance(whole, LocalLvalue):
                 homes = [whole.homes[c] for c in target.components]
-                values = self.apart(homes, values)
+                values = self.without_aliases(homes, values)
             values = [self.let(value) for value in values]
             for component, value in zip(target.components, values, strict=True):
                 self.write(part(whole, component), [value])
@@ -444,42 +454,44 @@ class Lowering(TextureLowering):
     def loop(
         self, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block
     ) -> None:
-        """A loop; masked where its test or one of its breaks varies."""
+        """Lower a loop, with a mask if its condition or one of its breaks varies."""
         key, outer, returns = (self.frame.path, id(node)), self.scope, self.returns
         uniformity = self.known_uniformity((key, "loop"))
         iteration_uniformity = self.known_uniformity((key, "iteration"))
         mask, masked = outer.mask, not self.branches(uniformity)
-        self.frame.return_uniformity = max(self.frame.return_uniformity, self.known_uniformity((key, "left")))
+        self.frame.return_uniformity = max(
+            self.frame.return_uniformity, self.known_uniformity((key, "returns"))
+        )
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
         scope = self.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
         with self.into([]) as block:
-            go_on = test()
-            self.join((key, "loop"), go_on.uniformity)
+            condition = test()
+            self.join((key, "loop"), condition.uniformity)
             if masked:
                 assert mask is not None
-                if not (isinstance(go_on, Literal) and go_on.value):
-                    both = apply("and", Get(ScalarKind.BOOL, mask.uniformity, mask), go_on)
+                if not (isinstance(condition, Literal) and condition.value):
+                    both = apply("and", Get(ScalarKind.BOOL, mask.uniformity, mask), condition)
                     self.emit(lanes.Set(self.line, mask, both, None))
                 self.emit(lanes.Break(self.line, mask))
-            elif not (isinstance(go_on, Literal) and go_on.value):
+            elif not (isinstance(condition, Literal) and condition.value):
                 stop: lanes.Block = [lanes.Break(self.line)]
-                self.emit(lanes.If(self.line, apply("not", go_on), stop, []))
-            if not masked and mask is not None and not self.branches(self.known_uniformity((key, "left"))):
+                self.emit(lanes.If(self.line, apply("not", condition), stop, []))
+            if not masked and mask is not None and not self.branches(self.known_uniformity((key, "returns"))):
                 self.emit(lanes.Break(self.line, mask))
             if not self.branches(iteration_uniformity):
-                turn = self.new_mask(self.mask_value(), "iteration")
-                self.scope = MaskScope("iteration", scope, iteration_uniformity, turn, True, key)
+                active = self.new_mask(self.mask_value(), "iteration")
+                self.scope = MaskScope("iteration", scope, iteration_uniformity, active, True, key)
             else:
                 self.scope = MaskScope("iteration", scope, iteration_uniformity, mask, masked, key)
             self.statements(body)
         self.scope = outer
-        self.join((key, "left"), self.frame.return_uniformity)
+        self.join((key, "returns"), self.frame.return_uniformity)
         self.emit(lanes.Loop(self.line, block, advance))
         self.jump_pending = self.returns > returns
 
-    def exit(self, kind: str, jump: lanes.Statement) -> None:
-        """A break, continue or return: a jump where it is the same for all lanes, else the masks lose lanes."""
+    def jump(self, kind: str, jump: lanes.Statement) -> None:
+        """Lower a break, continue or return: a jump if all lanes take it, otherwise the masks lose lanes."""
         target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
         uniformity = max(
             [scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH
@@ -491,12 +503,12 @@ class Lowering(TextureLowering):
             if isinstance(jump, lanes.Return):
                 jump.call.returns_early = True
             self.emit(jump)
-        elif self.scope.mask is not None:  # else a later run knows the mask
+        elif self.scope.mask is not None:  # otherwise a later run will create the mask
             self.narrow(target)
             self.jump_pending = True
             self.returns += kind == "function"
 
 
 def caller_line(frame: InlinedFrame, at: object) -> tuple[str, int]:
-    """The line of a call."""
+    """Return the line of a call."""
     return frame.function.file, getattr(at, "line", 0)

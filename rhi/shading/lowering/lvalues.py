@@ -1,9 +1,9 @@
-"""Where values live: a type's components, and the places that a program can read and assign.
+"""Lvalues: the storage that a stage can read and assign.
 
-- A local of any type is its components, each a `Slot`: a variable, or private memory where an array is in the type.
-- A place in a buffer or shared memory is an index, a scale and an offset in words. Of one index the scale is kept,
-  so that elements of structs are read with vector loads; of several, words are added up.
-- An index that isn't constant, into a vector or into a matrix, gives a `LvalueChoice` between places.
+- A local is stored by component: each has a `Slot`, which is a variable, or private memory if it belongs to an array.
+- An lvalue in a buffer or in shared memory is an index, a scale and an offset in words. The scale of a single index is
+  kept, so that elements of structs are read with vector loads; several indices are summed to a word index.
+- A vector or matrix indexed with a variable gives an `LvalueChoice`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __rhi_internal__ = True
 
 @dataclass(slots=True, eq=False)
 class Slot:
-    """One component of a local; with `stride`, the variable is the base of an affine value."""
+    """One component of a local. If `stride` isn't 0, the variable is the base of an affine value."""
 
     variable: Variable
     stride: int = 0
@@ -42,7 +42,7 @@ Home: TypeAlias = Slot | MemoryRegion
 
 @dataclass(slots=True)
 class LocalLvalue:
-    """Components of a local. Of those in arrays, `index` says which element (None: the first of all)."""
+    """Components of a local. For those in arrays, `index` selects the element (None: the whole array)."""
 
     type: HostType
     homes: list[Home]
@@ -51,7 +51,7 @@ class LocalLvalue:
 
 @dataclass(slots=True)
 class MemoryLvalue:
-    """A value in memory: at `index * scale + offset` words."""
+    """A value in memory, at the word `index * scale + offset`."""
 
     type: HostType
     memory: MemoryRegion
@@ -63,7 +63,7 @@ class MemoryLvalue:
 
 @dataclass(slots=True)
 class LvalueChoice:
-    """The one of several places that `index` says."""
+    """One of several lvalues, selected by `index`."""
 
     type: HostType
     index: Value
@@ -74,7 +74,7 @@ Lvalue: TypeAlias = LocalLvalue | MemoryLvalue | LvalueChoice
 
 
 def _element_words(type: HostType, layout: Layout | None) -> int:
-    """Words from one part of an array, matrix or vector to the next."""
+    """Return the words from one element of an array, matrix or vector to the next."""
     match type:
         case ArrayType(element=element):
             return place(type, layout).stride // 4 if layout is not None else words_of(element)
@@ -85,7 +85,7 @@ def _element_words(type: HostType, layout: Layout | None) -> int:
 
 
 def element_type(type: HostType) -> HostType:
-    """What indexing gives."""
+    """Return the type that indexing gives."""
     match type:
         case ArrayType(element=element):
             return element
@@ -97,12 +97,12 @@ def element_type(type: HostType) -> HostType:
 
 
 def count_parts(type: HostType) -> int:
-    """How many parts indexing chooses from."""
+    """Return the number of elements that can be indexed."""
     return type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
 
 
 def member(at: Lvalue, name: str) -> Lvalue:
-    """A struct's field."""
+    """Return the lvalue of a struct's field."""
     assert isinstance(at.type, StructType)
     field = at.type.field(name)
     assert field is not None
@@ -124,7 +124,7 @@ def member(at: Lvalue, name: str) -> Lvalue:
 
 
 def part(at: Lvalue, which: int) -> Lvalue:
-    """A vector's component, a matrix's row or an array's element whose number is known."""
+    """Return the lvalue of a vector's component, matrix's row or array's element with a constant index."""
     inner = element_type(at.type)
     match at:
         case LocalLvalue(type=ArrayType()):
@@ -140,7 +140,7 @@ def part(at: Lvalue, which: int) -> Lvalue:
 
 
 def element(at: Lvalue, index: Value) -> Lvalue:
-    """What `at[index]` names."""
+    """Return the lvalue `at[index]`."""
     inner = element_type(at.type)
     match at:
         case LocalLvalue(type=ArrayType(length=length)):
@@ -160,12 +160,12 @@ def element(at: Lvalue, index: Value) -> Lvalue:
 
 
 def private_uniformity(uniformity: Uniformity) -> Uniformity:
-    """Private memory is never shared beyond the lanes of a work-item."""
+    """Return the uniformity of private memory, which is shared at most by the lanes of a work-item."""
     return max(uniformity, Uniformity.LANES)
 
 
 def select_by_index(index: Value, values: list[Value]) -> Value:
-    """The value whose number is `index`."""
+    """Return `values[index]` by a chain of selects."""
     result = values[0]
     for which, value in enumerate(values[1:], 1):
         wanted = apply("equal", index, number(which))

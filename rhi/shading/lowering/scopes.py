@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.ir import lanes, tree
@@ -23,13 +23,17 @@ from rhi.shading.lowering.lvalues import Home, Slot
 
 __rhi_internal__ = True
 
-HEAVY = 24
-"""A masked block of so many statements is stepped around when no lane wants it, even if it touches no memory."""
+HEAVY: Final = 24
+"""A masked block with more statements than this is skipped if no lane is active, even if it accesses no memory."""
 
 
 @dataclass(slots=True, eq=False)
 class MaskScope:
-    """See above. `mask` is the nearest one, own or not; `kind` is branch, loop, turn or function."""
+    """A part of a stage under one condition (see the head of this module).
+
+    `kind` is "branch", "loop", "iteration" or "function". `mask` is the innermost mask; it belongs to an outer scope
+    unless `owns_mask` is true.
+    """
 
     kind: str
     parent: MaskScope | None
@@ -41,12 +45,21 @@ class MaskScope:
 
 @dataclass(slots=True, eq=False)
 class InlinedFrame:
-    """A function being lowered in place."""
+    """A function whose body is being inlined.
+
+    Attributes:
+        path: the calls that lead to it, outermost first.
+        return_uniformity: how much the returns found so far vary, those of callers included.
+        inlined_call: the statement that holds the body.
+        results: the slots that a `return` assigns, if the function returns early.
+        textures: the bindings that its texture parameters stand for.
+        slots: the storage of its locals.
+    """
 
     function: tree.Function
     path: tuple[int, ...]
     caller: InlinedFrame | None = None
-    return_uniformity: Uniformity = Uniformity.DISPATCH  # of the returns so far, those of callers included
+    return_uniformity: Uniformity = Uniformity.DISPATCH
     inlined_call: InlinedCall | None = None
     results: list[Slot] = field(default_factory=list)
     textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
@@ -54,7 +67,13 @@ class InlinedFrame:
 
 
 class ScopeLowering:
-    """Emits statements into the current block, under the current scope."""
+    """Emits statements into the current block, under the current scope.
+
+    Attributes:
+        joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and strides
+            found so far, in all runs.
+        changed: whether this run has changed `joined`, so that another run is needed.
+    """
 
     def __init__(self, width: int) -> None:
         self.width = width
@@ -63,36 +82,36 @@ class ScopeLowering:
         self.start()
 
     def start(self) -> None:
-        """Begin a run."""
+        """Start a run."""
         self.changed = False
         self.block: lanes.Block = []
         self.count = 0
         self.span = SourceSpan(0)
-        self.jump_pending = False  # masks were narrowed: whether a lane is left is to be asked
-        self.returns = 0  # how many returns narrowed masks
+        self.jump_pending = False  # a jump narrowed masks: test whether a lane is still active
+        self.returns = 0  # the number of returns that narrowed masks
         self.private: dict[int, tuple[object, MaskScope]] = {}
         self.scope = MaskScope("function", None, Uniformity.DISPATCH, None, False)
         self.frame: InlinedFrame
 
-    # -- what the machine has
+    # -- the target
 
     def branches(self, uniformity: Uniformity) -> bool:
-        """Whether a condition of this uniformity is a real branch: OpenCL's scalars, NumPy's single values."""
+        """Return whether a condition this uniform is a real branch: a scalar in OpenCL, a single value in NumPy."""
         return uniformity <= Uniformity.LANES if self.width else uniformity is Uniformity.DISPATCH
 
     @property
     def own_uniformity(self) -> Uniformity:
-        """The uniformity of what each invocation has for itself."""
+        """The uniformity of a value that is private to each invocation."""
         return Uniformity.LANES if self.width == 1 else Uniformity.VARYING
 
-    # -- facts
+    # -- uniformities
 
     def known_uniformity(self, key: object) -> Uniformity:
-        """The uniformity known so far."""
+        """Return the uniformity known so far."""
         return self.joined.get(key, (Uniformity.DISPATCH, 0))[0]
 
     def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
-        """Add what was found; gives what holds now."""
+        """Join a uniformity and stride with those known for a key; return the result. Different strides join to 0."""
         known = self.joined.get(key)
         now = (uniformity, stride)
         if known is not None and known != now:
@@ -119,12 +138,12 @@ class ScopeLowering:
         self.block = before
 
     def variable(self, name: str, kind: ScalarKind, uniformity: Uniformity) -> Variable:
-        """A new variable with a name of its own."""
+        """Return a new variable with a unique name."""
         self.count += 1
         return Variable(f"{name}_{self.count}", kind, uniformity)
 
     def let(self, value: Value, name: str = "t") -> Value:
-        """The value with a name, unless it is as short itself."""
+        """Return the value as a named variable, unless it is a constant or a name already."""
         if isinstance(value, lanes.Literal | Get | lanes.Affine | lanes.Argument):
             return value
         variable = self.variable(name, value.kind, value.uniformity)
@@ -132,7 +151,7 @@ class ScopeLowering:
         return Get(value.kind, value.uniformity, variable)
 
     def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
-        """Refuse what stands at the current place."""
+        """Refuse the statement at the current span."""
         function = self.frame.function
         raise ShaderError(
             rule,
@@ -146,12 +165,12 @@ class ScopeLowering:
     # -- masks
 
     def mask_value(self) -> Value:
-        """Who takes part now."""
+        """Return the mask of the lanes that are active now."""
         mask = self.scope.mask
         return Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else TRUE
 
     def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
-        """The scopes from the current one outwards, up to `end`."""
+        """Yield the scopes from the current one outwards, up to `end`."""
         scope: MaskScope | None = self.scope
         while scope is not None and scope is not end:
             yield scope
@@ -167,26 +186,20 @@ class ScopeLowering:
         return mask
 
     def narrow(self, end: MaskScope) -> None:
-        """Take the current lanes out of all masks up to and with that of `end`."""
+        """Remove the active lanes from all masks up to and including that of `end`."""
         mask = self.scope.mask
         assert mask is not None
         current = Get(ScalarKind.BOOL, mask.uniformity, mask)
-        left = self.let(apply("not", current))
+        remaining = self.let(apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
             if scope.owns_mask and other is not None and other is not mask:
-                self.emit(
-                    lanes.Set(
-                        self.line,
-                        other,
-                        apply("and", Get(ScalarKind.BOOL, other.uniformity, other), left),
-                        None,
-                    )
-                )
+                narrowed = apply("and", Get(ScalarKind.BOOL, other.uniformity, other), remaining)
+                self.emit(lanes.Set(self.line, other, narrowed, None))
         self.emit(lanes.Set(self.line, mask, FALSE, None))
 
     def emit_pending_jump(self) -> None:
-        """After an exit: go on only if a lane is left, where a real jump can tell."""
+        """After a masked jump, leave the enclosing loop or function if no lane is active any more."""
         mask = self.scope.mask
         if not self.jump_pending or mask is None:
             return
@@ -205,7 +218,7 @@ class ScopeLowering:
 
     @contextmanager
     def branch(self, condition: Value) -> Iterator[None]:
-        """What happens where the condition holds."""
+        """Emit the statements of this context under a condition, as a real branch or under a mask."""
         outer = self.scope
         if self.branches(condition.uniformity):
             self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
@@ -227,13 +240,13 @@ class ScopeLowering:
             self.block.extend(block)
 
     def two_branches(self, condition: Value) -> tuple[Value, Value]:
-        """A condition and its opposite, the condition evaluated once."""
+        """Return a condition, evaluated once, and its negation."""
         condition = self.let(condition, "condition")
         return condition, apply("not", condition)
 
 
 def is_heavy(block: lanes.Block) -> bool:
-    """Whether stepping around a block costs less than doing it for no lane, or is needed to be safe."""
+    """Return whether skipping a block if no lane is active is faster than executing it, or needed for safety."""
     statements = list(lanes.walk(block))
     if len(statements) > HEAVY:
         return True
