@@ -1,4 +1,9 @@
-"""From a shader class to the `ProgramDescriptor` that a backend makes a program from."""
+"""The compiler of shader classes: from a class to the `ProgramDescriptor` that backends create programs from.
+
+- `compile_shader` parses and checks a class once. The texts of its stages are written when a backend requests them.
+- A compute stage is also lowered to lane code at once, because only lane code knows the uniformity of values, which
+  decides about barriers and races.
+"""
 
 from __future__ import annotations
 
@@ -32,8 +37,8 @@ __rhi_internal__ = True
 if TYPE_CHECKING:
     from rhi.shading.ir.lanes import Code
 
-# Lane code and OpenCL C are imported when a compute shader first needs them: they would be a tenth of the time
-# that `import rhi` takes.
+# Lane code and OpenCL C are imported when a shader first needs them: they would take a tenth of the time of
+# `import rhi`.
 WIDTHS: Final = (1, 4, 8, 16)
 _COMPUTE_WIDTHS: Final = {f"opencl{width}": width for width in WIDTHS} | {"numpy": 0}
 
@@ -41,7 +46,7 @@ _compiled: weakref.WeakKeyDictionary[type[Shader], ProgramDescriptor] = weakref.
 
 
 def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
-    """Parse and type-check a shader's stages; memoised for each class. Text is written when asked for.
+    """Parse and type-check a shader's stages, once for each class. Their texts are written on request.
 
     Raises:
         ShaderError: the shader breaks a rule of `rhi.shading.language.rules`; the error shows the line.
@@ -50,18 +55,18 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
     if known is None:
         try:
             known = _compiled[shader] = _compile(shader)
-        except ShaderError as error:  # it shows the line; where the compiler found out would bury that
+        except ShaderError as error:  # it shows the line, which the compiler's own traceback would bury
             raise error.with_traceback(None) from error.__cause__
     return known
 
 
 def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
-    """The typed trees of a shader's stages."""
+    """Return the typed trees of a shader's stages."""
     return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
 
 
 def stage_interface(shader: type[Shader]) -> Interface:
-    """What flows in and out of a shader's stages."""
+    """Return the inputs, outputs and varyings of a shader's stages."""
     return _interface(_entries(shader))
 
 
@@ -96,7 +101,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
     varyings = varyings_read(fragment, interface.varyings) if fragment is not None else ()
     emitter = _StageEmitter(stages, options, bindings, varyings, shader.precision, checked)
     if needs_lane_check:
-        # Barriers and races are judged by what differs within a work-group, which only lane code knows.
+        # Finds barriers that part of a work-group may not reach, and races.
         emitter.lower_compute(max(WIDTHS))
     return ProgramDescriptor(
         name=options.name,
@@ -122,10 +127,10 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
 
 
 def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
-    """A compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl.writer`).
+    """Return a compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl.writer`).
 
     Raises:
-        ShaderError: the shader has no compute stage, uses what lanes haven't got, or breaks a rule.
+        ShaderError: the shader has no compute stage, uses a feature that lane code doesn't support, or breaks a rule.
     """
     descriptor = compile_shader(shader)
     if Stage.COMPUTE not in descriptor.stages or width not in WIDTHS:
