@@ -34,11 +34,11 @@ from rhi.shading.parser.unused import check_bindings_are_used
 
 __rhi_internal__ = True
 
+# Lane code and OpenCL C are imported when a shader first needs them: they would take a tenth of the time of
+# `import rhi`.
 if TYPE_CHECKING:
     from rhi.shading.ir.lanes import Code
 
-# Lane code and OpenCL C are imported when a shader first needs them: they would take a tenth of the time of
-# `import rhi`.
 WIDTHS: Final = (1, 4, 8, 16)
 _COMPUTE_WIDTHS: Final = {f"opencl{width}": width for width in WIDTHS} | {"numpy": 0}
 
