@@ -395,6 +395,11 @@ def number(value: int) -> Literal:
     return Literal(ScalarKind.INT, Uniformity.DISPATCH, value)
 
 
+def get(variable: Variable) -> Get:
+    """Return the current value of a variable."""
+    return Get(variable.kind, variable.uniformity, variable)
+
+
 TRUE: Final = literal(True, ScalarKind.BOOL)
 FALSE: Final = literal(False, ScalarKind.BOOL)
 

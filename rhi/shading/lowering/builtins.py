@@ -4,7 +4,7 @@ invocations: indices in the dispatch, atomics, barriers, `uniform`."""
 from __future__ import annotations
 
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Get, ScalarKind, Uniformity, Value, apply, number
+from rhi.shading.ir.lanes import Get, ScalarKind, Uniformity, Value, apply, get, number
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.types import ImageType, TextureType
@@ -54,7 +54,7 @@ class BuiltinLowering(ExpressionLowering):
         if value.kind is ScalarKind.BOOL:
             return apply("not_equal", self.uniform(self.convert(value, ScalarKind.INT)), number(0))
         mask = self.effect_mask()
-        active = Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else lanes.TRUE
+        active = get(mask) if mask is not None else lanes.TRUE
         first = self.let(lanes.Apply(value.kind, Uniformity.LANES, "uniform", (value, active)))
         if self.checked:
             wrong = self.let(apply("not_equal", value, first), "wrong")

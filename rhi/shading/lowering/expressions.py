@@ -16,6 +16,7 @@ from rhi.shading.ir.lanes import (
     Value,
     Variable,
     apply,
+    get,
     literal,
     number,
 )
@@ -269,7 +270,7 @@ class ExpressionLowering(ScopeLowering):
             assert index is not None
             return self.load(home, home.kind, index, 1, 0)
         variable = home.variable
-        value: Value = Get(variable.kind, variable.uniformity, variable)
+        value: Value = get(variable)
         return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
     def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
@@ -384,7 +385,7 @@ class ExpressionLowering(ScopeLowering):
                 for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
                     slot.uniformity, _ = self.join((key, i), max(condition.uniformity, value.uniformity))
                     self.emit(lanes.Set(self.line, slot, value, mask))
-        return [Get(slot.kind, slot.uniformity, slot) for slot in slots]
+        return [get(slot) for slot in slots]
 
     def matrix_multiply(self, node: tree.Binary) -> list[Value]:
         a, b = self.named(node.left), self.named(node.right)

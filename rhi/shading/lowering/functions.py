@@ -22,6 +22,7 @@ from rhi.shading.ir.lanes import (
     Uniformity,
     Value,
     apply,
+    get,
     literal,
     number,
 )
@@ -135,7 +136,8 @@ class Lowering(TextureLowering):
                 f"{function.name} has no Python body",
                 tip="write a Python body for the other languages",
             )
-        caller, outer, pending, at = self.frame, self.scope, self.jump_pending, self.span
+        caller, outer, pending, span = self.frame, self.scope, self.jump_pending, self.span
+        line = self.line
         early = self.returns_early(function, path)
         frame = InlinedFrame(function, path, caller, caller.return_uniformity, textures=textures or {})
         uniformity = self.known_uniformity((path, "function"))
@@ -150,11 +152,11 @@ class Lowering(TextureLowering):
             uniformity = Uniformity.DISPATCH
         self.scope = MaskScope("function", outer, uniformity, outer.mask, False, path)
         results: list[Value] = []
-        with self.into([]) as block:
+        with self.emit_into([]) as block:
             if masked:
                 self.scope.mask = self.new_mask(self.mask_value(), "inside")
                 self.scope.owns_mask = True
-            frame.inlined_call = InlinedCall(caller_line(caller, at), f"{function.name}_{self.count}", block)
+            frame.inlined_call = InlinedCall(line, f"{function.name}_{self.count}", block)
             self.count += 1
             start = 0
             for parameter in function.parameters:
@@ -171,7 +173,7 @@ class Lowering(TextureLowering):
                     break
                 self.statement(statement)
                 self.emit_pending_jump()
-        self.frame, self.scope, self.jump_pending, self.span = caller, outer, pending, at
+        self.frame, self.scope, self.jump_pending, self.span = caller, outer, pending, span
         if early:
             self.emit(frame.inlined_call)
             results = [self.read_home(slot, None) for slot in frame.results]
@@ -418,9 +420,9 @@ class Lowering(TextureLowering):
             return
         outer = self.scope
         self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
-        with self.into([]) as then:
+        with self.emit_into([]) as then:
             self.statements(node.then)
-        with self.into([]) as otherwise:
+        with self.emit_into([]) as otherwise:
             self.statements(node.otherwise)
         self.scope = outer
         self.emit(lanes.If(self.line, condition, then, otherwise))
@@ -438,9 +440,7 @@ class Lowering(TextureLowering):
         self.emit(lanes.Let(self.line, variable, first))
         slot = Slot(variable, stride, key, self.scope)
         self.frame.slots[node.local] = [slot]
-        advance = lanes.Set(
-            self.line, variable, Get(ScalarKind.INT, variable.uniformity, variable) + step, None
-        )
+        advance = lanes.Set(self.line, variable, get(variable) + step, None)
 
         def test() -> Value:
             count = self.read_home(slot, None)
@@ -465,13 +465,13 @@ class Lowering(TextureLowering):
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
         scope = self.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
-        with self.into([]) as block:
+        with self.emit_into([]) as block:
             condition = test()
             self.join((key, "loop"), condition.uniformity)
             if masked:
                 assert mask is not None
                 if not (isinstance(condition, Literal) and condition.value):
-                    both = apply("and", Get(ScalarKind.BOOL, mask.uniformity, mask), condition)
+                    both = apply("and", get(mask), condition)
                     self.emit(lanes.Set(self.line, mask, both, None))
                 self.emit(lanes.Break(self.line, mask))
             elif not (isinstance(condition, Literal) and condition.value):
@@ -507,8 +507,3 @@ class Lowering(TextureLowering):
             self.narrow(target)
             self.jump_pending = True
             self.returns += kind == "function"
-
-
-def caller_line(frame: InlinedFrame, at: object) -> tuple[str, int]:
-    """Return the line of a call."""
-    return frame.function.file, getattr(at, "line", 0)

@@ -17,7 +17,18 @@ from typing import Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import FALSE, TRUE, Get, InlinedCall, ScalarKind, Uniformity, Value, Variable, apply
+from rhi.shading.ir.lanes import (
+    FALSE,
+    TRUE,
+    Get,
+    InlinedCall,
+    ScalarKind,
+    Uniformity,
+    Value,
+    Variable,
+    apply,
+    get,
+)
 from rhi.shading.language.source import SourceSpan, show
 from rhi.shading.lowering.lvalues import Home, Slot
 
@@ -111,7 +122,10 @@ class ScopeLowering:
         return self.joined.get(key, (Uniformity.DISPATCH, 0))[0]
 
     def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
-        """Join a uniformity and stride with those known for a key; return the result. Different strides join to 0."""
+        """Join a uniformity and stride with those known for a key, and return the join.
+
+        Its stride is 0 unless both pairs are equal.
+        """
         known = self.joined.get(key)
         now = (uniformity, stride)
         if known is not None and known != now:
@@ -131,7 +145,7 @@ class ScopeLowering:
         self.block.append(statement)
 
     @contextmanager
-    def into(self, block: lanes.Block) -> Iterator[lanes.Block]:
+    def emit_into(self, block: lanes.Block) -> Iterator[lanes.Block]:
         """Emit into another block."""
         before, self.block = self.block, block
         yield block
@@ -167,7 +181,7 @@ class ScopeLowering:
     def mask_value(self) -> Value:
         """Return the mask of the lanes that are active now."""
         mask = self.scope.mask
-        return Get(ScalarKind.BOOL, mask.uniformity, mask) if mask is not None else TRUE
+        return get(mask) if mask is not None else TRUE
 
     def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
         """Yield the scopes from the current one outwards, up to `end`."""
@@ -189,12 +203,12 @@ class ScopeLowering:
         """Remove the active lanes from all masks up to and including that of `end`."""
         mask = self.scope.mask
         assert mask is not None
-        current = Get(ScalarKind.BOOL, mask.uniformity, mask)
+        current = get(mask)
         remaining = self.let(apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
             if scope.owns_mask and other is not None and other is not mask:
-                narrowed = apply("and", Get(ScalarKind.BOOL, other.uniformity, other), remaining)
+                narrowed = apply("and", get(other), remaining)
                 self.emit(lanes.Set(self.line, other, narrowed, None))
         self.emit(lanes.Set(self.line, mask, FALSE, None))
 
@@ -222,7 +236,7 @@ class ScopeLowering:
         outer = self.scope
         if self.branches(condition.uniformity):
             self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
-            with self.into([]) as block:
+            with self.emit_into([]) as block:
                 yield
             self.scope = outer
             if block:
@@ -230,11 +244,11 @@ class ScopeLowering:
             return
         mask = self.new_mask(apply("and", self.mask_value(), condition), "mask")
         self.scope = MaskScope("branch", outer, condition.uniformity, mask, True)
-        with self.into([]) as block:
+        with self.emit_into([]) as block:
             yield
         self.scope = outer
         if is_heavy(block):
-            taken = Get(ScalarKind.BOOL, mask.uniformity, mask)
+            taken = get(mask)
             self.emit(lanes.If(self.line, taken, block, [], any_lane=True))
         else:
             self.block.extend(block)

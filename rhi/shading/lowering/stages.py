@@ -32,6 +32,7 @@ from rhi.shading.ir.lanes import (
     Value,
     Variable,
     apply,
+    get,
     literal,
     number,
 )
@@ -294,11 +295,6 @@ class StageLowering(Lowering):
     def difference(self, name: str, value: Value) -> Value:
         """Return `ddx` or `ddy` of a component."""
         return apply(name, value) if value.uniformity is Uniformity.VARYING else literal(0.0)
-
-
-def get(variable: Variable) -> Value:
-    """Return the value of a variable."""
-    return Get(variable.kind, variable.uniformity, variable)
 
 
 def takes_differences(stage: tree.StageTree) -> bool:

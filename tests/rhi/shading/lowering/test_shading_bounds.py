@@ -1,4 +1,4 @@
-"""Which clip positions can be bounded before they are computed, and that the bounds hold."""
+"""Bounds of clip positions: the stages for which they exist, and that they hold."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Shaded(Struct):
 
 
 class ShadedVarying(Base):
-    """What isn't the position may be anything."""
+    """Only the position must be affine; other outputs may be arbitrary."""
 
     def vertex(self, v: Vertex) -> Shaded:
         return Shaded(
@@ -171,7 +171,7 @@ class ShadedVarying(Base):
 
 
 def boxed(shader: type[Shader]) -> list[int] | None:
-    """The words that positions are bounded by."""
+    """Return the input words that the bounds depend on, None without bounds."""
     text = compile_shader(shader).emit("opencl16", Stage.VERTEX).text
     lines = [line for line in text.splitlines() if line.startswith("#define RHI_BOXED")]
     assert ("rhi_bounds(" in text) == bool(lines)
@@ -245,7 +245,7 @@ def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
 def test_positions_lie_between_those_of_corners_but_for_the_slack(
     kernel: cl.Kernel, seed: int, scale: float, spread: float, flat: bool
 ) -> None:
-    """Terms of all sizes, which cancel or not; boxes of all sizes, down to a few steps of floats, some of them flat."""
+    """Draw terms of all magnitudes, some of which cancel, and boxes of all sizes, down to a few float steps or flat."""
     rng = np.random.default_rng(seed)
 
     def random(*shape: int) -> np.ndarray:

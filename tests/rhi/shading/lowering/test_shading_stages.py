@@ -1,4 +1,4 @@
-"""Vertex and fragment stages on 16 lanes: what flows in and out, who takes part, what is left."""
+"""Vertex and fragment stages on 16 lanes: inputs and outputs, active lanes, discards."""
 
 from __future__ import annotations
 
@@ -263,7 +263,7 @@ def test_a_discard_that_all_lanes_reach_ends_the_stage():
 
 
 class Endless(Shader):
-    """A loop that nothing but a discard in a called function ends."""
+    """A loop that ends only by a discard in a called function."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
@@ -320,7 +320,7 @@ def test_differences_are_those_of_each_row_and_column_of_a_quad():
 
 
 class CutSlopes(Shader):
-    """A discard, and then what the helpers of discarded fragments should not do."""
+    """A discard, followed by work that helpers of discarded fragments must not do."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
@@ -520,7 +520,7 @@ def test_lines_of_a_stage_lead_back_to_python():
 
 
 class OwnArray(Shader):
-    """An array of its own, read and written at a place that the inputs say."""
+    """A local array, read and written at an index from the inputs."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)

@@ -44,7 +44,7 @@ _number = itertools.count()
 
 @pytest.fixture
 def define(tmp_path):
-    """`define(source)` gives the last class of a module made from the prelude and the source."""
+    """Return `define(source)`, which returns the last class of a module made of the prelude and the source."""
 
     def define(source):
         name = f"shader_of_a_test_{next(_number)}"
