@@ -4,7 +4,7 @@ invocations: indices in the dispatch, atomics, barriers, `uniform`."""
 from __future__ import annotations
 
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import Get, ScalarKind, Uniformity, Value, apply, get, number
+from rhi.shading.ir.lanes import ScalarKind, Uniformity, Value, apply, get, number
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.types import ImageType, TextureType
@@ -82,7 +82,7 @@ class BuiltinLowering(ExpressionLowering):
                 self.effect_mask(),
             )
         )
-        return [Get(kind, result.uniformity, result)] if result is not None else []
+        return [get(result)] if result is not None else []
 
     def barrier(self, waits: bool) -> None:
         """Synchronise the work-group.
@@ -91,10 +91,8 @@ class BuiltinLowering(ExpressionLowering):
         """
         if waits:
             conditions = [scope.uniformity for scope in self.scopes_up_to(None) if scope.kind != "function"]
-            uniformity = max(
-                [*conditions, self.frame.return_uniformity]
-            )  # returns matter from where they are on
-            if uniformity > Uniformity.GROUP:
+            # Returns found so far stand before the barrier, so lanes may be missing.
+            if max([*conditions, self.frame.return_uniformity]) > Uniformity.GROUP:
                 self.refuse(
                     rules.BARRIER,
                     "a barrier that part of a work-group may not reach",
@@ -103,14 +101,15 @@ class BuiltinLowering(ExpressionLowering):
         self.emit(lanes.Barrier(self.line, waits))
 
     def dispatch_index(self, name: str) -> list[Value]:
+        """Return the components of a built-in index, such as `global_id()`."""
         sizes = self.work_group
         match name:
             case "local_index":
                 return [self.local_index()]
             case "group_id" | "group_count":
-                place = lanes.DispatchIndex(name)
+                index = lanes.DispatchIndex(name)
                 uniformity = Uniformity.GROUP if name == "group_id" else Uniformity.DISPATCH
-                return [lanes.Input(ScalarKind.INT, uniformity, place, axis) for axis in range(3)]
+                return [lanes.Input(ScalarKind.INT, uniformity, index, axis) for axis in range(3)]
             case "local_id":
                 return [self.local_axis(axis) for axis in range(3)]
         groups = self.dispatch_index("group_id")
@@ -127,9 +126,11 @@ class BuiltinLowering(ExpressionLowering):
         )
 
     def lanes_from(self, first: Value) -> Value:
+        """Return `first` in the first lane, `first + 1` in the second, and so on."""
         return lanes.Affine(ScalarKind.INT, Uniformity.VARYING, first, 1) if self.width > 1 else first
 
     def local_axis(self, axis: int) -> Value:
+        """Return one component of `local_id()`."""
         size, before = self.work_group[axis], 1
         for inner in self.work_group[:axis]:
             before *= inner

@@ -188,10 +188,10 @@ class StageLowering(Lowering):
 
     def start(self) -> None:
         super().start()
-        self.discards = 0
-        self.discarded = Uniformity.DISPATCH
-        self.covered: Variable
-        self.kept: Value
+        self.discards = 0  # the number of masked discards
+        self.discarded = Uniformity.DISPATCH  # how much they vary
+        self.covered: Variable  # the mask of lanes that aren't helpers
+        self.kept: Value  # the mask of covered lanes that weren't discarded
 
     def run(self, arguments: list[Value]) -> list[Value]:
         """Lower the whole stage and return the components of its result."""
