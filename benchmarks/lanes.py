@@ -250,7 +250,7 @@ class GlRun:
     def __init__(self, context: moderngl.Context, shader: type[Shader], **values: Any) -> None:
         self.context, self.slots = context, []
         program = compile_shader(shader)
-        self.compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
+        self.compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE).text)
         self.arrays = {}
         for binding in program.bindings:
             value = values[binding.name]

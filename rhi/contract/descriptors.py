@@ -8,8 +8,8 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -362,14 +362,25 @@ class StageVarying:
     interpolation: Interpolation = Interpolation.SMOOTH
 
 
+@dataclass(frozen=True, slots=True)
+class StageText:
+    """The source text of one stage, and where each of its lines came from.
+
+    `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where no
+    Python line stands behind it. Lines without an entry have no known origin.
+    """
+
+    text: str
+    origins: tuple[tuple[str, int], ...] = ()
+
+
 @dataclass(frozen=True, eq=False)
 class ProgramDescriptor:
     """What a backend makes a program from.
 
-    `emit(language, stage)` gives the stage's source text, language being "glsl" (4.30); "opencl" and the lanes of a
+    `emit(language, stage)` returns the stage's `StageText`, language being "glsl" (4.30); "opencl" and the lanes of a
     work-item, 1, 4, 8 or 16 for compute stages, 16 for others ("opencl16", see `rhi.shading.opencl.stages`); or, of
-    compute stages, "numpy", a Python module. `lines` maps each line of a stage's text (from 0), as it was asked for
-    last, to the (file, line) it came from, for a driver's messages. `varyings` are those that the fragment stage
+    compute stages, "numpy", a Python module. `varyings` are those that the fragment stage
     reads, in the order of their words. `shared_bytes` is the memory that a work-group shares. `checked`: its stages
     report faults on OpenCL and NumPy (`rhi.shading.ir.faults`). `flushes_denormals`: numbers below 2^-126 may count
     as 0, which OpenGL may always do.
@@ -381,7 +392,7 @@ class ProgramDescriptor:
     attributes: tuple[Attribute, ...]
     outputs: tuple[FragmentOutput, ...]
     work_group: tuple[int, int, int]
-    emit: Callable[[str, Stage], str]
+    emit: Callable[[str, Stage], StageText]
     writes_memory: bool = False
     discards: bool = False
     early_depth: bool = False
@@ -390,7 +401,6 @@ class ProgramDescriptor:
     shared_bytes: int = 0
     checked: bool = False
     flushes_denormals: bool = False
-    lines: Mapping[Stage, tuple[tuple[str, int], ...]] = field(default_factory=dict)
 
 
 DRAW: Final = np.dtype(

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 from itertools import islice
 from typing import Final
 
-from rhi.contract.descriptors import ProgramDescriptor, Stage
+from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.errors import CallSite, ShaderError
 from rhi.errors.rules import SHADER_DRIVER
 
@@ -20,23 +20,21 @@ SHOWN: Final = 10
 
 
 def make_driver_error(
-    descriptor: ProgramDescriptor, stage: Stage | None, source: str, messages: Iterable[tuple[str, int]],
-    language: str, before: int = 0,
+    descriptor: ProgramDescriptor, stage: Stage | None, source: StageText, messages: Iterable[tuple[str, int]],
+    language: str,
 ) -> ShaderError:  # fmt: skip
     """The error for a program whose text a driver refused.
 
     Args:
         stage: the one that was refused; None: linking.
-        source: the whole text that the driver was given.
-        messages: what it said, each with the line of `source` that it is about, from 1; 0: of none.
+        source: the whole text that the driver was given, with the origins of its lines.
+        messages: what it said, each with the line of the text that it is about, from 1; 0: of none.
         language: what the text is written in, as users call it.
-        before: lines of `source` in front of the stage's.
 
     Returns:
-        `shader-driver`; its site is the Python line of the first message whose origin `descriptor.lines` knows.
+        `shader-driver`; its site is the Python line of the first message whose origin is known.
     """
-    lines = source.split("\n")
-    origins = descriptor.lines.get(stage, ()) if stage is not None else ()
+    lines = source.text.split("\n")
     rows: list[str] = []
     site = None
     for message, number in islice(messages, SHOWN):
@@ -44,8 +42,9 @@ def make_driver_error(
         if not 1 <= number <= len(lines):
             continue
         rows.append(f"  {language} line {number}: {lines[number - 1].strip()}")
-        if 1 <= number - before <= len(origins):
-            origin = CallSite(*origins[number - before - 1])
+        file, line = source.origins[number - 1] if number <= len(source.origins) else ("", 0)
+        if file:
+            origin = CallSite(file, line)
             rows.append(f"  from {origin}")
             site = site or origin
     where = "linking its stages" if stage is None else f"its {stage.value} stage"

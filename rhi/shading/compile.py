@@ -1,18 +1,22 @@
-"""From a shader class to the `ProgramDescriptor` that a backend makes a program from."""
+"""The compiler of shader classes: from a class to the `ProgramDescriptor` that backends create programs from.
+
+- `compile_shader` parses and checks a class once. The texts of its stages are written when a backend requests them.
+- A compute stage is also lowered to lane code at once, because only lane code knows the uniformity of values, which
+  decides about barriers and races.
+"""
 
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Final
 
-from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageVarying
+from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText, StageVarying
 from rhi.contract.layout import Layout, place, stride_of
 from rhi.errors import ShaderError, find_call_site
 from rhi.shading.glsl.stages import StageOptions, write_stage
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
-from rhi.shading.ir.text import StageText
 from rhi.shading.language import rules
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.shader import Declaration, Shader, StorageClass
@@ -30,19 +34,19 @@ from rhi.shading.parser.unused import check_bindings_are_used
 
 __rhi_internal__ = True
 
+# Lane code and OpenCL C are imported when a shader first needs them: they would take a tenth of the time of
+# `import rhi`.
 if TYPE_CHECKING:
     from rhi.shading.ir.lanes import Code
 
-# Lane code and OpenCL C are imported when a compute shader first needs them: they would be a tenth of the time
-# that `import rhi` takes.
 WIDTHS: Final = (1, 4, 8, 16)
-_KERNEL_WIDTHS: Final = {f"opencl{width}": width for width in WIDTHS}
+_COMPUTE_WIDTHS: Final = {f"opencl{width}": width for width in WIDTHS} | {"numpy": 0}
 
 _compiled: weakref.WeakKeyDictionary[type[Shader], ProgramDescriptor] = weakref.WeakKeyDictionary()
 
 
 def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
-    """Parse and type-check a shader's stages; memoised for each class. Text is written when asked for.
+    """Parse and type-check a shader's stages, once for each class. Their texts are written on request.
 
     Raises:
         ShaderError: the shader breaks a rule of `rhi.shading.language.rules`; the error shows the line.
@@ -51,18 +55,18 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
     if known is None:
         try:
             known = _compiled[shader] = _compile(shader)
-        except ShaderError as error:  # it shows the line; where the compiler found out would bury that
+        except ShaderError as error:  # it shows the line, which the compiler's own traceback would bury
             raise error.with_traceback(None) from error.__cause__
     return known
 
 
 def stage_trees(shader: type[Shader]) -> dict[Stage, tree.StageTree]:
-    """The typed trees of a shader's stages."""
+    """Return the typed trees of a shader's stages."""
     return {stage: StageParser(shader, stage).parse(entry) for stage, entry in _entries(shader).items()}
 
 
 def stage_interface(shader: type[Shader]) -> Interface:
-    """What flows in and out of a shader's stages."""
+    """Return the inputs, outputs and varyings of a shader's stages."""
     return _interface(_entries(shader))
 
 
@@ -87,18 +91,18 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         _work_group(shader),
         shader.early_depth,
     )
-    compute, checked, code = stages.get(Stage.COMPUTE), False, None
+    compute, needs_lane_check = stages.get(Stage.COMPUTE), False
+    checked = shader.checked and not any(stage.entry.native for stage in stages.values())
     if compute is not None:
-        from rhi.shading.lowering.functions import has_lane_code, lower_compute
+        from rhi.shading.lowering.functions import has_lane_code
 
-        # Barriers and races are judged by what differs within a work-group, which lane code knows.
-        if has_lane_code(compute):
-            checked = shader.checked and not compute.entry.native
-            code = lower_compute(compute, options.name, options.work_group, max(WIDTHS), checked)
-    elif shader.checked:
-        checked = not any(stage.entry.native for stage in stages.values())
+        needs_lane_check = has_lane_code(compute)
+        checked = checked and needs_lane_check
     varyings = varyings_read(fragment, interface.varyings) if fragment is not None else ()
-    texts = _Texts(stages, options, bindings, varyings, shader.precision, checked, code)
+    emitter = _StageEmitter(stages, options, bindings, varyings, shader.precision, checked)
+    if needs_lane_check:
+        # Finds barriers that part of a work-group may not reach, and races.
+        emitter.lower_compute(max(WIDTHS))
     return ProgramDescriptor(
         name=options.name,
         stages=frozenset(stages),
@@ -106,7 +110,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         attributes=interface.attributes,
         outputs=interface.outputs,
         work_group=options.work_group if Stage.COMPUTE in stages else (1, 1, 1),
-        emit=texts.emit,
+        emit=emitter.emit,
         writes_memory=any(binding.writes for binding in bindings),
         discards=fragment is not None and fragment.discards,
         early_depth=shader.early_depth,
@@ -119,31 +123,34 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         ),
         checked=checked,
         flushes_denormals=shader.precision is Precision.FAST,
-        lines=texts,
     )
 
 
 def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
-    """A compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl.writer`).
+    """Return a compute shader as an OpenCL C kernel for `width` lanes: 1, 4, 8 or 16 (`rhi.shading.opencl.writer`).
 
     Raises:
-        ShaderError: the shader has no compute stage, uses what lanes haven't got, or breaks a rule.
+        ShaderError: the shader has no compute stage, uses a feature that lane code doesn't support, or breaks a rule.
     """
     descriptor = compile_shader(shader)
     if Stage.COMPUTE not in descriptor.stages or width not in WIDTHS:
         given = ", ".join(stage.value for stage in descriptor.stages) + f", width={width}"
         call = f"opencl_kernel({shader.__name__}, …)"
         raise ShaderError(rules.STAGES, call, given, f"a compute stage, width {WIDTHS}")
-    return StageText(descriptor.emit(f"opencl{width}", Stage.COMPUTE), descriptor.lines[Stage.COMPUTE])
+    return descriptor.emit(f"opencl{width}", Stage.COMPUTE)
 
 
-class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
-    """Writes stages when they are first asked for, and keeps them for other devices; as a mapping, the origins of each
-    stage's lines as they were asked for last."""
+class _StageEmitter:
+    """The `emit` of a shader's descriptor: writes texts when they are first requested.
+
+    - Texts are kept by language and stage, because several devices may request them.
+    - Lane code is kept only until its text is written: nothing reads it afterwards. It is kept at all because a compute
+      stage is lowered for 16 lanes when it is checked, long before its text may be requested.
+    """
 
     def __init__(
         self, stages: dict[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
-        varyings: tuple[StageVarying, ...], precision: Precision, checked: bool, code: Code | None,
+        varyings: tuple[StageVarying, ...], precision: Precision, checked: bool,
     ) -> None:  # fmt: skip
         self._stages = stages
         self._options = options
@@ -151,58 +158,73 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
         self._varyings = varyings
         self._precision = precision
         self._checked = checked
-        self._code = code  # of the most lanes; kept until it is written
         self._texts: dict[tuple[str, Stage], StageText] = {}
-        self._origins: dict[Stage, tuple[tuple[str, int], ...]] = {}
+        self._lane_code: dict[int, Code] = {}  # of the compute stage, by width
 
-    def emit(self, language: str, stage: Stage) -> str:
-        """The stage's text: "glsl"; of a compute stage "opencl1", "opencl4", "opencl8" or "opencl16", a kernel for so
-        many lanes, or "numpy" (`rhi.shading.numpy.kernel`); of others "opencl16" (`rhi.shading.opencl.stages`)."""
+    def emit(self, language: str, stage: Stage) -> StageText:
+        """Return a stage's text in a language, writing it on first use.
+
+        Args:
+            language: "glsl"; for compute stages also "opencl1", "opencl4", "opencl8" and "opencl16", a kernel for that
+                many lanes, and "numpy" (`rhi.shading.numpy.kernel`); for the others also "opencl16"
+                (`rhi.shading.opencl.stages`).
+
+        Raises:
+            ShaderError: `shading-native`: the stage can't be had in this language.
+        """
         text = self._texts.get((language, stage))
         if text is None:
             text = self._texts[language, stage] = self._write(language, stage)
-        self._origins[stage] = text.origins
-        return text.text
+        return text
+
+    def lower_compute(self, width: int) -> Code:
+        """Return the lane code of the compute stage for `width` lanes, or for whole arrays with 0.
+
+        Raises:
+            ShaderError: a rule that only lane code can check, such as one about barriers.
+        """
+        code = self._lane_code.get(width)
+        if code is None:
+            from rhi.shading.lowering.functions import lower_compute
+
+            stage, options = self._stages[Stage.COMPUTE], self._options
+            code = lower_compute(stage, options.name, options.work_group, width, self._checked)
+            self._lane_code[width] = code
+        return code
 
     def _write(self, language: str, stage: Stage) -> StageText:
         if language == "glsl":
             return write_stage(self._stages[stage], self._options)
-        if stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
-            return self._write_kernel(_KERNEL_WIDTHS[language])
-        if stage is Stage.COMPUTE and language == "numpy":
-            from rhi.shading.numpy.kernel import write_kernel
-
-            return StageText(write_kernel(self._lower(0)), ())
+        if stage is Stage.COMPUTE and language in _COMPUTE_WIDTHS:
+            width = _COMPUTE_WIDTHS[language]
+            text = self._write_kernel(width) if width else self._write_numpy()
+            self._lane_code.pop(width, None)
+            return text
         if stage is not Stage.COMPUTE and language == "opencl16":
             return self._write_function(stage)
         call = f"{self._options.name}: emit({language!r}, {stage})"
-        others = [*_KERNEL_WIDTHS, "numpy"] if stage is Stage.COMPUTE else ["opencl16"]
+        others = _COMPUTE_WIDTHS if stage is Stage.COMPUTE else ["opencl16"]
         raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *others]))
 
-    def _lower(self, width: int) -> Code:
-        """The compute stage in lane code for so many lanes; 0: for whole arrays."""
-        from rhi.shading.lowering.functions import lower_compute
-
-        if width == max(WIDTHS) and self._code is not None:
-            code, self._code = self._code, None
-            return code
-        options = self._options
-        stage = self._stages[Stage.COMPUTE]
-        return lower_compute(stage, options.name, options.work_group, width, self._checked)
-
     def _write_kernel(self, width: int) -> StageText:
-        """The compute stage for `width` lanes."""
+        """Write the compute stage as an OpenCL C kernel for `width` lanes."""
         from rhi.shading.ir.lanes import Code
         from rhi.shading.opencl.writer import write_kernel
 
         entry, options = self._stages[Stage.COMPUTE].entry, self._options
         if f"opencl{width}" in entry.native:
-            nothing = Code(options.name, width, [], (), work_group=options.work_group)
-            return write_kernel(nothing, self._bindings, self._precision, entry)
-        return write_kernel(self._lower(width), self._bindings, self._precision)
+            empty = Code(options.name, width, [], (), work_group=options.work_group)
+            return write_kernel(empty, self._bindings, self._precision, entry)
+        return write_kernel(self.lower_compute(width), self._bindings, self._precision)
+
+    def _write_numpy(self) -> StageText:
+        """Write the compute stage as a NumPy module."""
+        from rhi.shading.numpy.kernel import write_kernel
+
+        return StageText(write_kernel(self.lower_compute(0)))
 
     def _write_function(self, stage: Stage) -> StageText:
-        """A vertex or fragment stage for 16 lanes."""
+        """Write a vertex or fragment stage as an OpenCL C function for 16 lanes."""
         from rhi.shading.lowering.bounds import bound_positions
         from rhi.shading.lowering.stages import lower_stage
         from rhi.shading.opencl.stages import write_stage
@@ -213,17 +235,6 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
         )
         bounds = bound_positions(code) if stage is Stage.VERTEX else None
         return write_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
-
-    def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
-        if stage not in self._origins:
-            self.emit("glsl", stage)
-        return self._origins[stage]
-
-    def __iter__(self) -> Iterator[Stage]:
-        return iter(self._stages)
-
-    def __len__(self) -> int:
-        return len(self._stages)
 
 
 def _entries(shader: type[Shader]) -> dict[Stage, Callee]:

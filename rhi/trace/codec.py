@@ -18,7 +18,7 @@ from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 from rhi.commands.ops import Op
 from rhi.contract.backend import Backend
-from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage
+from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage, StageText
 from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, StateChange
 from rhi.errors import RhiError, ShaderError
 from rhi.trace.rules import TRACE_SOURCE
@@ -65,8 +65,7 @@ def encode(value: Any) -> Any:
     if isinstance(value, (frozenset, set)):
         return sorted(encode(part) for part in value)
     if isinstance(value, ProgramDescriptor):
-        left_out = {"emit", "lines"}
-        fields = [field.name for field in dataclasses.fields(value) if field.name not in left_out]
+        fields = [field.name for field in dataclasses.fields(value) if field.name != "emit"]
         return {name: encode(getattr(value, name)) for name in fields}
     if isinstance(value, (Binding, Attribute)):
         fields = [field.name for field in dataclasses.fields(value) if field.name != "type"]
@@ -161,7 +160,7 @@ def _decode_change(given: Any, where: str) -> StateChange:
 def _decode_program(given: Any, where: str) -> ProgramDescriptor:
     if not isinstance(given, dict):
         raise MismatchError(f"{where}: {_show(given)} is no program")
-    hints = {name: hint for name, hint in field_types(ProgramDescriptor).items() if name not in ("emit", "lines")}
+    hints = {name: hint for name, hint in field_types(ProgramDescriptor).items() if name != "emit"}
     required = {
         field.name for field in dataclasses.fields(ProgramDescriptor)
         if field.name in hints and field.default is dataclasses.MISSING
@@ -184,7 +183,7 @@ class Sources:
         self.name = name
         self.texts: dict[tuple[str, Stage], str] = {}
 
-    def emit(self, language: str, stage: Stage) -> str:
+    def emit(self, language: str, stage: Stage) -> StageText:
         """As `ProgramDescriptor.emit`.
 
         Raises:
@@ -194,7 +193,7 @@ class Sources:
         if text is None:
             had = ", ".join(sorted({language for language, _ in self.texts})) or "none"
             raise ShaderError(TRACE_SOURCE, f"program {self.name!r}, {stage.value} stage", language, had)
-        return text
+        return StageText(text)
 
 
 def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
@@ -205,7 +204,7 @@ def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
             if stage not in descriptor.stages:
                 continue
             try:
-                found[language, stage] = descriptor.emit(language, stage)
+                found[language, stage] = descriptor.emit(language, stage).text
             except RhiError:  # there is none, such as an OpenCL kernel of a vertex stage
                 continue
     return found

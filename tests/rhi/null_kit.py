@@ -6,7 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import rhi
-from rhi.contract.descriptors import Attribute, Binding, BindingKind, FragmentOutput, ProgramDescriptor, Stage
+from rhi.contract.descriptors import (
+    Attribute,
+    Binding,
+    BindingKind,
+    FragmentOutput,
+    ProgramDescriptor,
+    Stage,
+    StageText,
+)
 from rhi.contract.layout import FLOAT, VectorType
 from rhi.shading import Struct
 from rhi.shading.language.vectors import vec4
@@ -33,7 +41,7 @@ def hand_made_program(name: str = "flat", *bindings: Binding) -> ProgramDescript
         (Attribute("position", 0, VectorType(FLOAT, 2)),),
         (FragmentOutput("color", 0, "float", 4),),
         (1, 1, 1),
-        lambda language, stage: f"// {language} {stage.value}",
+        lambda language, stage: StageText(f"// {language} {stage.value}"),
     )
 
 

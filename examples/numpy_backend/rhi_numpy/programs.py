@@ -18,7 +18,7 @@ class Program:
     """A compute stage and its bindings."""
 
     def __init__(self, descriptor: ProgramDescriptor) -> None:
-        self._kernel = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE), descriptor.name)
+        self._kernel = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE).text, descriptor.name)
         self._bindings = descriptor.bindings
 
     def launch(

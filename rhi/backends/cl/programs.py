@@ -25,7 +25,7 @@ from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import States
-from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage
+from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 from rhi.errors.rules import SHADER_DRIVER
@@ -102,7 +102,7 @@ class Program:
     def __init__(self, context: ClContext, descriptor: ProgramDescriptor, arguments: Arguments) -> None:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
-            program = build(context.context, source, descriptor.flushes_denormals)
+            program = build(context.context, source.text, descriptor.flushes_denormals)
             (kernel,) = program.all_kernels()
         except cl.Error as error:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
@@ -123,7 +123,7 @@ class Program:
             place += 1 if binding.kind is BindingKind.UNIFORM else 2
         self._faults: Faults | None = None
         if descriptor.checked:
-            self._faults = Faults(context.context, descriptor.lines.get(Stage.COMPUTE, ()))
+            self._faults = Faults(context.context, source.origins)
             kernel.set_arg(place, self._faults.memory)
         # What was bound last, by names that are never used twice, and the arguments: each kept alive while a kernel
         # has it, which OpenCL doesn't promise to do.
@@ -166,11 +166,11 @@ class Programs:
 
 
 def make_shader_error(
-    descriptor: ProgramDescriptor, stage: Stage, source: str, log: str, before: int = 0
+    descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str
 ) -> ShaderError:
-    """The error for a text that the driver refused: that of `stage`, behind `before` lines of others."""
+    """The error for a text that the driver refused, for `stage`."""
     messages = [_read_message(row.strip()) for row in log.splitlines() if "error:" in row]
-    return make_driver_error(descriptor, stage, source, messages or [(log.strip(), 0)], "OpenCL C", before)
+    return make_driver_error(descriptor, stage, source, messages or [(log.strip(), 0)], "OpenCL C")
 
 
 def _read_message(row: str) -> tuple[str, int]:

@@ -14,7 +14,7 @@ from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.planes import Plane
 from rhi.backends.cl.resources import Texture
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
-from rhi.shading.ir.texture_words import LevelPlace, describe_texture
+from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 
 __rhi_internal__ = True
 
@@ -61,5 +61,5 @@ class Samplers:
             return cl.Buffer(self._context, flags, hostbuf=words)
 
 
-def _place(plane: Plane) -> LevelPlace:
-    return LevelPlace(plane.start, plane.width, plane.height, plane.layers, plane.pitch, plane.layer_bytes)
+def _place(plane: Plane) -> LevelLayout:
+    return LevelLayout(plane.start, plane.width, plane.height, plane.layers, plane.pitch, plane.layer_bytes)

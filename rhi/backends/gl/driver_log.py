@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from typing import Final
 
-from rhi.contract.descriptors import ProgramDescriptor, Stage
+from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
 
@@ -20,7 +20,7 @@ _LINE: Final = re.compile(r"^(?:ERROR: |WARNING: )?\d+[:(](\d+)[):(]")
 
 
 def make_shader_error(
-    descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: str
+    descriptor: ProgramDescriptor, log: str, stage: Stage | None, source: StageText
 ) -> ShaderError:
     """Return the error for a program whose `stage` the driver rejected (None: linking failed).
 

@@ -24,7 +24,7 @@ from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import VERTEX_TYPES
-from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, VertexArrayDescriptor
+from rhi.contract.descriptors import Id, ProgramDescriptor, Stage, StageText, VertexArrayDescriptor
 from rhi.contract.states import AlphaFunction
 
 __rhi_internal__ = True
@@ -210,7 +210,7 @@ class Programs:
             self._gl.ProgramUniform1f(linked.program.glo, location, reference)
         return linked
 
-    def _link(self, descriptor: ProgramDescriptor, fragment: str | None = None) -> LinkedProgram:
+    def _link(self, descriptor: ProgramDescriptor, fragment: StageText | None = None) -> LinkedProgram:
         """Compile and link a program. `fragment` replaces the source of its fragment stage."""
         sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
         if fragment is not None:
@@ -218,7 +218,7 @@ class Programs:
         if Stage.VERTEX in sources:
             sources[Stage.VERTEX] = _extend_main(sources[Stage.VERTEX], "gl_Position.y = -gl_Position.y;")
         # As bytes, because moderngl strips and preprocesses text, which would change its line numbers.
-        encoded = {stage: source.encode() for stage, source in sources.items()}
+        encoded = {stage: source.text.encode() for stage, source in sources.items()}
         program: GlProgram
         try:
             if Stage.COMPUTE in encoded:
@@ -230,14 +230,14 @@ class Programs:
         except moderngl.Error as error:
             title, log = _split_message(str(error))
             stage = _TITLES.get(title)
-            source = sources[stage] if stage is not None else ""
+            source = sources[stage] if stage is not None else StageText("")
             raise make_shader_error(descriptor, log, stage, source) from None
         if descriptor.name:
             self._gl.ObjectLabel(enums.PROGRAM, program.glo, -1, descriptor.name.encode())
         return LinkedProgram(self._gl, self._arrays, program, descriptor.writes_memory)
 
 
-def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> str | None:
+def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> StageText | None:
     """Return the source of the fragment stage with an alpha test at its end.
 
     Returns None if there is nothing to test: for ALWAYS, and for programs that write no alpha to target 0.
@@ -246,7 +246,7 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> st
     if function is AlphaFunction.ALWAYS or output is None or (output.kind, output.components) != ("float", 4):
         return None
     source = descriptor.emit("glsl", Stage.FRAGMENT)
-    declared = _OUTPUT.search(source)
+    declared = _OUTPUT.search(source.text)
     alpha = f"{declared[1] if declared else output.name}.a"
     passes = (
         "false" if function is AlphaFunction.NEVER else f"{alpha} {_OPERATORS[function]} rhi_alpha_reference"
@@ -254,10 +254,11 @@ def add_alpha_test(descriptor: ProgramDescriptor, function: AlphaFunction) -> st
     return _extend_main(source, f"if (!({passes})) discard;", "uniform float rhi_alpha_reference;")
 
 
-def _extend_main(source: str, statement: str, declaration: str = "") -> str:
+def _extend_main(source: StageText, statement: str, declaration: str = "") -> StageText:
     """Return `source` with `statement` added at the end of its main function."""
-    renamed = _MAIN.sub("void rhi_inner_main()", source)
-    return f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
+    renamed = _MAIN.sub("void rhi_inner_main()", source.text)
+    text = f"{renamed}\n{declaration}\nvoid main() {{ rhi_inner_main(); {statement} }}\n"
+    return StageText(text, source.origins)
 
 
 def _split_message(message: str) -> tuple[str, str]:

@@ -75,7 +75,7 @@ class Shaders:
         if kernel is None:
             from rhi.shading.numpy.kernel import NumpyKernel
 
-            text = descriptor.emit("numpy", Stage.COMPUTE)
+            text = descriptor.emit("numpy", Stage.COMPUTE).text
             kernel = self._kernels[descriptor] = NumpyKernel(text, descriptor.name)
         return kernel
 

@@ -24,8 +24,8 @@ from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import source_of
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType
+from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.functions import lower_function
-from rhi.shading.lowering.places import all_kinds, words_of
 from rhi.shading.numpy.kernel import NumpyKernel, Run, load_module
 from rhi.shading.numpy.textures import HostTexture
 from rhi.shading.numpy.writer import write_numpy
@@ -260,7 +260,7 @@ def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
                 "no compute stage",
                 "compute(self) -> None",
             )
-        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE), descriptor.name)
+        known = _shaders[shader] = NumpyKernel(descriptor.emit("numpy", Stage.COMPUTE).text, descriptor.name)
     return known
 
 

@@ -25,7 +25,7 @@ from rhi.shading.ir.lanes import StageCode
 from rhi.shading.language import rules
 from rhi.shading.language.shader import Shader
 from rhi.shading.language.types import VEC4
-from rhi.shading.lowering.places import words_of
+from rhi.shading.lowering.components import words_of
 from rhi.shading.lowering.stages import lower_stage, takes_differences
 from rhi.shading.numpy.kernel import Run, load_module
 from rhi.shading.numpy.runtime import Invocations

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from rhi.contract.descriptors import Binding, Stage
+from rhi.contract.descriptors import Binding, Stage, StageText
 from rhi.contract.formats import ChannelKind
 from rhi.contract.layout import FLOAT, INT, UINT, StructType
 from rhi.shading.glsl.names import Names
 from rhi.shading.glsl.writer import Writer, constant_key
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface, Varying
-from rhi.shading.ir.text import Lines, StageText
+from rhi.shading.ir.text import Lines
 from rhi.shading.language.annotations import Role
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.shader import Declaration, StorageClass

@@ -266,7 +266,7 @@ class Writer:
 
     def statement(self, node: tree.Statement) -> None:
         """Write one statement, on one or more lines."""
-        place = node.place
+        place = node.span
         match node:
             case tree.Declare(local=local, value=value):
                 self.declare(local, value, place)
@@ -316,7 +316,7 @@ class Writer:
 
     def condition(self, node: tree.If, before: str) -> None:
         """Write `if`, `else if` and `else`."""
-        line, otherwise = node.place.line, node.otherwise
+        line, otherwise = node.span.line, node.otherwise
         nested = otherwise[0] if len(otherwise) == 1 and isinstance(otherwise[0], tree.If) else None
         header = f"{before}if ({self.expression(node.condition)})"
         with self.lines.braces(header, self.file, line, "}" if not otherwise else ""):
@@ -344,7 +344,7 @@ class Writer:
             text = self.once(node, step, "step")
             test, increment = f"{text} > 0 ? {name} < {stop} : {name} > {stop}", f"{name} += {text}"
         header = f"for (int {name} = {start_text}; {test}; {increment})"
-        with self.lines.braces(header, self.file, node.place.line):
+        with self.lines.braces(header, self.file, node.span.line):
             self.block(node.body)
 
     def once(self, node: tree.For, value: Expression, what: str) -> str:
@@ -356,7 +356,7 @@ class Writer:
         if fixed:
             return text
         name = self.names.get((node, what), f"{node.local.name}_{what}")
-        self.line(f"int {name} = {text};", node.place)
+        self.line(f"int {name} = {text};", node.span)
         return name
 
     # -- functions
@@ -371,19 +371,19 @@ class Writer:
         )
         name = self.globals.get(node, node.name)
         header = f"{self.type(node.result)} {name}({parameters})"
-        with self.lines.braces(header, node.file, node.place.line):
+        with self.lines.braces(header, node.file, node.span.line):
             native = node.native.get("glsl")
             if native is not None:
                 for offset, line in enumerate(native.body.splitlines()):
                     if line.strip():
-                        self.line(line, SourceSpan(native.line + offset if native.line else node.place.line))
+                        self.line(line, SourceSpan(native.line + offset if native.line else node.span.line))
             elif node.native and not node.body:
                 raise ShaderError(
                     rules.NATIVE,
-                    f"{node.name}\n{show(node.file, node.place)}",
+                    f"{node.name}\n{show(node.file, node.span)}",
                     f"no body for GLSL, only for {', '.join(node.native)}",
                     tip='add @native("glsl", …) or a Python body',
-                    site=CallSite(node.file, node.place.line, node.name),
+                    site=CallSite(node.file, node.span.line, node.name),
                 )
             else:
                 self.block(node.body)

@@ -1,10 +1,10 @@
-"""What a checked shader found on the device: the error for a fault.
+"""Errors for faults that checked shaders report from the device.
 
 A shader whose `checked` is true tests every index of a buffer, array, vector or matrix, and every `uniform(x)`, where
-it is used. On OpenCL its kernel, or the function of a stage that draws, has one argument more, behind its bindings:
-`global int *`, three words that are zeros before a launch. The first fault of a launch leaves there its line in the
-stage's text (`ProgramDescriptor.lines` leads from it to the Python line), the index, and what it should be below; -1
-stands for values of `uniform` that differ. On NumPy the error is raised at once.
+it is used. On OpenCL its kernel, or the function of a stage that draws, has one more argument after its bindings:
+`global int *`, three words that are zero before a launch. The first fault of a launch writes there its line in the
+stage's text (`StageText.origins` leads from it to the Python line), the index, and the limit that the index must be
+below. A limit of -1 stands for values of `uniform` that differ. On NumPy the error is raised at once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _DIFFERENT: Final = -1
 
 
 def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderError:
-    """The error for an index that isn't below `limit`, on a Python file's line."""
+    """Return the error for an index that isn't below `limit`, at a (file, line) of the Python source."""
     file, number = line
     call, site = show(file, SourceSpan(number)), CallSite(file, number)
     if limit == _DIFFERENT:
@@ -38,6 +38,6 @@ def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderErr
 
 
 def find_fault(words: Sequence[int], lines: Sequence[tuple[str, int]]) -> ShaderError | None:
-    """The error for what a kernel left in its last argument, None for zeros; `lines` are the text's origins."""
+    """Return the error for the words that a kernel wrote, or None if they are zero; `lines` are the text's origins."""
     number, given, limit = words
     return make_index_error(lines[number - 1], given, limit) if number else None

@@ -1,4 +1,4 @@
-"""What flows in and out of a shader's stages."""
+"""The inputs, outputs and varyings of a shader's stages."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __rhi_internal__ = True
 
 @dataclass(frozen=True, slots=True)
 class Varying:
-    """A value that the vertex stage gives to the fragment stage."""
+    """A value that the vertex stage passes to the fragment stage."""
 
     name: str
     type: HostType
@@ -23,10 +23,10 @@ class Varying:
 
 @dataclass(frozen=True, slots=True)
 class Interface:
-    """All that flows in and out of a shader's graphics stages.
+    """All inputs, outputs and varyings of a shader's graphics stages.
 
-    `position` is the name of the vertex stage's position field, "" where it returns a plain vec4; `depth`
-    that of the fragment stage's depth field, "" if it has none.
+    `position` is the name of the vertex stage's position field, "" if it returns a plain vec4. `depth` is the name of
+    the fragment stage's depth field, "" if it has none.
     """
 
     attributes: tuple[Attribute, ...] = ()

@@ -1,13 +1,13 @@
-"""Lane code: what a stage does, in scalar components with explicit masks; OpenCL C and NumPy are printed from it.
+"""Lane code: stages in scalar components with explicit masks. OpenCL C and NumPy are written from it.
 
-- One value is one component of W invocations ("lanes"). Its `Uniformity` says among whom it is the same; all but
-  VARYING are printed as scalars. An `Affine` value is the same plus a multiple of the lane's number, so that
-  memory is read with vector loads.
-- Control flow whose condition is the same for all lanes is real. Where it varies, a mask (a bool variable) says
-  which lanes take part: `Set`, `Store` and `Atomic` have a mask, loops end when no lane is left, and
-  `If(any_lane=True)` steps around work that no lane wants.
-- Calls are gone: each is lowered in place, so that a function is specialised for the levels of its arguments.
-- MemoryRegion is 32-bit words; an access names `index * scale + offset`.
+- One value is one component of W invocations ("lanes"). Its `Uniformity` says which invocations share the value; all
+  but VARYING values are written as scalars. An `Affine` value is a uniform value plus a multiple of the lane index, so
+  that memory is read with vector loads.
+- A branch whose condition is the same for all lanes is a real branch. Where the condition varies, a mask (a bool
+  variable) says which lanes take part: `Set`, `Store` and `Atomic` have a mask, loops end when no lane is active, and
+  `If(any_lane=True)` skips work that no lane needs.
+- There are no calls: each is inlined, so that a function is specialised for the uniformity of its arguments.
+- Memory consists of 32-bit words; an access addresses the word `index * scale + offset`.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __rhi_internal__ = True
 
 
 class ScalarKind(enum.Enum):
-    """What a component is; a bool that varies is a mask."""
+    """The scalar type of a component. A varying bool is a mask."""
 
     FLOAT = "float"
     INT = "int"
@@ -34,7 +34,7 @@ class ScalarKind(enum.Enum):
 
 
 class Uniformity(enum.IntEnum):
-    """Among which invocations a value is the same: a whole dispatch, a work-group, the lanes of one work-item."""
+    """The invocations that share a value: the whole dispatch, a work-group, the lanes of one work-item, or none."""
 
     DISPATCH = 0
     GROUP = 1
@@ -44,15 +44,15 @@ class Uniformity(enum.IntEnum):
 
 @dataclass(slots=True, eq=False)
 class Variable:
-    """A component with a name; `level` is settled when lowering is done."""
+    """A named component. Its `uniformity` is final when lowering is done."""
 
     name: str
     kind: ScalarKind
-    level: Uniformity
+    uniformity: Uniformity
 
 
 class AddressSpace(enum.Enum):
-    """Where memory lies, as far as lane code cares."""
+    """The kind of memory a region lies in, as far as lane code distinguishes it."""
 
     UNIFORM = "uniform"
     STORAGE = "storage"
@@ -67,10 +67,15 @@ class AddressSpace(enum.Enum):
 
 @dataclass(slots=True, eq=False)
 class MemoryRegion:
-    """An array of words. `stride`: the words of one element; `length`: words in all, 0 where a buffer decides.
+    """An array of words.
 
-    PRIVATE memory is one such array of `kind` for each lane, and VARYING unless `level` says less; CONSTANT
-    memory holds `values`; a TEXTURE or IMAGE has a `shape`.
+    PRIVATE memory is one array of `kind` for each lane; a `uniformity` below VARYING means that all lanes share one.
+
+    Attributes:
+        stride: words of one element.
+        length: words of the whole region; 0 if the size of the bound buffer decides.
+        values: the contents of CONSTANT memory.
+        shape: the kind of a TEXTURE or IMAGE.
     """
 
     name: str
@@ -79,7 +84,7 @@ class MemoryRegion:
     length: int = 0
     writable: bool = False
     kind: ScalarKind = ScalarKind.UINT
-    level: Uniformity = Uniformity.VARYING
+    uniformity: Uniformity = Uniformity.VARYING
     values: tuple[float, ...] = ()
     shape: TextureKind = TextureKind.D2
 
@@ -89,10 +94,10 @@ class MemoryRegion:
 
 @dataclass(slots=True, eq=False)
 class Value:
-    """One component; arithmetic on values makes `Apply` values."""
+    """One component. Arithmetic on values creates `Apply` values."""
 
     kind: ScalarKind
-    level: Uniformity
+    uniformity: Uniformity
 
     def __add__(self, other: Value) -> Value:
         return apply("add", self, other)
@@ -118,17 +123,21 @@ class Value:
 
 @dataclass(slots=True, eq=False)
 class Literal(Value):
+    """A constant."""
+
     value: float
 
 
 @dataclass(slots=True, eq=False)
 class Get(Value):
+    """The current value of a variable."""
+
     variable: Variable
 
 
 @dataclass(slots=True, eq=False)
 class Affine(Value):
-    """`base + stride * lane`, the base being the same for all lanes."""
+    """`base + stride * lane`, where all lanes share the base."""
 
     base: Value
     stride: int
@@ -136,7 +145,7 @@ class Affine(Value):
 
 @dataclass(slots=True, eq=False)
 class Apply(Value):
-    """A primitive of `rhi.shading.ir.primitives`, by name."""
+    """A primitive operation, by its name in `rhi.shading.ir.primitives`."""
 
     operation: str
     arguments: tuple[Value, ...]
@@ -144,7 +153,7 @@ class Apply(Value):
 
 @dataclass(slots=True, eq=False)
 class Load(Value):
-    """A word at `index * scale + offset`; lanes outside `mask` read nothing and get anything."""
+    """The word at `index * scale + offset`. Lanes outside `mask` read nothing; their value is undefined."""
 
     memory: MemoryRegion
     index: Value
@@ -154,14 +163,14 @@ class Load(Value):
 
 
 @dataclass(slots=True, eq=False)
-class Count(Value):
-    """How many elements a storage buffer has."""
+class ElementCount(Value):
+    """The number of elements of a storage buffer."""
 
     memory: MemoryRegion
 
 
 class DispatchIndex(enum.Enum):
-    """What an invocation knows of its place; of the axes, those of `Input.axis`."""
+    """A built-in index of an invocation or its work-group. Those with several axes are read one axis at a time."""
 
     GROUP_ID = "group_id"
     GROUP_COUNT = "group_count"
@@ -173,13 +182,15 @@ class DispatchIndex(enum.Enum):
 
 @dataclass(slots=True, eq=False)
 class Input(Value):
-    place: DispatchIndex
+    """A component of a `DispatchIndex`."""
+
+    index: DispatchIndex
     axis: int = 0
 
 
 @dataclass(slots=True, eq=False)
 class Argument(Value):
-    """A component that the caller passes in: of a function evaluated on arrays, of a stage's inputs."""
+    """A component passed in by the caller: of a function evaluated on arrays, or of a stage's inputs."""
 
     name: str
 
@@ -189,20 +200,22 @@ class Argument(Value):
 
 @dataclass(slots=True, eq=False)
 class Statement:
+    """A statement, with the (file, line) of the Python source it was lowered from."""
+
     line: tuple[str, int]
 
 
 @dataclass(slots=True, eq=False)
 class Let(Statement):
-    """A variable begins, with a value or without one."""
+    """Declare a variable, with or without an initial value."""
 
     variable: Variable
     value: Value | None
 
 
 @dataclass(slots=True, eq=False)
-class Begin(Statement):
-    """Private memory begins, filled with zeros if asked for."""
+class DeclareMemory(Statement):
+    """Declare private memory, filled with zeros if `zeros` is true."""
 
     memory: MemoryRegion
     zeros: bool
@@ -210,7 +223,7 @@ class Begin(Statement):
 
 @dataclass(slots=True, eq=False)
 class Set(Statement):
-    """A new value for the lanes in `mask`, for all where that is None."""
+    """Assign a value to a variable in the lanes of `mask`, or in all lanes if it is None."""
 
     variable: Variable
     value: Value
@@ -219,10 +232,10 @@ class Set(Statement):
 
 @dataclass(slots=True, eq=False)
 class Store(Statement):
-    """Consecutive words from `index * scale + offset` on.
+    """Store consecutive words, starting at `index * scale + offset`.
 
-    Where lanes that take part store different values to one address, the last of them wins. `padding`: words
-    behind the values that nobody reads and that may be overwritten.
+    If several lanes store different values to one address, the last active lane wins. `padding` is the number of words
+    behind the values that are never read and may be overwritten.
     """
 
     memory: MemoryRegion
@@ -236,7 +249,11 @@ class Store(Statement):
 
 @dataclass(slots=True, eq=False)
 class Atomic(Statement):
-    """`result` (None: nobody wants it) gets the old word; `values` is one, or expected and new for an exchange."""
+    """Perform an atomic operation on one word.
+
+    `result` receives the old word, unless it is None because the result is unused. `values` has one element; a compare
+    and exchange has two, the expected and the new word.
+    """
 
     result: Variable | None
     operation: str
@@ -251,12 +268,12 @@ class Atomic(Statement):
 
 @dataclass(slots=True, eq=False)
 class TextureAccess(Statement):
-    """A texture or image is read, measured or written; `results` get the components.
+    """Read, query or write a texture or image; `results` receive the components.
 
-    Coordinates have three components. The operations and their arguments: sample (at, level), sample_compare
+    Coordinates have three components. The operations and their arguments are: sample (at, level), sample_compare
     (at, reference, level), level_of_detail (at, step right, step down, bias), gather (component, at), gather_compare
     (at, reference), load (texel, level), store (texel, four values), size (level), levels. Nothing is read outside
-    the texture; `mask` says who stores.
+    the texture. `mask` says which lanes store.
     """
 
     operation: str
@@ -268,14 +285,14 @@ class TextureAccess(Statement):
 
 @dataclass(slots=True, eq=False)
 class Barrier(Statement):
-    """The whole work-group meets (`waits`), or only memory is ordered."""
+    """Synchronise the work-group if `waits` is true; otherwise only order its memory accesses."""
 
     waits: bool
 
 
 @dataclass(slots=True, eq=False)
 class Check(Statement):
-    """Report the statement's line where a lane in `mask` has `wrong`: `given` isn't below `limit`."""
+    """Report a fault on this line if `wrong` is true in a lane of `mask`: `given` isn't below `limit`."""
 
     wrong: Value
     given: Value
@@ -285,7 +302,7 @@ class Check(Statement):
 
 @dataclass(slots=True, eq=False)
 class If(Statement):
-    """A real branch: on a condition that is the same for all lanes, or on whether `any_lane` has it."""
+    """A real branch on a condition that all lanes share or, with `any_lane`, on whether it is true in any lane."""
 
     condition: Value
     then: Block
@@ -295,7 +312,7 @@ class If(Statement):
 
 @dataclass(slots=True, eq=False)
 class Loop(Statement):
-    """Turns without end; `advance` follows each turn, ended early or not."""
+    """Repeat the body until a `Break`. `advance` runs after each iteration, also after a `Continue`."""
 
     body: Block
     advance: Block
@@ -303,29 +320,33 @@ class Loop(Statement):
 
 @dataclass(slots=True, eq=False)
 class Break(Statement):
-    """Return the loop: always, or if `none` of the lanes has the mask."""
+    """Leave the loop: always, or only if no lane is set in the mask `when_empty`."""
 
-    none: Variable | None = None
+    when_empty: Variable | None = None
 
 
 @dataclass(slots=True, eq=False)
 class Continue(Statement):
-    none: Variable | None = None
+    """Start the next iteration: always, or only if no lane is set in the mask `when_empty`."""
+
+    when_empty: Variable | None = None
 
 
 @dataclass(slots=True, eq=False)
 class InlinedCall(Statement):
-    """The body of a function that was called; `Return` ends it early."""
+    """The inlined body of a called function. `returns_early` is true if a `Return` ends it early."""
 
     label: str
     block: Block
-    is_left: bool = False
+    returns_early: bool = False
 
 
 @dataclass(slots=True, eq=False)
 class Return(Statement):
-    body: InlinedCall
-    none: Variable | None = None
+    """Leave an inlined call: always, or only if no lane is set in the mask `when_empty`."""
+
+    call: InlinedCall
+    when_empty: Variable | None = None
 
 
 Block: TypeAlias = list[Statement]
@@ -333,7 +354,10 @@ Block: TypeAlias = list[Statement]
 
 @dataclass(slots=True, eq=False)
 class Code:
-    """A stage or function in lane code: what it is given, what it does, and the variables with its results."""
+    """A stage or function in lane code: its arguments, memory, statements and results.
+
+    `width` is the number of lanes, 0 for whole arrays.
+    """
 
     name: str
     width: int
@@ -346,7 +370,7 @@ class Code:
     operations: frozenset[tuple[str, tuple[ScalarKind, ...]]] = field(default_factory=frozenset)
 
 
-# -- making values -----------------------------------------------------------------------------------------
+# -- creating values -----------------------------------------------------------------------------------------
 
 _COMPARISONS: Final = frozenset({"equal", "not_equal", "less", "less_equal", "greater", "greater_equal"})
 _FIXED: Final = {
@@ -362,13 +386,18 @@ _FIXED: Final = {
 
 
 def literal(value: float, kind: ScalarKind = ScalarKind.FLOAT) -> Literal:
-    """A constant."""
+    """Return a constant."""
     return Literal(kind, Uniformity.DISPATCH, value)
 
 
 def number(value: int) -> Literal:
-    """An int constant."""
+    """Return an int constant."""
     return Literal(ScalarKind.INT, Uniformity.DISPATCH, value)
+
+
+def get(variable: Variable) -> Get:
+    """Return the current value of a variable."""
+    return Get(variable.kind, variable.uniformity, variable)
 
 
 TRUE: Final = literal(True, ScalarKind.BOOL)
@@ -376,16 +405,19 @@ FALSE: Final = literal(False, ScalarKind.BOOL)
 
 
 def apply(operation: str, *arguments: Value) -> Value:
-    """A primitive applied: of the arguments' kind or its own, and of their highest level."""
+    """Return a primitive operation applied to arguments, simplified where possible.
+
+    Its kind is the arguments' kind or fixed by the operation; it varies as much as the most varying argument.
+    """
     simple = _simplify(operation, arguments)
     if simple is not None:
         return simple
     kind = _FIXED.get(operation, ScalarKind.BOOL if operation in _COMPARISONS else arguments[-1].kind)
-    return Apply(kind, max(argument.level for argument in arguments), operation, arguments)
+    return Apply(kind, max(argument.uniformity for argument in arguments), operation, arguments)
 
 
 def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:
-    """Addresses fold: sums and products of int constants and affine values; so do selects and masks."""
+    """Fold addresses (sums, products of int constants and affine values), selects, masks; None if nothing folds."""
     a = arguments[0]
     match operation:
         case "select" if isinstance(a, Literal):
@@ -450,14 +482,14 @@ def _affine_sum(operation: str, a: Value, b: Value) -> Value | None:
 def _split(value: Value) -> tuple[Value | None, int]:
     if isinstance(value, Affine):
         return value.base, value.stride
-    return (value, 0) if value.level < Uniformity.VARYING else (None, 0)
+    return (value, 0) if value.uniformity < Uniformity.VARYING else (None, 0)
 
 
 # -- walking -----------------------------------------------------------------------------------------------
 
 
 def parts_of(value: Value) -> tuple[Value, ...]:
-    """The values directly inside a value."""
+    """Return the direct operands of a value."""
     match value:
         case Apply(arguments=arguments):
             return arguments
@@ -470,7 +502,7 @@ def parts_of(value: Value) -> tuple[Value, ...]:
 
 
 def variables_of(value: Value) -> Iterator[Variable]:
-    """The variables that a value reads."""
+    """Yield the variables that a value reads."""
     if isinstance(value, Get):
         yield value.variable
     for part in parts_of(value):
@@ -478,12 +510,12 @@ def variables_of(value: Value) -> Iterator[Variable]:
 
 
 def loads(value: Value) -> bool:
-    """Whether a value reads memory."""
+    """Return whether a value reads memory."""
     return isinstance(value, Load) or any(loads(part) for part in parts_of(value))
 
 
 def walk(block: Block) -> Iterator[Statement]:
-    """All statements of a block, those inside behind the one that holds them."""
+    """Yield all statements of a block; nested ones follow the statement that contains them."""
     for statement in block:
         yield statement
         match statement:
@@ -498,7 +530,7 @@ def walk(block: Block) -> Iterator[Statement]:
 
 
 def values_of(statement: Statement) -> tuple[Value, ...]:
-    """The values directly in a statement."""
+    """Return the direct operands of a statement."""
     match statement:
         case Let(value=value):
             return (value,) if value is not None else ()
@@ -517,10 +549,10 @@ def values_of(statement: Statement) -> tuple[Value, ...]:
 
 
 WIDTH: Final = 16
-"""Lanes of a draw's stages on OpenCL: 16 vertices, or 4 by 4 pixels, lane = x + 4 y."""
+"""Number of lanes of a draw's stages on OpenCL: 16 vertices, or 4 by 4 pixels with lane = x + 4 y."""
 
 FIRST_VERTEX: Final = "vertex"
-"""The argument with the first lane's vertex; others lie behind it, side by side unless the writer says otherwise."""
+"""Name of the argument with the first lane's vertex. The others are consecutive unless the writer says otherwise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -528,8 +560,8 @@ class StageCode:
     """A stage in lane code.
 
     `code.arguments` are the parameters' components that are read, the built-in inputs in the order of the table of
-    built-ins, and the mask. `code.results` are the outputs, each for its word of `words`; then the depth, if the stage
-    writes one; and of a fragment stage the lanes that remain.
+    built-ins, and the mask. `code.results` are the outputs, one for each word of `words`; then the depth, if the stage
+    writes one; and, for a fragment stage, the mask of the lanes that were not discarded.
     """
 
     code: Code
@@ -538,12 +570,13 @@ class StageCode:
 
 
 @dataclass(frozen=True, slots=True)
-class Bounds:
-    """Lane code of clip positions and their slacks.
+class PositionBounds:
+    """Lane code that computes clip positions and their slacks.
 
     Attributes:
-        stage: gives position and slacks in words 0 to 3 and 4 to 7. Argument `reaches_k`: how large input k gets.
-        inputs: those that positions depend on.
+        stage: computes the position in words 0 to 3 and the slacks in words 4 to 7. Its argument `reaches_k` is the
+            greatest magnitude of input k.
+        inputs: the inputs that positions depend on.
     """
 
     stage: StageCode

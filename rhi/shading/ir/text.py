@@ -1,24 +1,15 @@
-"""A stage's text in C's words, be it GLSL or OpenCL C: its lines, and the Python line behind each of them."""
+"""A builder for the text of a stage in a C-like language (GLSL, OpenCL C) that records the origin of each line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 __rhi_internal__ = True
 
 
-@dataclass(frozen=True, slots=True)
-class StageText:
-    """A stage's text, and for each of its lines the Python file and line it came from."""
-
-    text: str
-    origins: tuple[tuple[str, int], ...]
-
-
 class Lines:
-    """A stage's text under construction; `origins` are (file, line), ("", 0) of what no Python line stands for."""
+    """A stage's text under construction. `origins` holds each line's Python (file, line), ("", 0) if it has none."""
 
     __slots__ = ("indent", "origins", "text")
 
@@ -28,13 +19,13 @@ class Lines:
         self.indent = 0
 
     def add(self, text: str, file: str = "", line: int = 0) -> None:
-        """One line, indented."""
+        """Append a line at the current indentation."""
         self.text.append("    " * self.indent + text)
         self.origins.append((file, line))
 
     @contextmanager
     def braces(self, header: str, file: str = "", line: int = 0, end: str = "}") -> Iterator[None]:
-        """An indented block."""
+        """Write `header {`, indent the lines that are added in the context, and write `end`."""
         self.add(header + " {", file, line)
         self.indent += 1
         yield
@@ -43,5 +34,5 @@ class Lines:
 
 
 def power_steps(exponent: int) -> str:
-    """What makes of r = x the power `exponent` of x, in C's words: square and multiply, from the highest bit down."""
+    """Return C statements that raise r, initially x, to a power by square and multiply, from the highest bit down."""
     return " ".join("r *= r; r *= x;" if bit == "1" else "r *= r;" for bit in f"{exponent:b}"[1:])

@@ -1,7 +1,7 @@
-"""What a lane program is told about a bound texture: its memory, format and sampler, as 32-bit words.
+"""The description of a bound texture for lane programs: its memory, format and sampler as 32-bit words.
 
-All of it is data, so that a program needs no other text when another texture or sampler is bound. The numbers are
-those that `opencl_textures.cl` knows by the same names.
+The description is data, so that a program's text doesn't depend on which texture or sampler is bound. OpenCL code
+(`rhi.shading.opencl.textures`) knows the numbers by the same names.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from rhi.contract.states import Comparison
 __rhi_internal__ = True
 
 GRAIN: Final = 16
-"""Levels and layers begin at multiples of so many bytes."""
+"""Alignment in bytes of levels and layers."""
 
 
 class Stored(enum.IntEnum):
-    """What a channel is in memory; from WHOLE8 on it is an integer."""
+    """The storage type of a channel. WHOLE8 and those after it are integers."""
 
     UNORM8 = 0
     SRGB8 = 1
@@ -39,7 +39,7 @@ class Stored(enum.IntEnum):
 
 
 class Word(enum.IntEnum):
-    """Where each word stands."""
+    """The position of each word in a description."""
 
     STORED = 0
     CHANNELS = 1
@@ -49,20 +49,20 @@ class Word(enum.IntEnum):
     MINIFY = 5  # whether linear
     MAGNIFY = 6
     MIP = 7
-    ONE_FILTER = 8  # one level with one filter: the level of detail doesn't matter
-    PLAIN8 = 9  # four channels of 8 bits, 2D or an array, no border
+    ONE_FILTER = 8  # one level with one filter: the level of detail has no effect
+    PLAIN8 = 9  # four channels of 8 bits, 2D or a 2D array, no border
     WRAP_U = 10
     WRAP_V = 11
     WRAP_W = 12
     HAS_BORDER = 13
     COMPARISON = 14
     BORDER_COLOR = 15
-    CLAMPED = 19  # references are: depth is in fixed point
+    CLAMPED = 19  # whether references of comparisons are clamped: depth is in fixed point
     LEVELS = 20
 
 
 class LevelWord(enum.IntEnum):
-    """The words of a level, one level behind the other; rows and layers are counted in texels."""
+    """The words of one mip level; levels follow each other. Rows and layers are counted in texels."""
 
     START = 0  # in grains
     WIDTH = 1
@@ -76,7 +76,7 @@ LEVEL_WORDS: Final = len(LevelWord)
 
 
 class Shape(enum.IntEnum):
-    """What a texture's third coordinate is: nothing, a layer, a third direction, a face."""
+    """The meaning of a texture's third coordinate: none, a layer, the third dimension, a face."""
 
     FLAT = 0
     LAYERED = 1
@@ -85,7 +85,7 @@ class Shape(enum.IntEnum):
 
 
 class Mip(enum.IntEnum):
-    """How levels are chosen."""
+    """The filter between mip levels."""
 
     NO_MIP = 0
     NEAREST_MIP = 1
@@ -93,7 +93,7 @@ class Mip(enum.IntEnum):
 
 
 class Edge(enum.IntEnum):
-    """What lies beyond an edge; SEAM: the next face of the cube."""
+    """The wrap mode at an edge. SEAM continues on the adjacent face of a cube."""
 
     REPEAT = 0
     MIRROR = 1
@@ -102,8 +102,8 @@ class Edge(enum.IntEnum):
     SEAM = 4
 
 
-class LevelPlace(NamedTuple):
-    """Where a level lies, in bytes, and its size in texels."""
+class LevelLayout(NamedTuple):
+    """The memory layout of a mip level in bytes, and its size in texels."""
 
     start: int
     width: int
@@ -140,11 +140,11 @@ _LOADS: Final = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None)
 
 
 def describe_texture(
-    format: Format, kind: TextureKind, levels: Sequence[LevelPlace], sampler: SamplerDescriptor = _LOADS
+    format: Format, kind: TextureKind, levels: Sequence[LevelLayout], sampler: SamplerDescriptor = _LOADS
 ) -> NDArray[np.int32]:
-    """The words of a texture read through a sampler, or of one level as an image.
+    """Return the words of a texture that is read through a sampler, or of one level used as an image.
 
-    Integers are never filtered, and a cube's edges are always seams.
+    Integer formats are never filtered, and the edges of a cube are always seams.
     """
     words = np.zeros(Word.LEVELS + LEVEL_WORDS * len(levels), np.int32)
     stored = _STORED[format.kind, format.dtype.itemsize]
@@ -195,12 +195,12 @@ def describe_texture(
 
 
 def has_fixed_depth(format: Format) -> bool:
-    """Whether depth is in fixed point, so that references of comparisons are clamped to 0…1."""
+    """Return whether depth is in fixed point, so that references of comparisons are clamped to 0…1."""
     return format in (Format.D16, Format.D24, Format.D24S8)
 
 
 def border_color(format: Format, sampler: SamplerDescriptor) -> NDArray[np.float64]:
-    """The border as a texel of the format: without the channels that it hasn't got, and within its range."""
+    """Return the border color as a texel of the format: without channels the format lacks, clamped to its range."""
     border = np.array([0.0, 0.0, 0.0, 1.0])
     given = np.array(sampler.border, np.float64)[: format.channels]
     if format.kind in (FormatKind.UNORM, FormatKind.SRGB) or has_fixed_depth(format):
@@ -212,7 +212,7 @@ def border_color(format: Format, sampler: SamplerDescriptor) -> NDArray[np.float
 
 
 def enumerations() -> str:
-    """The numbers above as OpenCL C: RHI_ and the member's name."""
+    """Return the numbers above as an OpenCL C enum: each name is RHI_ and the member's name."""
     numbers: dict[str, int] = {}
     for group in (Stored, Word, LevelWord, Shape, Mip, Edge):
         numbers |= {member.name: member.value for member in group}

@@ -1,10 +1,10 @@
-"""The typed tree: what a stage does, free of Python's syntax and of any device language.
+"""The typed tree: a representation of stages that is independent of Python's syntax and of any device language.
 
-- Every expression has a type and a place in the source; conversions are nodes, so an emitter never converts
-  by itself. Values are values: an assignment copies.
+- Every expression has a type and a span of the source. Conversions are nodes, so an emitter never converts
+  implicitly. Types have value semantics: an assignment copies.
 - Operators keep Python's meaning: `FloorDivide` and `Modulo` round towards minus infinity, `Divide` gives
-  floats, `and`/`or`/`Select` evaluate only what they need, `For` evaluates its bounds once.
-- A local is declared by the `Declare` in the narrowest block that holds all its uses.
+  floats, `and`/`or`/`Select` evaluate only the operands they need, `For` evaluates its bounds once.
+- A local is declared by a `Declare` in the innermost block that contains all its uses.
 - Matrices are indexed by row, as in NumPy.
 """
 
@@ -30,7 +30,7 @@ __rhi_internal__ = True
 
 
 class Operator(enum.Enum):
-    """Operators on values of one type (and scalar with vector or matrix, by component)."""
+    """Operators on values of one type, or on a scalar and a vector or matrix by component."""
 
     ADD = "+"
     SUBTRACT = "-"
@@ -62,7 +62,7 @@ class Operator(enum.Enum):
 
 @dataclass(slots=True, eq=False)
 class Local:
-    """A variable or parameter. `writes` counts assignments, a parameter's own value not included."""
+    """A variable or parameter. `writes` counts assignments, excluding the initial value of a parameter."""
 
     name: str
     type: Type
@@ -72,13 +72,15 @@ class Local:
 
 @dataclass(slots=True, eq=False)
 class Expression:
+    """An expression with its type and its span of the source."""
+
     type: Type
-    place: SourceSpan
+    span: SourceSpan
 
 
 @dataclass(slots=True, eq=False)
 class Constant(Expression):
-    """A scalar known now; `literal`: an int that has not got a type of its own yet."""
+    """A scalar known at compile time. `literal` marks an int whose type isn't fixed yet."""
 
     value: bool | int | float
     literal: bool = False
@@ -86,7 +88,7 @@ class Constant(Expression):
 
 @dataclass(slots=True, eq=False)
 class ConstantArray(Expression):
-    """A module constant that is a tuple: elements are `Constant` or `Construct`."""
+    """A tuple constant of a module. Its elements are `Constant` or `Construct`."""
 
     name: str
     elements: tuple[Expression, ...]
@@ -94,7 +96,7 @@ class ConstantArray(Expression):
 
 @dataclass(slots=True, eq=False)
 class Read(Expression):
-    """A local's value, or the place it names."""
+    """The value of a local or, in an lvalue, the local itself."""
 
     local: Local
 
@@ -116,7 +118,7 @@ class Member(Expression):
 
 @dataclass(slots=True, eq=False)
 class Swizzle(Expression):
-    """Components of a vector by place, 0 to 3; of one component, a scalar."""
+    """Components of a vector by index, 0 to 3. A single component is a scalar."""
 
     base: Expression
     components: tuple[int, ...]
@@ -132,7 +134,7 @@ class Index(Expression):
 
 @dataclass(slots=True, eq=False)
 class Length(Expression):
-    """How many elements a storage buffer has."""
+    """The number of elements of a storage buffer."""
 
     base: Expression
 
@@ -152,7 +154,7 @@ class Binary(Expression):
 
 @dataclass(slots=True, eq=False)
 class Select(Expression):
-    """`then if condition else otherwise`: only one of the two is evaluated."""
+    """`then if condition else otherwise`, of which only one operand is evaluated."""
 
     condition: Expression
     then: Expression
@@ -161,17 +163,18 @@ class Select(Expression):
 
 @dataclass(slots=True, eq=False)
 class Convert(Expression):
-    """A scalar or vector with its components converted (float to int towards zero)."""
+    """A conversion of a scalar, or of each component of a vector (float to int rounds towards zero)."""
 
     value: Expression
 
 
 @dataclass(slots=True, eq=False)
 class Construct(Expression):
-    """A vector, matrix, struct or array from its parts, each of the right type.
+    """A vector, matrix, struct or array constructed from parts that have the right types.
 
-    A vector takes scalars and vectors in order, or one scalar for all; a matrix one vector a row, scalars
-    row by row, one scalar for the diagonal, or another matrix; a struct or array one part each.
+    The parts of a vector are scalars and vectors in order, or one scalar for all components; those of a matrix are one
+    vector for each row, scalars row by row, one scalar for the diagonal, or another matrix; those of a struct or array
+    are one for each field or element.
     """
 
     parts: tuple[Expression, ...]
@@ -184,7 +187,7 @@ class Zeros(Expression):
 
 @dataclass(slots=True, eq=False)
 class Call(Expression):
-    """A call of a function of the program."""
+    """A call of a function of the stage."""
 
     function: Function
     arguments: tuple[Expression, ...]
@@ -192,7 +195,7 @@ class Call(Expression):
 
 @dataclass(slots=True, eq=False)
 class BuiltinCall(Expression):
-    """A call of a built-in; a texture's method has the texture as first argument."""
+    """A call of a built-in. For a texture's method, the first argument is the texture."""
 
     builtin: Builtin
     overload: Overload
@@ -204,12 +207,14 @@ class BuiltinCall(Expression):
 
 @dataclass(slots=True, eq=False)
 class Statement:
-    place: SourceSpan
+    """A statement with its span of the source."""
+
+    span: SourceSpan
 
 
 @dataclass(slots=True, eq=False)
 class Declare(Statement):
-    """A local begins, with a value or without."""
+    """Declare a local, with or without an initial value."""
 
     local: Local
     value: Expression | None
@@ -217,7 +222,7 @@ class Declare(Statement):
 
 @dataclass(slots=True, eq=False)
 class Assign(Statement):
-    """`target` is a Read, or Member, Swizzle, Index of a place in a local, storage or shared memory."""
+    """Assign to an lvalue: a Read, or a Member, Swizzle or Index of a local, of storage or of shared memory."""
 
     target: Expression
     value: Expression
@@ -225,7 +230,7 @@ class Assign(Statement):
 
 @dataclass(slots=True, eq=False)
 class Evaluate(Statement):
-    """An expression for its effect."""
+    """Evaluate an expression for its side effects."""
 
     value: Expression
 
@@ -239,8 +244,10 @@ class If(Statement):
 
 @dataclass(slots=True, eq=False)
 class For(Statement):
-    """`for local in range(start, stop, step)`: bounds evaluated once, before; the body doesn't assign
-    `local`, which lives in the loop only."""
+    """`for local in range(start, stop, step)`.
+
+    The bounds are evaluated once, before the loop. The body doesn't assign `local`, whose scope is the loop.
+    """
 
     local: Local
     start: Expression
@@ -272,7 +279,7 @@ class Return(Statement):
 
 @dataclass(slots=True, eq=False)
 class Discard(Statement):
-    """The fragment ends without output."""
+    """End the fragment without output."""
 
 
 Block: TypeAlias = list[Statement]
@@ -283,11 +290,11 @@ Block: TypeAlias = list[Statement]
 
 @dataclass(slots=True, eq=False)
 class Function:
-    """A function with concrete types. `native` bodies replace `body` in their languages."""
+    """A function with concrete types. A `native` body replaces `body` in its language."""
 
     name: str
     file: str
-    place: SourceSpan
+    span: SourceSpan
     parameters: tuple[Local, ...]
     result: Type
     body: Block = field(default_factory=list)
@@ -297,7 +304,10 @@ class Function:
 
 @dataclass(slots=True, eq=False)
 class StageTree:
-    """A stage: its entry, the functions it calls (callees first), and what they use."""
+    """A stage: its entry function, the functions it calls (callees first), and the declarations they use.
+
+    `stored` and `loaded` name the bindings that are written and read.
+    """
 
     stage: Stage
     entry: Function
@@ -315,7 +325,7 @@ class StageTree:
 
 
 def parts_of(node: Expression) -> tuple[Expression, ...]:
-    """The expressions directly inside an expression."""
+    """Return the direct operands of an expression."""
     match node:
         case Member(base=base) | Swizzle(base=base) | Length(base=base):
             return (base,)
@@ -338,7 +348,7 @@ def parts_of(node: Expression) -> tuple[Expression, ...]:
 
 
 def has_effect(node: Expression) -> bool:
-    """Whether evaluating it twice differs from evaluating it once."""
+    """Return whether an expression has side effects, so that evaluating it twice differs from evaluating it once."""
     if isinstance(node, BuiltinCall) and node.builtin.effect is not Effect.NONE:
         return True
     if isinstance(node, Call) and node.function.has_effect:
@@ -347,7 +357,7 @@ def has_effect(node: Expression) -> bool:
 
 
 def has_early_return(body: Block) -> bool:
-    """Whether a function returns anywhere but in its last statement."""
+    """Return whether a function body returns anywhere but in its last statement."""
     return any(_returns(statement) for statement in body[:-1]) or (
         bool(body) and not isinstance(body[-1], Return) and _returns(body[-1])
     )
@@ -364,15 +374,15 @@ def _returns(statement: Statement) -> bool:
     return False
 
 
-def root_of(place: Expression) -> Expression:
-    """The variable or binding that a place lies in."""
-    while isinstance(place, Member | Swizzle | Index):
-        place = place.base
-    return place
+def root_of(lvalue: Expression) -> Expression:
+    """Return the variable or binding that an lvalue belongs to."""
+    while isinstance(lvalue, Member | Swizzle | Index):
+        lvalue = lvalue.base
+    return lvalue
 
 
 def walk(block: Block) -> Iterator[Statement | Expression]:
-    """All statements and expressions of a block; of a binding that is stored to, only the indices."""
+    """Yield all statements and expressions of a block. Of the target of an assignment only the indices are included."""
     for statement in block:
         yield statement
         match statement:
@@ -397,11 +407,11 @@ def walk(block: Block) -> Iterator[Statement | Expression]:
                 yield from walk(body)
 
 
-def _indices(place: Expression) -> Iterator[Expression]:
-    while isinstance(place, Member | Swizzle | Index):
-        if isinstance(place, Index):
-            yield from _expressions(place.index)
-        place = place.base
+def _indices(lvalue: Expression) -> Iterator[Expression]:
+    while isinstance(lvalue, Member | Swizzle | Index):
+        if isinstance(lvalue, Index):
+            yield from _expressions(lvalue.index)
+        lvalue = lvalue.base
 
 
 def _expressions(node: Expression) -> Iterator[Expression]:

@@ -1,1 +1,1 @@
-"""From the typed tree to lane code."""
+"""Lowering: from the typed tree to lane code."""

@@ -1,17 +1,19 @@
 """Bounds of a vertex stage's clip positions, where they are an affine function of its inputs.
 
-- Affine: sums of inputs times what is the same for all vertices of an instance (uniforms, constants, an instance's row
-  of a buffer). Clip positions of vertices whose inputs lie in a box are then convex combinations of those of the box's
-  corners, but for rounding. So corners tell where all vertices are, before any of them is transformed.
-- `bound_positions` makes lane code of its own: only what positions need, so it reads nothing by a corner's inputs, and
-  beside each component a slack, what rounding may add: as far as a vertex may lie outside of the corners' hull, and a
-  sum or difference of two such components be off.
-- Slacks come from a running error analysis. A component's magnitude is what it would be if all terms were positive and
-  as large as they get in the box. Each rounding on a component's way is wrong by at most 2^-24 of that, so after n of
-  them a vertex and a corner are each within n 2^-24 magnitudes of the exact function: 2 n + 1 with a sum of two. The
-  slack is (4 n + 16) 2^-24, twice that and more.
-- Every term counts a thousandth more, so that no vertex overflows where magnitudes don't; where they do, slacks are
-  infinite. It counts at least 2^-64, so that what denormals lose is covered, too. NaN gives NaN.
+- Affine means a sum of inputs times values that all vertices of an instance share (uniforms, constants, an instance's
+  row of a buffer). If the inputs of vertices lie in a box, their clip positions are then convex combinations of the
+  clip positions of the box's corners, except for rounding. The corners therefore bound all vertices before any of them
+  is transformed.
+- `bound_positions` creates separate lane code. It contains only the computation of positions, so that no memory is
+  read at an index that depends on a corner's inputs. For each component it also computes a slack, the effect of
+  rounding: how far a vertex may lie outside the corners' hull, and the error of a sum or difference of two such
+  components.
+- Slacks come from a running error analysis. The magnitude of a component is its value if all terms were positive and
+  as large as they can be in the box. Each rounding in the computation of a component adds an error of at most 2^-24 of
+  the magnitude. After n roundings a vertex and a corner are each within n 2^-24 magnitudes of the exact function:
+  2 n + 1 with a sum of two. The slack is (4 n + 16) 2^-24, more than twice that.
+- Each term is increased by a thousandth, so that no vertex overflows unless magnitudes do, and then slacks are
+  infinite. Each term is at least 2^-64, which covers the losses of denormals. NaN gives NaN.
 """
 
 from __future__ import annotations
@@ -25,11 +27,11 @@ from rhi.shading.ir.lanes import (
     AddressSpace,
     Apply,
     Argument,
-    Bounds,
     Get,
     Let,
     Literal,
     Load,
+    PositionBounds,
     ScalarKind,
     Set,
     StageCode,
@@ -50,11 +52,11 @@ _LEAST: Final = 2.0**-64
 _ROUNDING: Final = 2.0**-22
 
 _Magnitude: TypeAlias = "tuple[Value, int]"
-"""And the most roundings on a component's way."""
+"""The magnitude of a component, and the greatest number of roundings in its computation."""
 
 
-def bound_positions(stage: StageCode) -> Bounds | None:
-    """Bounds for a vertex stage; None where positions aren't affine, or more is done than to compute outputs."""
+def bound_positions(stage: StageCode) -> PositionBounds | None:
+    """Return the bounds of a vertex stage; None if positions aren't affine or it does more than compute outputs."""
     code = stage.code
     positions = [value for word, value in zip(stage.words, code.results, strict=False) if word < 4]
     if len(positions) < 4 or code.checked or any(map(_has_effect, lanes.walk(code.block))):
@@ -73,32 +75,32 @@ def bound_positions(stage: StageCode) -> Bounds | None:
     if not inputs:
         return None
     code = replace(code, block=block, results=results)
-    return Bounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
+    return PositionBounds(replace(stage, code=code, words=tuple(range(8))), tuple(inputs))
 
 
 class _Analysis:
-    """Follows magnitudes along the statements.
+    """Computes the magnitudes of variables, statement by statement.
 
     Attributes:
-        block: the statements, those that compute magnitudes among them.
+        block: the statements, with those that compute magnitudes inserted.
     """
 
     def __init__(self) -> None:
         self.block: lanes.Block = []
-        self._known: dict[int, _Magnitude] = {}  # of varying variables, as they are now
+        self._known: dict[int, _Magnitude] = {}  # the current magnitudes of varying variables
 
     def add(self, statement: lanes.Statement) -> None:
-        """The next statement of the stage."""
+        """Append the next statement of the stage."""
         self.block.append(statement)
         value = statement.value if _is_assignment(statement) else None
         magnitude = self.measure(value) if value is not None else None
         for variable in _written(statement):
             self._known.pop(id(variable), None)
-            if magnitude is not None and variable.level is Uniformity.VARYING:
+            if magnitude is not None and variable.uniformity is Uniformity.VARYING:
                 self._known[id(variable)] = self._name(magnitude, variable.name, statement.line)
 
     def measure(self, value: Value) -> _Magnitude | None:
-        """A component's magnitude; None if it isn't affine."""
+        """Return the magnitude of a component; None if it isn't affine."""
         if value.kind is not ScalarKind.FLOAT:
             return None
         if _is_fixed(value):
@@ -135,7 +137,7 @@ def _extend(value: Value) -> Value:
 
 
 def _inputs_of(value: Value) -> Iterator[int]:
-    """The inputs that a value reads."""
+    """Yield the inputs that a value reads."""
     if isinstance(value, Argument) and value.name.startswith(_INPUTS):
         yield int(value.name[len(_INPUTS) :])
     for part in lanes.parts_of(value):
@@ -143,8 +145,10 @@ def _inputs_of(value: Value) -> Iterator[int]:
 
 
 def _is_fixed(value: Value) -> bool:
-    """Whether a value is the same for all vertices of an instance."""
-    if value.level is Uniformity.VARYING or (isinstance(value, Get) and value.variable.level is Uniformity.VARYING):
+    """Return whether all vertices of an instance share a value."""
+    if value.uniformity is Uniformity.VARYING:
+        return False
+    if isinstance(value, Get) and value.variable.uniformity is Uniformity.VARYING:
         return False
     if isinstance(value, Load) and value.memory.space not in _FIXED:
         return False
@@ -152,7 +156,7 @@ def _is_fixed(value: Value) -> bool:
 
 
 def _has_effect(statement: lanes.Statement) -> bool:
-    """Whether something but variables changes."""
+    """Return whether a statement has side effects beyond variables and private memory."""
     match statement:
         case lanes.Store(memory=memory):
             return memory.space is not AddressSpace.PRIVATE
@@ -162,7 +166,7 @@ def _has_effect(statement: lanes.Statement) -> bool:
 
 
 def _written(statement: lanes.Statement) -> Iterator[Variable]:
-    """The variables that a statement and those inside it give values to."""
+    """Yield the variables that a statement and its nested statements write."""
     for one in lanes.walk([statement]):
         match one:
             case Let(variable=variable) | Set(variable=variable):
@@ -174,12 +178,12 @@ def _written(statement: lanes.Statement) -> Iterator[Variable]:
 
 
 def _is_assignment(statement: lanes.Statement) -> TypeGuard[Let | Set]:
-    """Whether all lanes take a value."""
+    """Return whether a statement assigns a variable in all lanes."""
     return isinstance(statement, Let) or (isinstance(statement, Set) and statement.mask is None)
 
 
 def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None:
-    """The statements that results need; None if not all of them are plain assignments of what is fixed or affine."""
+    """Return the statements that results depend on; None unless all are plain assignments of fixed or affine values."""
     needed = {id(variable) for value in results for variable in lanes.variables_of(value)}
     kept: lanes.Block = []
     for statement in reversed(block):
@@ -198,7 +202,7 @@ def _slice(block: lanes.Block, results: tuple[Value, ...]) -> lanes.Block | None
 
 
 def _is_plain(value: Value) -> bool:
-    """Whether no memory is read but by what is fixed."""
+    """Return whether a value reads memory at fixed indices only."""
     if isinstance(value, Load) and not _is_fixed(value):
         return False
     return all(map(_is_plain, lanes.parts_of(value)))

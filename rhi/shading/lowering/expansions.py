@@ -1,8 +1,8 @@
-"""Built-ins made from others: the expressions that rows of `rhi.shading.language.builtins` hold, and what those can't
-say: functions of vectors and matrices, bits, packing.
+"""Built-ins composed of others: the expressions in the rows of `rhi.shading.language.builtins`, and functions for what
+no expression covers: vectors and matrices as a whole, bits, packing.
 
-An expansion takes `let`, which names a value that is used more than once, and the components of each argument; it
-gives those of the result. Arguments are names or constants already.
+An expansion is a function of `let`, which names a value that is used more than once, and of the components of each
+argument. It returns the components of the result. The arguments are variables or constants.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Expansion: TypeAlias = Callable[..., list[Value]]
 
 
 def by_component(function: Callable[..., Value]) -> Expansion:
-    """An expansion that treats each component alike; a single one stands for all."""
+    """Return an expansion that applies a function to each component; an argument with one component is broadcast."""
 
     def expand(let: LetFunction, *arguments: Components) -> list[Value]:
         size = max(len(argument) for argument in arguments)
@@ -56,9 +56,12 @@ def _parse(text: str) -> ast.expr:
 
 
 class _Expression:
-    """An expression of a built-in's arguments, read as the shading language is: operators act by component, a scalar
-    beside a vector stands for all, `v.yzx` picks components, calls are of built-ins and primitives. `(t := …)` gives a
-    value a name for what stands to the right of it; `inf` is a number; a number is of the first argument's kind."""
+    """An expression of a built-in's arguments, with the semantics of the shading language.
+
+    Operators act by component, a scalar operand of a vector is broadcast, `v.yzx` is a swizzle, and calls are of
+    built-ins and primitives. `(t := …)` names a value for the rest of the expression, `inf` is infinity, and numbers
+    have the kind of the first argument.
+    """
 
     def __init__(self, text: str) -> None:
         self.body = _parse(text)
@@ -99,7 +102,7 @@ class _Expression:
         raise TypeError(f"{ast.unparse(node)} in a built-in's expression")
 
     def apply(self, operation: str, *nodes: ast.expr) -> list[Value]:
-        """A primitive by component."""
+        """Return a primitive operation applied by component."""
         values = [self.value(node) for node in nodes]
         size = max(map(len, values))
         for i, parts in enumerate(values):
@@ -109,10 +112,10 @@ class _Expression:
 
 
 def expansion_of(row: Builtin) -> Expansion:
-    """What a built-in does in lane code.
+    """Return the expansion of a built-in in lane code.
 
     Raises:
-        LookupError: it has none.
+        LookupError: the built-in has none.
     """
     if row.lanes:
         return _Expression(row.lanes)
@@ -269,7 +272,7 @@ def bitfield_reverse(let: LetFunction, v: Components) -> list[Value]:
 
 
 def _ones(count: Value) -> Value:
-    """`count` ones, 0 to 32 of them."""
+    """Return a word whose lowest `count` bits are set; `count` is 0 to 32."""
     number = apply("as_uint", count)
     below = apply("shift_left", _uint(1), number & _uint(31)) - _uint(1)
     return _if(apply("greater", number, _uint(31)), _uint(0xFFFFFFFF), below)
@@ -281,7 +284,7 @@ def bitfield_extract(let: LetFunction, v: Components, offset: Components, count:
     for part in v:
         bits = let(apply("shift_right", apply("as_uint", part), start) & ones)
         if part.kind is ScalarKind.INT:
-            # The field's top bit, moved to all places above it.
+            # Sign extension: the field's top bit is copied to all bits above it.
             top = let(apply("xor", ones, apply("shift_right", ones, _uint(1))))
             extended = apply("xor", bits, top) - top
             result.append(apply("as_int", extended))
@@ -326,7 +329,7 @@ def unpack_half(let: LetFunction, v: Components) -> list[Value]:
 
 
 def pack_unorm(bits: int) -> Expansion:
-    """0…1 in `bits` bits each."""
+    """Return an expansion that packs numbers from 0 to 1 into `bits` bits each."""
     scale = literal(float(2**bits - 1))
 
     def expand(let: LetFunction, v: Components) -> list[Value]:
@@ -336,7 +339,7 @@ def pack_unorm(bits: int) -> Expansion:
 
 
 def unpack_unorm(bits: int) -> Expansion:
-    """The inverse of `pack_unorm`."""
+    """Return the inverse of `pack_unorm`."""
 
     def expand(let: LetFunction, v: Components) -> list[Value]:
         scale = literal(float(2**bits - 1))
@@ -346,7 +349,7 @@ def unpack_unorm(bits: int) -> Expansion:
 
 
 def pack_snorm(bits: int) -> Expansion:
-    """-1…1 in `bits` bits each."""
+    """Return an expansion that packs numbers from -1 to 1 into `bits` bits each."""
     scale, ones = literal(float(2 ** (bits - 1) - 1)), _uint((1 << bits) - 1)
 
     def expand(let: LetFunction, v: Components) -> list[Value]:
@@ -358,7 +361,7 @@ def pack_snorm(bits: int) -> Expansion:
 
 
 def unpack_snorm(bits: int) -> Expansion:
-    """The inverse of `pack_snorm`."""
+    """Return the inverse of `pack_snorm`."""
 
     def expand(let: LetFunction, v: Components) -> list[Value]:
         scale, up = literal(float(2 ** (bits - 1) - 1)), _int(32 - bits)

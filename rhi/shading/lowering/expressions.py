@@ -1,4 +1,4 @@
-"""From typed expressions to components: places and operators."""
+"""The lowering of expressions to components: lvalues and operators."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from rhi.shading.ir.lanes import (
     Value,
     Variable,
     apply,
+    get,
     literal,
     number,
 )
@@ -24,22 +25,19 @@ from rhi.shading.language import rules
 from rhi.shading.language.builtins import Effect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import StorageType, scalar_of
+from rhi.shading.lowering.components import KINDS, all_kinds, word_offsets, words_of
 from rhi.shading.lowering.expansions import all_of, any_of, by_component, dot, float_modulo
-from rhi.shading.lowering.places import (
-    KINDS,
-    AnyPlace,
-    Choice,
-    LocalPlace,
-    MemoryPlace,
+from rhi.shading.lowering.lvalues import (
+    LocalLvalue,
+    Lvalue,
+    LvalueChoice,
+    MemoryLvalue,
     Slot,
-    all_kinds,
     count_parts,
     element,
     member,
     part,
     select_by_index,
-    word_offsets,
-    words_of,
 )
 from rhi.shading.lowering.scopes import ScopeLowering
 
@@ -66,7 +64,7 @@ _OPERATIONS: Final = {
 
 
 class ExpressionLowering(ScopeLowering):
-    """Lowers the expressions of the current frame; an expression is the list of its scalars."""
+    """Lowers the expressions of the current frame. A lowered expression is the list of its scalars."""
 
     def __init__(self, width: int, work_group: tuple[int, int, int]) -> None:
         super().__init__(width)
@@ -74,37 +72,37 @@ class ExpressionLowering(ScopeLowering):
         self.memories: dict[object, MemoryRegion] = {}
         self.checked = False
 
-    # -- what statements provide
+    # -- provided by Lowering
 
     def call(self, node: tree.Call) -> list[Value]:
         raise NotImplementedError
 
-    # -- what built-ins provide
+    # -- provided by BuiltinLowering
 
-    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
-        """A built-in's scalars; `wanted`: somebody uses them."""
+    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
+        """Lower a call of a built-in to its scalars. `needs_result` is false if they are unused."""
         raise NotImplementedError
 
-    # -- what stages decide
+    # -- overridden by StageLowering
 
     def effect_mask(self) -> Variable | None:
-        """Who writes to memory that others see."""
+        """Return the mask of the lanes that may write to memory which other invocations see."""
         return self.scope.mask
 
     # -- entry points
 
     def one(self, node: Expression) -> Value:
-        """A scalar expression."""
+        """Lower a scalar expression."""
         (value,) = self.lower(node)
         return value
 
     def named(self, node: Expression) -> list[Value]:
-        """An expression whose components will be used more than once."""
+        """Lower an expression whose components are used more than once."""
         return [self.let(value) for value in self.lower(node)]
 
     def lower(self, node: Expression) -> list[Value]:
-        """The scalars of an expression, in order."""
-        at = self.place(node)
+        """Lower an expression to its scalars, in order."""
+        at = self.lvalue(node)
         if at is not None:
             return self.read(at)
         match node:
@@ -118,7 +116,7 @@ class ExpressionLowering(ScopeLowering):
                         return values[start : start + words_of(field.type)]
                     start += words_of(field.type)
             case tree.Swizzle(base=base, components=components):
-                whole = self.place(base)
+                whole = self.lvalue(base)
                 if whole is not None:
                     return [value for c in components for value in self.read(part(whole, c))]
                 values = self.lower(base)
@@ -127,7 +125,9 @@ class ExpressionLowering(ScopeLowering):
                 return self.index_value(self.named(base), words_of(node.type), self.one(index))  # type: ignore[arg-type]
             case tree.Length(base=base):
                 assert isinstance(base, tree.BindingRead)
-                return [lanes.Count(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))]
+                return [
+                    lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))
+                ]
             case tree.Unary(operator=operator, operand=operand):
                 return [apply(_OPERATIONS[operator], value) for value in self.lower(operand)]
             case tree.Binary():
@@ -144,11 +144,11 @@ class ExpressionLowering(ScopeLowering):
             case tree.Call():
                 return self.call(node)
             case tree.BuiltinCall():
-                return self.builtin(node, wanted=True)
+                return self.builtin(node, needs_result=True)
         raise TypeError(f"no lane code for {node}")
 
     def convert(self, value: Value, kind: ScalarKind) -> Value:
-        """A component as another kind."""
+        """Return a component converted to another kind."""
         if value.kind is kind:
             return value
         if value.kind is ScalarKind.BOOL:
@@ -161,10 +161,10 @@ class ExpressionLowering(ScopeLowering):
             return apply(f"to_{kind.value}", value)
         return apply(f"as_{kind.value}", value)
 
-    # -- places
+    # -- lvalues
 
     def memory(self, declaration: Declaration) -> MemoryRegion:
-        """A binding's memory."""
+        """Return the memory region of a binding."""
         known = self.memories.get(declaration.name)
         if known is None:
             type = declaration.type
@@ -182,41 +182,41 @@ class ExpressionLowering(ScopeLowering):
                     rules.NATIVE,
                     f"{declaration.name}: {type}",
                     "buffers and values",
-                    "lanes have no textures",
+                    "lane code accesses textures only by their methods",
                 )
             self.memories[declaration.name] = known
         return known
 
-    def place(self, node: Expression) -> AnyPlace | None:
-        """Where the expression's value lives, or None if it has to be computed."""
+    def lvalue(self, node: Expression) -> Lvalue | None:
+        """Return an expression as an lvalue, or None if its value has to be computed."""
         match node:
             case tree.Read(local=local):
                 homes = self.frame.slots[local]
-                return LocalPlace(local.type, homes)  # type: ignore[arg-type]
+                return LocalLvalue(local.type, homes)  # type: ignore[arg-type]
             case tree.BindingRead(declaration=declaration) if declaration.storage_class in (
                 StorageClass.UNIFORM,
                 StorageClass.SHARED,
             ):
                 layout = Layout.STD140 if declaration.storage_class is StorageClass.UNIFORM else None
                 memory = self.memory(declaration)
-                return MemoryPlace(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
+                return MemoryLvalue(declaration.type, memory, layout, number(0), 1, 0)  # type: ignore[arg-type]
             case tree.ConstantArray(type=type):
-                return MemoryPlace(type, self.constants(node), None, number(0), 1, 0)  # type: ignore[arg-type]
+                return MemoryLvalue(type, self.constants(node), None, number(0), 1, 0)  # type: ignore[arg-type]
             case tree.Member(base=base, name=name):
-                at = self.place(base)
+                at = self.lvalue(base)
                 return member(at, name) if at is not None else None
             case tree.Swizzle(base=base, components=(component,)):
-                at = self.place(base)
+                at = self.lvalue(base)
                 return part(at, component) if at is not None else None
             case tree.Index(base=tree.BindingRead(declaration=declaration), index=index) if isinstance(
                 declaration.type, StorageType
             ):
                 memory = self.memory(declaration)
                 row = self.let(self.convert(self.one(index), ScalarKind.INT))
-                row = self.check_index(row, lanes.Count(ScalarKind.INT, Uniformity.DISPATCH, memory))
-                return MemoryPlace(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
+                row = self.check_index(row, lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory))
+                return MemoryLvalue(declaration.type.element, memory, Layout.STD430, row, memory.stride, 0)
             case tree.Index(base=base, index=index):
-                at = self.place(base)
+                at = self.lvalue(base)
                 if at is None:
                     return None
                 row = self.let(self.convert(self.one(index), ScalarKind.INT))
@@ -225,7 +225,7 @@ class ExpressionLowering(ScopeLowering):
         return None
 
     def check_index(self, index: Value, limit: Value) -> Value:
-        """An index, reported where it isn't below `limit` and 0 there; as it is unless the shader is checked."""
+        """Return an index. In a checked shader, one that isn't below `limit` is reported and replaced by 0."""
         if not self.checked or (isinstance(index, Literal) and isinstance(limit, Literal)):
             return index
         wrong = self.let(apply("greater_equal", apply("as_uint", index), apply("as_uint", limit)), "wrong")
@@ -233,7 +233,7 @@ class ExpressionLowering(ScopeLowering):
         return self.let(apply("select", wrong, number(0), index))
 
     def constants(self, node: tree.ConstantArray) -> MemoryRegion:
-        """The memory of a module's constant."""
+        """Return the memory region of a constant array."""
         key = ("constant", id(node))
         if key not in self.memories:
             values = [value for one in node.elements for value in self.lower(one)]
@@ -244,53 +244,55 @@ class ExpressionLowering(ScopeLowering):
             )
         return self.memories[key]
 
-    def read(self, at: AnyPlace) -> list[Value]:
-        """The scalars at a place."""
+    def read(self, at: Lvalue) -> list[Value]:
+        """Return the scalars of an lvalue."""
         match at:
-            case LocalPlace(type=ArrayType(length=length)):
+            case LocalLvalue(type=ArrayType(length=length)):
                 return [value for i in range(length) for value in self.read(part(at, i))]
-            case LocalPlace(type=StructType(fields=fields)):
+            case LocalLvalue(type=StructType(fields=fields)):
                 return [value for field in fields for value in self.read(member(at, field.name))]
-            case LocalPlace(homes=homes, index=index):
+            case LocalLvalue(homes=homes, index=index):
                 return [self.read_home(home, index) for home in homes]
-            case MemoryPlace(type=type, layout=layout, offset=offset):
+            case MemoryLvalue(type=type, layout=layout, offset=offset):
                 offsets = word_offsets(type, layout)
                 return [
                     self.load(at.memory, kind, at.index, at.scale, offset + place)
                     for kind, place in zip(all_kinds(type), offsets, strict=True)
                 ]
-            case Choice(index=index, places=places):
-                choices = [self.read(one) for one in places]
-                return [select_by_index(index, list(values)) for values in zip(*choices, strict=True)]
+            case LvalueChoice(index=index, choices=choices):
+                values_of_choices = [self.read(one) for one in choices]
+                return [
+                    select_by_index(index, list(values)) for values in zip(*values_of_choices, strict=True)
+                ]
 
     def read_home(self, home: Slot | MemoryRegion, index: Value | None) -> Value:
         if isinstance(home, MemoryRegion):
             assert index is not None
             return self.load(home, home.kind, index, 1, 0)
         variable = home.variable
-        value: Value = Get(variable.kind, variable.level, variable)
+        value: Value = get(variable)
         return lanes.Affine(variable.kind, Uniformity.VARYING, value, home.stride) if home.stride else value
 
     def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
-        """A word of memory; what may be written is read now, and not where its value happens to be used."""
-        level = index.level
+        """Return a word of memory. Writable memory is read here, not later where the value is used."""
+        uniformity = index.uniformity
         match memory.space:
             case AddressSpace.PRIVATE:
-                level = max(level, memory.level)
+                uniformity = max(uniformity, memory.uniformity)
             case AddressSpace.SHARED:
-                level = max(level, Uniformity.GROUP)
+                uniformity = max(uniformity, Uniformity.GROUP)
             case AddressSpace.STORAGE if memory.writable:
-                level = max(level, Uniformity.GROUP)
+                uniformity = max(uniformity, Uniformity.GROUP)
         is_bool = kind is ScalarKind.BOOL and memory.space is not AddressSpace.PRIVATE
         stored = ScalarKind.UINT if is_bool else kind
-        mask = self.scope.mask if index.level > Uniformity.DISPATCH else None
-        value: Value = lanes.Load(stored, level, memory, index, scale, offset, mask)
+        mask = self.scope.mask if index.uniformity > Uniformity.DISPATCH else None
+        value: Value = lanes.Load(stored, uniformity, memory, index, scale, offset, mask)
         if memory.writable:
             value = self.let(value, memory.name)
         return apply("not_equal", value, literal(0, ScalarKind.UINT)) if is_bool else value
 
     def index_value(self, values: list[Value], size: int, index: Value) -> list[Value]:
-        """Parts of a value that has no place."""
+        """Return an element of a value that isn't an lvalue; an element has `size` components."""
         rows = [values[start : start + size] for start in range(0, len(values), size)]
         if isinstance(index, Literal):
             return rows[int(index.value)]
@@ -300,7 +302,7 @@ class ExpressionLowering(ScopeLowering):
     # -- operators
 
     def binary(self, node: tree.Binary) -> list[Value]:
-        """An operator, with Python's meaning."""
+        """Lower a binary operator, with Python's semantics."""
         op = node.operator
         match op:
             case Operator.AND:
@@ -330,14 +332,14 @@ class ExpressionLowering(ScopeLowering):
         return any_of(self.let, results) if op is Operator.NOT_EQUAL else results
 
     def operands(self, node: tree.Binary) -> tuple[list[Value], list[Value]]:
-        """Both sides, the left one first."""
+        """Lower both operands, the left one first."""
         left = self.lower(node.left)
         if node.operator in (Operator.FLOOR_DIVIDE, Operator.MODULO):
             return [self.let(value) for value in left], self.named(node.right)
         return left, self.lower(node.right)
 
     def floored(self, divide: bool, a: Value, b: Value) -> Value:
-        """`//` and `%`."""
+        """Return `a // b` or, if `divide` is false, `a % b`."""
         if a.kind is ScalarKind.FLOAT:
             return apply("floor", a / b) if divide else float_modulo(a, b)
         if isinstance(b, Literal) and b.value > 0 and int(b.value).bit_count() == 1:
@@ -347,23 +349,23 @@ class ExpressionLowering(ScopeLowering):
         return apply("floor_divide" if divide else "modulo", a, b)
 
     def short_circuit(self, node: tree.Binary, is_and: bool) -> list[Value]:
-        """`and`, `or`: the right side where the left one doesn't decide."""
+        """Lower `and` or `or`: the right operand is evaluated only where the left one doesn't decide."""
         left = self.one(node.left)
         if is_simple(node.right):
             return [apply("and" if is_and else "or", left, self.one(node.right))]
         left = self.let(left)
-        level = max(left.level, self.level_of((self.frame.path, id(node))))
-        result = self.variable("condition", ScalarKind.BOOL, level)
+        uniformity = max(left.uniformity, self.known_uniformity((self.frame.path, id(node))))
+        result = self.variable("condition", ScalarKind.BOOL, uniformity)
         self.emit(lanes.Let(self.line, result, left))
         with self.branch(left if is_and else apply("not", left)):
             right = self.one(node.right)
-            mask = self.scope.mask if self.scope.owns else None
-            level, _ = self.join((self.frame.path, id(node)), max(left.level, right.level))
+            mask = self.scope.mask if self.scope.owns_mask else None
+            uniformity, _ = self.join((self.frame.path, id(node)), max(left.uniformity, right.uniformity))
             self.emit(lanes.Set(self.line, result, right, mask))
-        return [Get(ScalarKind.BOOL, level, result)]
+        return [Get(ScalarKind.BOOL, uniformity, result)]
 
     def select(self, condition: Value, then: Expression, otherwise: Expression) -> list[Value]:
-        """`a if c else b`."""
+        """Lower `then if condition else otherwise`."""
         if is_simple(then) and is_simple(otherwise):
             condition = self.let(condition)
             pairs = zip(self.lower(then), self.lower(otherwise), strict=True)
@@ -372,16 +374,18 @@ class ExpressionLowering(ScopeLowering):
         kinds, key = all_kinds(then.type), (self.frame.path, id(then))  # type: ignore[arg-type]
         slots = []
         for i, kind in enumerate(kinds):
-            slots.append(self.variable("chosen", kind, max(condition.level, self.level_of((key, i)))))
+            slots.append(
+                self.variable("chosen", kind, max(condition.uniformity, self.known_uniformity((key, i))))
+            )
             self.emit(lanes.Let(self.line, slots[-1], None))
         for chosen, node in ((condition, then), (opposite, otherwise)):
             with self.branch(chosen):
                 values = self.lower(node)
-                mask = self.scope.mask if self.scope.owns else None
+                mask = self.scope.mask if self.scope.owns_mask else None
                 for i, (slot, value) in enumerate(zip(slots, values, strict=True)):
-                    slot.level, _ = self.join((key, i), max(condition.level, value.level))
+                    slot.uniformity, _ = self.join((key, i), max(condition.uniformity, value.uniformity))
                     self.emit(lanes.Set(self.line, slot, value, mask))
-        return [Get(slot.kind, slot.level, slot) for slot in slots]
+        return [get(slot) for slot in slots]
 
     def matrix_multiply(self, node: tree.Binary) -> list[Value]:
         a, b = self.named(node.left), self.named(node.right)
@@ -429,7 +433,7 @@ class ExpressionLowering(ScopeLowering):
 
 
 def is_simple(node: Expression) -> bool:
-    """Whether an expression may be evaluated for lanes that don't want it: no memory, no call, no effect."""
+    """Return whether inactive lanes may evaluate an expression: it has no memory access, call or side effect."""
     if isinstance(node, tree.Call | tree.ConstantArray):
         return False
     if isinstance(node, tree.BindingRead):

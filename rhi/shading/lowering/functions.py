@@ -1,6 +1,6 @@
-"""From the typed tree to lane code: statements, control flow, calls, whole stages and functions.
+"""The lowering of statements, control flow and calls, and of whole compute stages and functions.
 
-Lowering runs several times, until it finds no new fact (`rhi.shading.lowering.scopes`).
+Lowering is repeated until the uniformities that it finds no longer change (`rhi.shading.lowering.scopes`).
 """
 
 from __future__ import annotations
@@ -22,44 +22,45 @@ from rhi.shading.ir.lanes import (
     Uniformity,
     Value,
     apply,
+    get,
     literal,
     number,
 )
 from rhi.shading.language import rules
 from rhi.shading.language.types import VOID, TextureType
-from rhi.shading.lowering.places import (
-    AnyPlace,
-    Choice,
+from rhi.shading.lowering.components import all_kinds, leaf_kinds, word_offsets
+from rhi.shading.lowering.lvalues import (
     Home,
-    LocalPlace,
-    MemoryPlace,
+    LocalLvalue,
+    Lvalue,
+    LvalueChoice,
+    MemoryLvalue,
     Slot,
-    all_kinds,
-    leaf_kinds,
     member,
     part,
-    private_level,
-    word_offsets,
+    private_uniformity,
 )
-from rhi.shading.lowering.scopes import Frame, MaskScope
+from rhi.shading.lowering.scopes import InlinedFrame, MaskScope
 from rhi.shading.lowering.textures import TextureLowering
 
 __rhi_internal__ = True
 
 
 def has_lane_code(stage: tree.StageTree) -> bool:
-    """Whether lane code has all that a stage uses: everything but native functions."""
+    """Return whether a stage can be lowered: all its functions have a Python body."""
     return not any(function.native and not function.body for function in stage.functions)
 
 
 def lower_compute(
     stage: tree.StageTree, name: str, work_group: tuple[int, int, int], width: int, checked: bool = False
 ) -> Code:
-    """A compute stage in lane code for `width` lanes; 0 for whole arrays of any shape. `checked`: with a test of every
-    index.
+    """Lower a compute stage for `width` lanes, or for whole arrays of any shape with 0.
+
+    Args:
+        checked: whether to test every index.
 
     Raises:
-        ShaderError: a rule that only shows here, such as a barrier that part of a work-group may not reach.
+        ShaderError: a rule that only lowering can check, such as a barrier that part of a work-group may not reach.
     """
     lowering = Lowering(width, work_group)
     lowering.checked = checked
@@ -73,7 +74,7 @@ def lower_compute(
 
 
 def lower_function(function: tree.Function) -> Code:
-    """A function of values in lane code for whole arrays, its parameters' scalars as arguments."""
+    """Lower a function of values for whole arrays. Its arguments are the scalars of the parameters."""
     lowering = Lowering(0, (1, 1, 1))
     kinds: list[ScalarKind] = []
     for parameter in function.parameters:
@@ -89,16 +90,18 @@ def lower_function(function: tree.Function) -> Code:
 
 
 class Lowering(TextureLowering):
-    """Lowers functions."""
+    """Lowers functions, with all functions that they call inlined."""
 
     def entry(self, function: tree.Function, arguments: tuple[Value, ...]) -> list[Value]:
-        """The outermost function."""
-        self.frame = Frame(function, ())
+        """Lower the outermost function and return its result's scalars."""
+        self.frame = InlinedFrame(function, ())
         invocations = math.prod(self.work_group)
         if self.width > 1 and invocations % self.width:
-            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(self.width)
+            first = lanes.Input(ScalarKind.INT, Uniformity.LANES, lanes.DispatchIndex.ITEM) * number(
+                self.width
+            )
             present = apply("less", self.lanes_from(first), number(invocations))
-            self.scope.mask, self.scope.owns = self.new_mask(present, "present"), True
+            self.scope.mask, self.scope.owns_mask = self.new_mask(present, "present"), True
         return self.inline(function, list(arguments), ())
 
     # -- calls
@@ -120,29 +123,40 @@ class Lowering(TextureLowering):
         path: tuple[int, ...],
         textures: dict[tree.Local, tree.BindingRead] | None = None,
     ) -> list[Value]:
-        """A function's body in place of a call; `textures` are those among its parameters."""
+        """Inline a call and return the scalars of its result.
+
+        Args:
+            values: the scalars of the arguments.
+            path: the calls that lead here.
+            textures: the bindings that are passed for texture parameters.
+        """
         if function.native and not function.body:
             self.refuse(
-                rules.NATIVE, f"{function.name} has no Python body", tip="give it one for other languages"
+                rules.NATIVE,
+                f"{function.name} has no Python body",
+                tip="write a Python body for the other languages",
             )
-        caller, outer, pending, at = self.frame, self.scope, self.pending, self.at
-        early = self.is_left_early(function, path)
-        frame = Frame(function, path, caller, left=caller.left, textures=textures or {})
-        level = self.level_of((path, "function"))
+        caller, outer, pending, span = self.frame, self.scope, self.jump_pending, self.span
+        line = self.line
+        early = self.returns_early(function, path)
+        frame = InlinedFrame(function, path, caller, caller.return_uniformity, textures=textures or {})
+        uniformity = self.known_uniformity((path, "function"))
         if early and function.result != VOID:
             for i, kind in enumerate(all_kinds(function.result)):  # type: ignore[arg-type]
                 frame.results.append(
                     self.new_slot(f"{function.name}_result", kind, (path, "result", i), None)
                 )
-        self.frame, self.pending = frame, False
-        masked = early and not (self.branches(level) and self.width)
-        self.scope = MaskScope("function", outer, level if masked else Uniformity.DISPATCH, outer.mask, False, path)
+        self.frame, self.jump_pending = frame, False
+        masked = early and not (self.branches(uniformity) and self.width)
+        if not masked:
+            uniformity = Uniformity.DISPATCH
+        self.scope = MaskScope("function", outer, uniformity, outer.mask, False, path)
         results: list[Value] = []
-        with self.into([]) as block:
+        with self.emit_into([]) as block:
             if masked:
                 self.scope.mask = self.new_mask(self.mask_value(), "inside")
-                self.scope.owns = True
-            frame.body = InlinedCall(caller_line(caller, at), f"{function.name}_{self.count}", block)
+                self.scope.owns_mask = True
+            frame.inlined_call = InlinedCall(line, f"{function.name}_{self.count}", block)
             self.count += 1
             start = 0
             for parameter in function.parameters:
@@ -153,46 +167,46 @@ class Lowering(TextureLowering):
                 start += len(kinds)
             for statement in function.body:
                 if not early and isinstance(statement, tree.Return):
-                    self.at = statement.place
+                    self.span = statement.span
                     results = self.lower(statement.value) if statement.value is not None else []
                     results = [self.let(value) for value in results]
                     break
                 self.statement(statement)
-                self.leave_if_nobody_is_left()
-        self.frame, self.scope, self.pending, self.at = caller, outer, pending, at
+                self.emit_pending_jump()
+        self.frame, self.scope, self.jump_pending, self.span = caller, outer, pending, span
         if early:
-            self.emit(frame.body)
+            self.emit(frame.inlined_call)
             results = [self.read_home(slot, None) for slot in frame.results]
         else:
             self.block.extend(block)
         return results
 
-    # -- what stages decide
+    # -- overridden by StageLowering
 
-    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
-        """Whether a function is left anywhere but in its last statement."""
+    def returns_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+        """Return whether a function returns anywhere but in its last statement."""
         return tree.has_early_return(function.body)
 
     def discard(self) -> None:
-        """The lanes that are here end."""
+        """End the active lanes."""
         self.refuse(rules.STAGE, "discard()")
 
     # -- locals
 
     def new_slot(self, name: str, kind: ScalarKind, key: object, value: Value | None) -> Slot:
-        """A component of a local begins."""
+        """Declare a component of a local."""
         stride = value.stride if isinstance(value, Affine) else 0
         if value is not None:
-            self.join(key, value.level, stride)
-        level, stride = self.facts.get(key, (Uniformity.DISPATCH, 0))
-        variable = self.variable(name, kind, Uniformity.LANES if stride else level)
+            self.join(key, value.uniformity, stride)
+        uniformity, stride = self.joined.get(key, (Uniformity.DISPATCH, 0))
+        variable = self.variable(name, kind, Uniformity.LANES if stride else uniformity)
         if stride and isinstance(value, Affine):
             value = value.base
         self.emit(lanes.Let(self.line, variable, value))
         return Slot(variable, stride, key, self.scope)
 
     def declare(self, local: tree.Local, values: list[Value] | None, zeros: bool = False) -> None:
-        """A local begins, with its scalars, zeros or nothing."""
+        """Declare a local, with initial scalars, zeros or no value."""
         path, type = self.frame.path, local.type
         homes: list[Home] = []
         self.frame.slots[local] = homes
@@ -200,12 +214,14 @@ class Lowering(TextureLowering):
         for i, (kind, count) in enumerate(leaf_kinds(type)):  # type: ignore[arg-type]
             key = (path, id(local), i)
             if count:
-                level = private_level(self.level_of(key)) if self.width else self.level_of(key)
+                uniformity = self.known_uniformity(key)
+                if self.width:
+                    uniformity = private_uniformity(uniformity)
                 self.count += 1
                 name = f"{local.name}_{self.count}"
-                memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, level)
+                memory = MemoryRegion(name, AddressSpace.PRIVATE, 1, count, True, kind, uniformity)
                 self.private[id(memory)] = (key, self.scope)
-                self.emit(lanes.Begin(self.line, memory, zeros))
+                self.emit(lanes.DeclareMemory(self.line, memory, zeros))
                 homes.append(memory)
             elif has_arrays:
                 zero = literal(0, kind) if zeros else None
@@ -214,41 +230,41 @@ class Lowering(TextureLowering):
                 value = literal(0, kind) if zeros else values[i] if values is not None else None
                 homes.append(self.new_slot(local.name, kind, key, value))
         if has_arrays and values is not None:
-            self.write(LocalPlace(type, homes), values)  # type: ignore[arg-type]
+            self.write(LocalLvalue(type, homes), values)  # type: ignore[arg-type]
 
     # -- assignment
 
-    def write(self, at: AnyPlace, values: list[Value]) -> None:
-        """Assign the scalars at a place."""
+    def write(self, at: Lvalue, values: list[Value]) -> None:
+        """Assign scalars to an lvalue."""
         match at:
-            case LocalPlace(type=ArrayType(length=length)):
+            case LocalLvalue(type=ArrayType(length=length)):
                 size = len(values) // length
                 for i in range(length):
                     self.write(part(at, i), values[i * size : (i + 1) * size])
-            case LocalPlace(type=StructType(fields=fields)):
+            case LocalLvalue(type=StructType(fields=fields)):
                 start = 0
                 for field in fields:
                     size = len(all_kinds(field.type))
                     self.write(member(at, field.name), values[start : start + size])
                     start += size
-            case LocalPlace(homes=homes, index=index):
-                values = self.apart(homes, values)
+            case LocalLvalue(homes=homes, index=index):
+                values = self.without_aliases(homes, values)
                 for home, value in zip(homes, values, strict=True):
                     if isinstance(home, Slot):
                         self.assign(home, value)
                     else:
                         assert index is not None
                         self.store_private(home, index, value)
-            case MemoryPlace():
+            case MemoryLvalue():
                 self.store(at, values)
-            case Choice(index=index, places=places):
+            case LvalueChoice(index=index, choices=choices):
                 values = [self.let(value) for value in values]
-                for which, one in enumerate(places):
+                for which, one in enumerate(choices):
                     with self.branch(apply("equal", index, number(which))):
                         self.write(one, values)
 
-    def apart(self, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
-        """Values that don't read what is assigned before them: `v = v.yx`."""
+    def without_aliases(self, homes: list[Slot | MemoryRegion], values: list[Value]) -> list[Value]:
+        """Return the values, copied if assigning one of them would change another: `v = v.yx`."""
         targets = {id(home.variable) for home in homes if isinstance(home, Slot)}
         clash = len(values) > 1 and any(
             id(variable) in targets for value in values for variable in lanes.variables_of(value)
@@ -256,44 +272,46 @@ class Lowering(TextureLowering):
         return [self.copy(value) for value in values] if clash else values
 
     def copy(self, value: Value) -> Value:
-        """The value as it is now."""
+        """Return a copy of the current value."""
         if isinstance(value, Literal):
             return value
         if isinstance(value, Affine):
-            return Affine(value.kind, value.level, self.copy(value.base), value.stride)
-        variable = self.variable("t", value.kind, value.level)
+            return Affine(value.kind, value.uniformity, self.copy(value.base), value.stride)
+        variable = self.variable("t", value.kind, value.uniformity)
         self.emit(lanes.Let(self.line, variable, value))
-        return Get(value.kind, value.level, variable)
+        return Get(value.kind, value.uniformity, variable)
 
     def assign(self, slot: Slot, value: Value) -> None:
-        """A component of a local gets a value, blended where not all lanes that see it take part."""
-        level, blend = value.level, False
+        """Assign a component of a local, blended unless all lanes that can read it are active."""
+        uniformity, blend = value.uniformity, False
         for scope in self.scopes_up_to(slot.scope):
-            level, blend = max(level, scope.level), blend or scope.owns
+            uniformity, blend = max(uniformity, scope.uniformity), blend or scope.owns_mask
         if blend and self.scope.mask is not None:
-            level = max(level, self.scope.mask.level)
+            uniformity = max(uniformity, self.scope.mask.uniformity)
         stride = value.stride if isinstance(value, Affine) and not blend else 0
-        level, stride = self.join(slot.key, level, stride)
+        uniformity, stride = self.join(slot.key, uniformity, stride)
         variable = slot.variable
-        variable.level, slot.stride = Uniformity.LANES if stride else level, stride
+        variable.uniformity, slot.stride = Uniformity.LANES if stride else uniformity, stride
         if stride and isinstance(value, Affine):
             value = value.base
         self.emit(lanes.Set(self.line, variable, value, self.scope.mask if blend else None))
 
     def store_private(self, memory: MemoryRegion, index: Value, value: Value) -> None:
         key, scope = self.private[id(memory)]
-        level, blend = max(value.level, index.level), False
+        uniformity, blend = max(value.uniformity, index.uniformity), False
         for inner in self.scopes_up_to(scope):
-            level, blend = max(level, inner.level), blend or inner.owns
-        self.join(key, level)
-        memory.level = private_level(self.level_of(key)) if self.width else self.level_of(key)
-        # The index of a lane that doesn't take part may be anything.
-        mask = self.scope.mask if blend or index.level is Uniformity.VARYING else None
+            uniformity, blend = max(uniformity, inner.uniformity), blend or inner.owns_mask
+        self.join(key, uniformity)
+        memory.uniformity = (
+            private_uniformity(self.known_uniformity(key)) if self.width else self.known_uniformity(key)
+        )
+        # The index of an inactive lane is undefined.
+        mask = self.scope.mask if blend or index.uniformity is Uniformity.VARYING else None
         self.emit(lanes.Store(self.line, memory, index, 1, 0, (value,), mask))
 
-    def store(self, at: MemoryPlace, values: list[Value]) -> None:
+    def store(self, at: MemoryLvalue, values: list[Value]) -> None:
         memory, offsets = at.memory, word_offsets(at.type, at.layout)
-        if at.index.level < Uniformity.VARYING and self.scope.mask is None:
+        if at.index.uniformity < Uniformity.VARYING and self.scope.mask is None:
             self.check_race(memory, values)
         words = [
             apply("select", value, literal(1, ScalarKind.UINT), literal(0, ScalarKind.UINT))
@@ -314,7 +332,7 @@ class Lowering(TextureLowering):
             start = end
 
     def check_race(self, memory: MemoryRegion, values: list[Value]) -> None:
-        if math.prod(self.work_group) > 1 and any(value.level is Uniformity.VARYING for value in values):
+        if math.prod(self.work_group) > 1 and any(value.uniformity is Uniformity.VARYING for value in values):
             self.refuse(
                 rules.RACE,
                 f"a store to one element of {memory.name} by all invocations of a work-group",
@@ -324,14 +342,14 @@ class Lowering(TextureLowering):
     # -- statements
 
     def statements(self, block: tree.Block) -> None:
-        """The statements of a block."""
+        """Lower the statements of a block."""
         for node in block:
             self.statement(node)
-            self.leave_if_nobody_is_left()
+            self.emit_pending_jump()
 
     def statement(self, node: tree.Statement) -> None:
-        """One statement."""
-        self.at = node.place
+        """Lower a statement."""
+        self.span = node.span
         match node:
             case tree.Declare(local=local, value=None):
                 self.declare(local, None)
@@ -346,7 +364,7 @@ class Lowering(TextureLowering):
                     values = [self.let(one) for one in values]
                 self.assign_to(target, values)
             case tree.Evaluate(value=tree.BuiltinCall() as value):
-                self.builtin(value, wanted=False)
+                self.builtin(value, needs_result=False)
             case tree.Evaluate(value=value):
                 for one in self.lower(value):
                     self.let(one)
@@ -357,33 +375,33 @@ class Lowering(TextureLowering):
             case tree.While(condition=condition, body=body):
                 self.loop(node, lambda: self.one(condition), body, [])
             case tree.Break():
-                self.exit("loop", lanes.Break(self.line))
+                self.jump("loop", lanes.Break(self.line))
             case tree.Continue():
-                self.exit("turn", lanes.Continue(self.line))
+                self.jump("iteration", lanes.Continue(self.line))
             case tree.Return(value=value):
                 values = self.lower(value) if value is not None else []
                 values = [self.let(one) for one in values]
                 for slot, one in zip(self.frame.results, values, strict=True):
                     self.assign(slot, one)
-                assert self.frame.body is not None
+                assert self.frame.inlined_call is not None
                 if node is self.frame.function.body[-1]:
-                    return  # nothing follows
-                self.exit("function", lanes.Return(self.line, self.frame.body))
+                    return  # the end of the body: no jump is needed
+                self.jump("function", lanes.Return(self.line, self.frame.inlined_call))
             case tree.Discard():
                 self.discard()
 
     def assign_to(self, target: tree.Expression, values: list[Value]) -> None:
         if isinstance(target, tree.Swizzle) and len(target.components) > 1:
-            whole = self.place(target.base)
+            whole = self.lvalue(target.base)
             assert whole is not None
-            if isinstance(whole, LocalPlace):
+            if isinstance(whole, LocalLvalue):
                 homes = [whole.homes[c] for c in target.components]
-                values = self.apart(homes, values)
+                values = self.without_aliases(homes, values)
             values = [self.let(value) for value in values]
             for component, value in zip(target.components, values, strict=True):
                 self.write(part(whole, component), [value])
             return
-        at = self.place(target)
+        at = self.lvalue(target)
         assert at is not None
         self.write(at, values)
 
@@ -392,7 +410,7 @@ class Lowering(TextureLowering):
         if isinstance(condition, Literal):
             self.statements(node.then if condition.value else node.otherwise)
             return
-        if not self.branches(condition.level):
+        if not self.branches(condition.uniformity):
             condition, opposite = self.two_branches(condition)
             with self.branch(condition):
                 self.statements(node.then)
@@ -401,10 +419,10 @@ class Lowering(TextureLowering):
                     self.statements(node.otherwise)
             return
         outer = self.scope
-        self.scope = MaskScope("branch", outer, condition.level, outer.mask, False)
-        with self.into([]) as then:
+        self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
+        with self.emit_into([]) as then:
             self.statements(node.then)
-        with self.into([]) as otherwise:
+        with self.emit_into([]) as otherwise:
             self.statements(node.otherwise)
         self.scope = outer
         self.emit(lanes.If(self.line, condition, then, otherwise))
@@ -414,15 +432,15 @@ class Lowering(TextureLowering):
         start, stop, step = self.one(node.start), self.one(node.stop), self.one(node.step)
         start, stop, step = self.let(start), self.copy(stop), self.copy(step)
         key = (path, id(node), "count")
-        level = max(start.level, step.level)
-        stride = start.stride if isinstance(start, Affine) and step.level < Uniformity.VARYING else 0
-        level, stride = self.join(key, level, stride)
+        uniformity = max(start.uniformity, step.uniformity)
+        stride = start.stride if isinstance(start, Affine) and step.uniformity < Uniformity.VARYING else 0
+        uniformity, stride = self.join(key, uniformity, stride)
         first = start.base if stride and isinstance(start, Affine) else start
-        variable = self.variable(node.local.name, ScalarKind.INT, Uniformity.LANES if stride else level)
+        variable = self.variable(node.local.name, ScalarKind.INT, Uniformity.LANES if stride else uniformity)
         self.emit(lanes.Let(self.line, variable, first))
         slot = Slot(variable, stride, key, self.scope)
         self.frame.slots[node.local] = [slot]
-        advance = lanes.Set(self.line, variable, Get(ScalarKind.INT, variable.level, variable) + step, None)
+        advance = lanes.Set(self.line, variable, get(variable) + step, None)
 
         def test() -> Value:
             count = self.read_home(slot, None)
@@ -436,56 +454,56 @@ class Lowering(TextureLowering):
     def loop(
         self, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block
     ) -> None:
-        """A loop; masked where its test or one of its breaks varies."""
+        """Lower a loop, with a mask if its condition or one of its breaks varies."""
         key, outer, returns = (self.frame.path, id(node)), self.scope, self.returns
-        level, turn_level = self.level_of((key, "loop")), self.level_of((key, "turn"))
-        mask, masked = outer.mask, not self.branches(level)
-        self.frame.left = max(self.frame.left, self.level_of((key, "left")))
+        uniformity = self.known_uniformity((key, "loop"))
+        iteration_uniformity = self.known_uniformity((key, "iteration"))
+        mask, masked = outer.mask, not self.branches(uniformity)
+        self.frame.return_uniformity = max(
+            self.frame.return_uniformity, self.known_uniformity((key, "returns"))
+        )
         if masked:
             mask = self.new_mask(self.mask_value(), "looping")
-        scope = self.scope = MaskScope("loop", outer, level, mask, masked, key)
-        with self.into([]) as block:
-            go_on = test()
-            self.join((key, "loop"), go_on.level)
+        scope = self.scope = MaskScope("loop", outer, uniformity, mask, masked, key)
+        with self.emit_into([]) as block:
+            condition = test()
+            self.join((key, "loop"), condition.uniformity)
             if masked:
                 assert mask is not None
-                if not (isinstance(go_on, Literal) and go_on.value):
-                    both = apply("and", Get(ScalarKind.BOOL, mask.level, mask), go_on)
+                if not (isinstance(condition, Literal) and condition.value):
+                    both = apply("and", get(mask), condition)
                     self.emit(lanes.Set(self.line, mask, both, None))
                 self.emit(lanes.Break(self.line, mask))
-            elif not (isinstance(go_on, Literal) and go_on.value):
+            elif not (isinstance(condition, Literal) and condition.value):
                 stop: lanes.Block = [lanes.Break(self.line)]
-                self.emit(lanes.If(self.line, apply("not", go_on), stop, []))
-            if not masked and mask is not None and not self.branches(self.level_of((key, "left"))):
+                self.emit(lanes.If(self.line, apply("not", condition), stop, []))
+            if not masked and mask is not None and not self.branches(self.known_uniformity((key, "returns"))):
                 self.emit(lanes.Break(self.line, mask))
-            if not self.branches(turn_level):
-                turn = self.new_mask(self.mask_value(), "turn")
-                self.scope = MaskScope("turn", scope, turn_level, turn, True, key)
+            if not self.branches(iteration_uniformity):
+                active = self.new_mask(self.mask_value(), "iteration")
+                self.scope = MaskScope("iteration", scope, iteration_uniformity, active, True, key)
             else:
-                self.scope = MaskScope("turn", scope, turn_level, mask, masked, key)
+                self.scope = MaskScope("iteration", scope, iteration_uniformity, mask, masked, key)
             self.statements(body)
         self.scope = outer
-        self.join((key, "left"), self.frame.left)
+        self.join((key, "returns"), self.frame.return_uniformity)
         self.emit(lanes.Loop(self.line, block, advance))
-        self.pending = self.returns > returns
+        self.jump_pending = self.returns > returns
 
-    def exit(self, kind: str, jump: lanes.Statement) -> None:
-        """A break, continue or return: a jump where it is the same for all lanes, else the masks lose lanes."""
+    def jump(self, kind: str, jump: lanes.Statement) -> None:
+        """Lower a break, continue or return: a jump if all lanes take it, otherwise the masks lose lanes."""
         target = next(scope for scope in self.scopes_up_to(None) if scope.kind == kind)
-        level = max([scope.level for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH)
-        level, _ = self.join((target.key, kind), level)
+        uniformity = max(
+            [scope.uniformity for scope in self.scopes_up_to(target)], default=Uniformity.DISPATCH
+        )
+        uniformity, _ = self.join((target.key, kind), uniformity)
         if kind == "function":
-            self.frame.left = max(self.frame.left, level)
-        if self.branches(level) and (self.width or kind != "function"):
+            self.frame.return_uniformity = max(self.frame.return_uniformity, uniformity)
+        if self.branches(uniformity) and (self.width or kind != "function"):
             if isinstance(jump, lanes.Return):
-                jump.body.is_left = True
+                jump.call.returns_early = True
             self.emit(jump)
-        elif self.scope.mask is not None:  # else a later run knows the mask
+        elif self.scope.mask is not None:  # otherwise a later run will create the mask
             self.narrow(target)
-            self.pending = True
+            self.jump_pending = True
             self.returns += kind == "function"
-
-
-def caller_line(frame: Frame, at: object) -> tuple[str, int]:
-    """The line of a call."""
-    return frame.function.file, getattr(at, "line", 0)

@@ -1,10 +1,11 @@
-"""Scopes, masks and facts: who takes part in what, and how far values are the same for all.
+"""Scopes, masks and uniformities: which lanes take part in what, and how uniform each value is.
 
-- A `MaskScope` is a part of the program under one condition: a branch, a loop, a turn of a loop, a called function's
-  body. Where its condition varies among lanes it owns a mask. A variable that is assigned inside scopes that don't
-  hold its declaration is as varying as they are, and blended if one of them owns a mask.
-- Facts (the level of a variable, of a loop's exits, of a function's returns) only rise. Lowering runs until it finds
-  no new one, so what a loop's end says about its beginning is known in the last run.
+- A `MaskScope` is a part of the stage under one condition: a branch, a loop, an iteration of a loop, the body of an
+  inlined call. Where its condition varies among lanes, it owns a mask. A variable that is assigned inside scopes that
+  don't hold its declaration varies at least as they do, and the assignment is blended if one of them owns a mask.
+- The uniformity of a variable, of a loop's exits and of a function's returns is found by iteration to a fixpoint: each
+  run joins what it finds with what is known, so that values only rise in the semilattice of `Uniformity`. Lowering runs
+  again until a run changes nothing. The last run therefore knows at a loop's beginning what its end implies.
 """
 
 from __future__ import annotations
@@ -12,92 +13,125 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import NoReturn
+from typing import Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.ir import lanes, tree
-from rhi.shading.ir.lanes import FALSE, TRUE, Get, InlinedCall, ScalarKind, Uniformity, Value, Variable, apply
+from rhi.shading.ir.lanes import (
+    FALSE,
+    TRUE,
+    Get,
+    InlinedCall,
+    ScalarKind,
+    Uniformity,
+    Value,
+    Variable,
+    apply,
+    get,
+)
 from rhi.shading.language.source import SourceSpan, show
-from rhi.shading.lowering.places import Home, Slot
+from rhi.shading.lowering.lvalues import Home, Slot
 
 __rhi_internal__ = True
 
-HEAVY = 24
-"""A masked block of so many statements is stepped around when no lane wants it, even if it touches no memory."""
+HEAVY: Final = 24
+"""A masked block with more statements than this is skipped if no lane is active, even if it accesses no memory."""
 
 
 @dataclass(slots=True, eq=False)
 class MaskScope:
-    """See above. `mask` is the nearest one, own or not; `kind` is branch, loop, turn or function."""
+    """A part of a stage under one condition (see the head of this module).
+
+    `kind` is "branch", "loop", "iteration" or "function". `mask` is the innermost mask; it belongs to an outer scope
+    unless `owns_mask` is true.
+    """
 
     kind: str
     parent: MaskScope | None
-    level: Uniformity
+    uniformity: Uniformity
     mask: Variable | None
-    owns: bool
+    owns_mask: bool
     key: object = None
 
 
 @dataclass(slots=True, eq=False)
-class Frame:
-    """A function being lowered in place."""
+class InlinedFrame:
+    """A function whose body is being inlined.
+
+    Attributes:
+        path: the calls that lead to it, outermost first.
+        return_uniformity: how much the returns found so far vary, those of callers included.
+        inlined_call: the statement that holds the body.
+        results: the slots that a `return` assigns, if the function returns early.
+        textures: the bindings that its texture parameters stand for.
+        slots: the storage of its locals.
+    """
 
     function: tree.Function
     path: tuple[int, ...]
-    caller: Frame | None = None
-    left: Uniformity = Uniformity.DISPATCH  # of the returns so far, those of callers included
-    body: InlinedCall | None = None
+    caller: InlinedFrame | None = None
+    return_uniformity: Uniformity = Uniformity.DISPATCH
+    inlined_call: InlinedCall | None = None
     results: list[Slot] = field(default_factory=list)
     textures: dict[tree.Local, tree.BindingRead] = field(default_factory=dict)
     slots: dict[tree.Local, list[Home]] = field(default_factory=dict)
 
 
 class ScopeLowering:
-    """Emits statements into the current block, under the current scope."""
+    """Emits statements into the current block, under the current scope.
+
+    Attributes:
+        joined: for each key (a local, a loop's exits, a function's returns), the join of the uniformities and strides
+            found so far, in all runs.
+        changed: whether this run has changed `joined`, so that another run is needed.
+    """
 
     def __init__(self, width: int) -> None:
         self.width = width
-        self.facts: dict[object, tuple[Uniformity, int]] = {}
+        self.joined: dict[object, tuple[Uniformity, int]] = {}
         self.changed = False
         self.start()
 
     def start(self) -> None:
-        """Begin a run."""
+        """Start a run."""
         self.changed = False
         self.block: lanes.Block = []
         self.count = 0
-        self.at = SourceSpan(0)
-        self.pending = False  # masks were narrowed: whether a lane is left is to be asked
-        self.returns = 0  # how many returns narrowed masks
+        self.span = SourceSpan(0)
+        self.jump_pending = False  # a jump narrowed masks: test whether a lane is still active
+        self.returns = 0  # the number of returns that narrowed masks
         self.private: dict[int, tuple[object, MaskScope]] = {}
         self.scope = MaskScope("function", None, Uniformity.DISPATCH, None, False)
-        self.frame: Frame
+        self.frame: InlinedFrame
 
-    # -- what the machine has
+    # -- the target
 
-    def branches(self, level: Uniformity) -> bool:
-        """Whether a condition of this level is a real branch: OpenCL's scalars, NumPy's single values."""
-        return level <= Uniformity.LANES if self.width else level is Uniformity.DISPATCH
+    def branches(self, uniformity: Uniformity) -> bool:
+        """Return whether a condition this uniform is a real branch: a scalar in OpenCL, a single value in NumPy."""
+        return uniformity <= Uniformity.LANES if self.width else uniformity is Uniformity.DISPATCH
 
     @property
-    def own_level(self) -> Uniformity:
-        """The level of what each invocation has for itself."""
+    def own_uniformity(self) -> Uniformity:
+        """The uniformity of a value that is private to each invocation."""
         return Uniformity.LANES if self.width == 1 else Uniformity.VARYING
 
-    # -- facts
+    # -- uniformities
 
-    def level_of(self, key: object) -> Uniformity:
-        """The level known so far."""
-        return self.facts.get(key, (Uniformity.DISPATCH, 0))[0]
+    def known_uniformity(self, key: object) -> Uniformity:
+        """Return the uniformity known so far."""
+        return self.joined.get(key, (Uniformity.DISPATCH, 0))[0]
 
-    def join(self, key: object, level: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
-        """Add what was found; gives what holds now."""
-        known = self.facts.get(key)
-        now = (level, stride)
+    def join(self, key: object, uniformity: Uniformity, stride: int = 0) -> tuple[Uniformity, int]:
+        """Join a uniformity and stride with those known for a key, and return the join.
+
+        Its stride is 0 unless both pairs are equal.
+        """
+        known = self.joined.get(key)
+        now = (uniformity, stride)
         if known is not None and known != now:
-            now = (max(known[0], level), 0)
+            now = (max(known[0], uniformity), 0)
         if now != known:
-            self.facts[key] = now
+            self.joined[key] = now
             self.changed = True
         return now
 
@@ -105,52 +139,52 @@ class ScopeLowering:
 
     @property
     def line(self) -> tuple[str, int]:
-        return self.frame.function.file, self.at.line
+        return self.frame.function.file, self.span.line
 
     def emit(self, statement: lanes.Statement) -> None:
         self.block.append(statement)
 
     @contextmanager
-    def into(self, block: lanes.Block) -> Iterator[lanes.Block]:
+    def emit_into(self, block: lanes.Block) -> Iterator[lanes.Block]:
         """Emit into another block."""
         before, self.block = self.block, block
         yield block
         self.block = before
 
-    def variable(self, name: str, kind: ScalarKind, level: Uniformity) -> Variable:
-        """A new variable with a name of its own."""
+    def variable(self, name: str, kind: ScalarKind, uniformity: Uniformity) -> Variable:
+        """Return a new variable with a unique name."""
         self.count += 1
-        return Variable(f"{name}_{self.count}", kind, level)
+        return Variable(f"{name}_{self.count}", kind, uniformity)
 
     def let(self, value: Value, name: str = "t") -> Value:
-        """The value with a name, unless it is as short itself."""
+        """Return the value as a named variable, unless it is a constant or a name already."""
         if isinstance(value, lanes.Literal | Get | lanes.Affine | lanes.Argument):
             return value
-        variable = self.variable(name, value.kind, value.level)
+        variable = self.variable(name, value.kind, value.uniformity)
         self.emit(lanes.Let(self.line, variable, value))
-        return Get(value.kind, value.level, variable)
+        return Get(value.kind, value.uniformity, variable)
 
     def refuse(self, rule: Rule, given: str, allowed: str = "", tip: str = "") -> NoReturn:
-        """Refuse what stands at the current place."""
+        """Refuse the statement at the current span."""
         function = self.frame.function
         raise ShaderError(
             rule,
-            f"{function.name}\n{show(function.file, self.at)}",
+            f"{function.name}\n{show(function.file, self.span)}",
             given,
             allowed,
             tip,
-            CallSite(function.file, self.at.line, function.name),
+            CallSite(function.file, self.span.line, function.name),
         )
 
     # -- masks
 
     def mask_value(self) -> Value:
-        """Who takes part now."""
+        """Return the mask of the lanes that are active now."""
         mask = self.scope.mask
-        return Get(ScalarKind.BOOL, mask.level, mask) if mask is not None else TRUE
+        return get(mask) if mask is not None else TRUE
 
     def scopes_up_to(self, end: object, inclusive: bool = False) -> Iterator[MaskScope]:
-        """The scopes from the current one outwards, up to `end`."""
+        """Yield the scopes from the current one outwards, up to `end`."""
         scope: MaskScope | None = self.scope
         while scope is not None and scope is not end:
             yield scope
@@ -159,73 +193,74 @@ class ScopeLowering:
             yield scope
 
     def new_mask(self, value: Value, name: str) -> Variable:
-        mask = self.variable(name, ScalarKind.BOOL, value.level if not self.width else Uniformity.VARYING)
+        mask = self.variable(
+            name, ScalarKind.BOOL, value.uniformity if not self.width else Uniformity.VARYING
+        )
         self.emit(lanes.Let(self.line, mask, value))
         return mask
 
     def narrow(self, end: MaskScope) -> None:
-        """Take the current lanes out of all masks up to and with that of `end`."""
+        """Remove the active lanes from all masks up to and including that of `end`."""
         mask = self.scope.mask
         assert mask is not None
-        current = Get(ScalarKind.BOOL, mask.level, mask)
-        left = self.let(apply("not", current))
+        current = get(mask)
+        remaining = self.let(apply("not", current))
         for scope in self.scopes_up_to(end, inclusive=True):
             other = scope.mask
-            if scope.owns and other is not None and other is not mask:
-                self.emit(
-                    lanes.Set(self.line, other, apply("and", Get(ScalarKind.BOOL, other.level, other), left), None)
-                )
+            if scope.owns_mask and other is not None and other is not mask:
+                narrowed = apply("and", get(other), remaining)
+                self.emit(lanes.Set(self.line, other, narrowed, None))
         self.emit(lanes.Set(self.line, mask, FALSE, None))
 
-    def leave_if_nobody_is_left(self) -> None:
-        """After an exit: go on only if a lane is left, where a real jump can tell."""
+    def emit_pending_jump(self) -> None:
+        """After a masked jump, leave the enclosing loop or function if no lane is active any more."""
         mask = self.scope.mask
-        if not self.pending or mask is None:
+        if not self.jump_pending or mask is None:
             return
         for scope in self.scopes_up_to(None):
-            if scope.kind == "branch" and scope.owns:
+            if scope.kind == "branch" and scope.owns_mask:
                 return
-            self.pending = False
-            if scope.kind in ("loop", "turn"):
-                self.emit((lanes.Continue if scope.owns else lanes.Break)(self.line, mask))
+            self.jump_pending = False
+            if scope.kind in ("loop", "iteration"):
+                self.emit((lanes.Continue if scope.owns_mask else lanes.Break)(self.line, mask))
                 return
             if scope.kind == "function":
-                if scope.owns and self.frame.body is not None and self.width:
-                    self.frame.body.is_left = True
-                    self.emit(lanes.Return(self.line, self.frame.body, mask))
+                if scope.owns_mask and self.frame.inlined_call is not None and self.width:
+                    self.frame.inlined_call.returns_early = True
+                    self.emit(lanes.Return(self.line, self.frame.inlined_call, mask))
                 return
 
     @contextmanager
     def branch(self, condition: Value) -> Iterator[None]:
-        """What happens where the condition holds."""
+        """Emit the statements of this context under a condition, as a real branch or under a mask."""
         outer = self.scope
-        if self.branches(condition.level):
-            self.scope = MaskScope("branch", outer, condition.level, outer.mask, False)
-            with self.into([]) as block:
+        if self.branches(condition.uniformity):
+            self.scope = MaskScope("branch", outer, condition.uniformity, outer.mask, False)
+            with self.emit_into([]) as block:
                 yield
             self.scope = outer
             if block:
                 self.emit(lanes.If(self.line, condition, block, []))
             return
         mask = self.new_mask(apply("and", self.mask_value(), condition), "mask")
-        self.scope = MaskScope("branch", outer, condition.level, mask, True)
-        with self.into([]) as block:
+        self.scope = MaskScope("branch", outer, condition.uniformity, mask, True)
+        with self.emit_into([]) as block:
             yield
         self.scope = outer
         if is_heavy(block):
-            taken = Get(ScalarKind.BOOL, mask.level, mask)
+            taken = get(mask)
             self.emit(lanes.If(self.line, taken, block, [], any_lane=True))
         else:
             self.block.extend(block)
 
     def two_branches(self, condition: Value) -> tuple[Value, Value]:
-        """A condition and its opposite, the condition evaluated once."""
+        """Return a condition, evaluated once, and its negation."""
         condition = self.let(condition, "condition")
         return condition, apply("not", condition)
 
 
 def is_heavy(block: lanes.Block) -> bool:
-    """Whether stepping around a block costs less than doing it for no lane, or is needed to be safe."""
+    """Return whether skipping a block if no lane is active is faster than executing it, or needed for safety."""
     statements = list(lanes.walk(block))
     if len(statements) > HEAVY:
         return True

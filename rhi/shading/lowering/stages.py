@@ -1,11 +1,11 @@
-"""The stages of a draw in lane code: what flows in and out, who takes part, discard, differences between pixels.
+"""The lowering of vertex and fragment stages: inputs and outputs, helper lanes, discard, differences between pixels.
 
-- A stage's inputs are arguments. What is the same for 16 vertices or a block of 4 by 4 pixels has the level LANES:
-  flat varyings, the instance, the draw, which face is seen. So a material's index gives scalar loads.
-- Covered lanes have effects. If a stage takes differences between pixels, the other pixels of their quads come
-  along as helpers: they compute and read (within bounds, whatever their extrapolated inputs say), and never write.
-- `discard()` takes lanes out of all masks, as if they returned from the whole stage, and out of the stage's result.
-- A difference is undefined where a part of the quad doesn't take part or was discarded before, as in GLSL.
+- A stage's inputs are arguments. Inputs that 16 vertices or a block of 4 by 4 pixels share have the uniformity LANES:
+  flat varyings, the instance, the draw, the facing. A material index, for example, gives scalar loads.
+- Only covered lanes have side effects. If a stage takes differences between pixels, the other pixels of the quads run
+  as helpers: they compute and read (within bounds, whatever their extrapolated inputs are) but never write.
+- `discard()` removes lanes from all masks, as if they returned from the whole stage, and from the stage's result.
+- A difference is undefined where a part of the quad is inactive or was discarded before, as in GLSL.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from rhi.shading.ir.lanes import (
     Affine,
     Argument,
     Code,
-    Count,
+    ElementCount,
     Get,
     MemoryRegion,
     ScalarKind,
@@ -32,34 +32,39 @@ from rhi.shading.ir.lanes import (
     Value,
     Variable,
     apply,
+    get,
     literal,
     number,
 )
+from rhi.shading.lowering.components import all_kinds
 from rhi.shading.lowering.functions import Lowering
-from rhi.shading.lowering.places import all_kinds
-from rhi.shading.lowering.scopes import Frame
+from rhi.shading.lowering.scopes import InlinedFrame
 
 __rhi_internal__ = True
 
 _DIFFERENCES: Final = frozenset({"ddx", "ddy", "fwidth", "sample", "sample_bias", "sample_compare"})
-"""The built-ins that compare pixels of a quad; of a texture's methods those that find their level by themselves."""
+"""The built-ins that compare pixels of a quad, including the texture methods that compute the mip level implicitly."""
 
 _DEPTH: Final = -1
 
 
-def _argument(name: str, kind: ScalarKind = ScalarKind.INT, level: Uniformity = Uniformity.LANES) -> Argument:
-    return Argument(kind, level, name)
+def _argument(
+    name: str, kind: ScalarKind = ScalarKind.INT, uniformity: Uniformity = Uniformity.LANES
+) -> Argument:
+    return Argument(kind, uniformity, name)
 
 
 _MASK: Final = _argument("mask", ScalarKind.BOOL, Uniformity.VARYING)
 _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
     Stage.VERTEX: {
-        "vertex_index": (_argument(FIRST_VERTEX, level=Uniformity.VARYING),),
+        "vertex_index": (_argument(FIRST_VERTEX, uniformity=Uniformity.VARYING),),
         "instance_index": (_argument("instance"),),
         "draw_index": (_argument("draw"),),
     },
     Stage.FRAGMENT: {
-        "fragment_coordinate": tuple(_argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"),
+        "fragment_coordinate": tuple(
+            _argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in "xyzw"
+        ),
         "front_facing": (_argument("front", ScalarKind.BOOL),),
         "primitive_index": (_argument("primitive"),),
     },
@@ -74,27 +79,30 @@ def lower_stage(
     width: int = WIDTH,
     checked: bool = False,
 ) -> StageCode:
-    """A vertex or fragment stage in lane code for `width` lanes; 0 for whole arrays. `checked`: as of `lower_compute`.
+    """Lower a vertex or fragment stage for `width` lanes, or for whole arrays with 0.
+
+    Args:
+        checked: whether to test every index.
 
     Raises:
-        ShaderError: it uses what lanes haven't got.
+        ShaderError: the stage uses a feature that lane code doesn't support.
     """
     if f"opencl{width}" in stage.entry.native:
         return StageCode(Code(name, width, [], ()), (), False)
     lowering = StageLowering(stage, width)
     lowering.checked = checked
     if stage.stage is Stage.VERTEX:
-        arguments, places = _vertex_arguments(stage), _vertex_places(stage, interface, varyings)
+        arguments, words = _vertex_arguments(stage), _vertex_words(stage, interface, varyings)
     else:
-        arguments, places = _fragment_arguments(stage, varyings), _fragment_places(stage, interface)
+        arguments, words = _fragment_arguments(stage, varyings), _fragment_words(stage, interface)
     while True:
         lowering.start()
         results = lowering.run(arguments)
         if not lowering.changed:
             break
-    outputs = [(place, value) for place, value in zip(places, results, strict=True) if place is not None]
-    depth = [value for place, value in outputs if place == _DEPTH]
-    outputs = [(place, value) for place, value in outputs if place != _DEPTH]
+    outputs = [(word, value) for word, value in zip(words, results, strict=True) if word is not None]
+    depth = [value for word, value in outputs if word == _DEPTH]
+    outputs = [(word, value) for word, value in outputs if word != _DEPTH]
     values = [value for _, value in outputs] + depth
     if stage.stage is Stage.FRAGMENT:
         values.append(lowering.kept)
@@ -102,7 +110,7 @@ def lower_stage(
     built_in = [value for values in _INPUTS[stage.stage].values() for value in values]
     given = tuple(value for value in (*arguments, *built_in, _MASK) if isinstance(value, Argument))
     code = Code(name, width, lowering.block, memories, given, tuple(values), checked=checked)
-    return StageCode(code, tuple(place for place, _ in outputs), bool(depth))
+    return StageCode(code, tuple(word for word, _ in outputs), bool(depth))
 
 
 # -- inputs and outputs ------------------------------------------------------------------------------------
@@ -116,13 +124,13 @@ def _parameter_fields(stage: tree.StageTree) -> list[tuple[str, HostType]]:
 
 
 def _vertex_arguments(stage: tree.StageTree) -> list[Value]:
-    """The components of the parameters: words attribute by attribute, which is their own order."""
+    """Return the components of the parameters: the words of all attributes in order."""
     kinds = [kind for _, type in _parameter_fields(stage) for kind in all_kinds(type)]
     return [_argument(f"inputs_{word}", kind, Uniformity.VARYING) for word, kind in enumerate(kinds)]
 
 
 def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...]) -> list[Value]:
-    """The components of the parameter, zeros for those that nobody reads."""
+    """Return the components of the parameter, with zeros for those that are never read."""
     known = {varying.name: varying for varying in varyings}
     values: list[Value] = []
     for name, type in _parameter_fields(stage):
@@ -137,34 +145,34 @@ def _fragment_arguments(stage: tree.StageTree, varyings: tuple[StageVarying, ...
     return values
 
 
-def _vertex_places(
+def _vertex_words(
     stage: tree.StageTree, interface: Interface, varyings: tuple[StageVarying, ...]
 ) -> list[int | None]:
-    """The word of each component of the result: the position at 0, varyings from 4 on, None for what nobody reads."""
+    """Return the word of each result component: position from 0, varyings from 4 on, None for those never read."""
     if not isinstance(stage.entry.result, StructType):
         return [0, 1, 2, 3]
     starts = {varying.name: 4 + varying.word for varying in varyings}
-    places: list[int | None] = []
+    words: list[int | None] = []
     for field in stage.entry.result.fields:
         start = 0 if field.name == interface.position else starts.get(field.name)
         size = len(all_kinds(field.type))
-        places += [None] * size if start is None else range(start, start + size)
-    return places
+        words += [None] * size if start is None else range(start, start + size)
+    return words
 
 
-def _fragment_places(stage: tree.StageTree, interface: Interface) -> list[int | None]:
-    """The word of each component of the result: four for each location."""
-    places: list[int | None] = []
+def _fragment_words(stage: tree.StageTree, interface: Interface) -> list[int | None]:
+    """Return the word of each component of the result: four for each location."""
+    words: list[int | None] = []
     locations = {output.name: output.location for output in interface.outputs}
     if not isinstance(stage.entry.result, StructType):
         return [component for output in interface.outputs for component in range(output.components)]
     for field in stage.entry.result.fields:
         if field.name == interface.depth:
-            places.append(_DEPTH)
+            words.append(_DEPTH)
         else:
             start = 4 * locations[field.name]
-            places += range(start, start + len(all_kinds(field.type)))
-    return places
+            words += range(start, start + len(all_kinds(field.type)))
+    return words
 
 
 # -- lowering ----------------------------------------------------------------------------------------------
@@ -180,27 +188,27 @@ class StageLowering(Lowering):
 
     def start(self) -> None:
         super().start()
-        self.discards = 0
-        self.discarded = Uniformity.DISPATCH
-        self.covered: Variable
-        self.kept: Value
+        self.discards = 0  # the number of masked discards
+        self.discarded = Uniformity.DISPATCH  # how much they vary
+        self.covered: Variable  # the mask of lanes that aren't helpers
+        self.kept: Value  # the mask of covered lanes that weren't discarded
 
     def run(self, arguments: list[Value]) -> list[Value]:
-        """The whole stage; gives its result's components."""
+        """Lower the whole stage and return the components of its result."""
         entry = self.stage.entry
-        self.frame = Frame(entry, ())
+        self.frame = InlinedFrame(entry, ())
         present = self.covered = self.new_mask(_MASK, "covered")
         if self.has_helpers:
             present = self.new_mask(apply("quads", get(present)), "present")
-        self.scope.mask, self.scope.owns = present, True
+        self.scope.mask, self.scope.owns_mask = present, True
         self.kept = get(self.new_mask(get(self.covered), "kept")) if self.stage.discards else _MASK
         return self.inline(entry, list(arguments), ())
 
-    # -- who takes part
+    # -- masks
 
-    def is_left_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
+    def returns_early(self, function: tree.Function, path: tuple[int, ...]) -> bool:
         whole = not path and self.stage.discards
-        return whole or super().is_left_early(function, path)
+        return whole or super().returns_early(function, path)
 
     def effect_mask(self) -> Variable | None:
         if not self.has_helpers:
@@ -216,36 +224,36 @@ class StageLowering(Lowering):
     ) -> list[Value]:
         before = self.discards
         results = super().inline(function, values, path, textures)
-        if self.discards > before:  # callers lose lanes as the function does
-            self.pending = True
-            self.frame.left = max(self.frame.left, self.discarded)
+        if self.discards > before:  # its callers lose the same lanes
+            self.jump_pending = True
+            self.frame.return_uniformity = max(self.frame.return_uniformity, self.discarded)
         return results
 
     def discard(self) -> None:
         frame, scopes = self.frame, list(self.scopes_up_to(None))
         while frame.caller is not None and frame.caller.caller is not None:
             frame = frame.caller
-        target = scopes[-2]  # the entry's; the last one holds the mask that the stage is given
-        level = max([scope.level for scope in scopes[:-2]], default=Uniformity.DISPATCH)
-        self.join((target.key, "function"), level)
-        self.discarded = max(self.discarded, level)
-        self.frame.left = max(self.frame.left, level)
-        assert frame.body is not None
+        target = scopes[-2]  # the entry function's scope; the last one holds the stage's mask
+        uniformity = max([scope.uniformity for scope in scopes[:-2]], default=Uniformity.DISPATCH)
+        self.join((target.key, "function"), uniformity)
+        self.discarded = max(self.discarded, uniformity)
+        self.frame.return_uniformity = max(self.frame.return_uniformity, uniformity)
+        assert frame.inlined_call is not None
         assert isinstance(self.kept, Get)
-        left = apply("not", self.mask_value())
-        self.emit(lanes.Set(self.line, self.kept.variable, self.kept & left, None))
-        if self.branches(level) and self.width:
-            frame.body.is_left = True
-            self.emit(lanes.Return(self.line, frame.body))
+        remaining = apply("not", self.mask_value())
+        self.emit(lanes.Set(self.line, self.kept.variable, self.kept & remaining, None))
+        if self.branches(uniformity) and self.width:
+            frame.inlined_call.returns_early = True
+            self.emit(lanes.Return(self.line, frame.inlined_call))
         else:
             self.narrow(target)
-            if self.has_helpers:  # those that nobody needs any more leave, too
+            if self.has_helpers:  # helpers whose quad is discarded become inactive, too
                 needed = self.let(apply("quads", self.kept))
                 for scope in scopes[:-1]:
-                    if scope.owns and scope.mask is not None:
+                    if scope.owns_mask and scope.mask is not None:
                         both = get(scope.mask) & needed
                         self.emit(lanes.Set(self.line, scope.mask, both, None))
-            self.pending = True
+            self.jump_pending = True
             self.discards += 1
             self.returns += 1
 
@@ -253,8 +261,8 @@ class StageLowering(Lowering):
 
     def load(self, memory: MemoryRegion, kind: ScalarKind, index: Value, scale: int, offset: int) -> Value:
         last: Value = number((memory.length - 1 - offset) // scale)
-        if memory.space is AddressSpace.STORAGE:  # scale is an element's words, or 1
-            count = Count(ScalarKind.INT, Uniformity.DISPATCH, memory)
+        if memory.space is AddressSpace.STORAGE:  # the scale is the words of an element, or 1
+            count = ElementCount(ScalarKind.INT, Uniformity.DISPATCH, memory)
             whole = scale == memory.stride
             last = count - number(1) if whole else count * number(memory.stride) - number(offset + 1)
         return super().load(memory, kind, self.limited(index, last), scale, offset)
@@ -263,12 +271,12 @@ class StageLowering(Lowering):
         super().store_private(memory, self.limited(index, number(memory.length - 1)), value)
 
     def limited(self, index: Value, last: Value) -> Value:
-        """An index of memory; helpers may have any."""
-        if not self.has_helpers or index.level < Uniformity.VARYING:
+        """Return an index clamped to memory if helpers run, because theirs may be out of bounds."""
+        if not self.has_helpers or index.uniformity < Uniformity.VARYING:
             return index
         return self.let(apply("max", apply("min", index, last), number(0)))
 
-    def builtin(self, node: tree.BuiltinCall, wanted: bool) -> list[Value]:
+    def builtin(self, node: tree.BuiltinCall, needs_result: bool) -> list[Value]:
         name = node.builtin.name
         if name == "vertex_index" and self.width:
             return [Affine(ScalarKind.INT, Uniformity.VARYING, _argument(FIRST_VERTEX), 1)]
@@ -282,18 +290,13 @@ class StageLowering(Lowering):
                 apply("abs", self.difference("ddx", value)) + apply("abs", self.difference("ddy", value))
                 for value in values
             ]
-        return super().builtin(node, wanted)
+        return super().builtin(node, needs_result)
 
     def difference(self, name: str, value: Value) -> Value:
-        """`ddx` or `ddy` of a component."""
-        return apply(name, value) if value.level is Uniformity.VARYING else literal(0.0)
-
-
-def get(variable: Variable) -> Value:
-    """A variable's value."""
-    return Get(variable.kind, variable.level, variable)
+        """Return `ddx` or `ddy` of a component."""
+        return apply(name, value) if value.uniformity is Uniformity.VARYING else literal(0.0)
 
 
 def takes_differences(stage: tree.StageTree) -> bool:
-    """Whether pixels of a quad are compared."""
+    """Return whether a stage compares pixels of a quad."""
     return any(builtin.name in _DIFFERENCES for builtin in stage.builtins)

@@ -1,8 +1,9 @@
-"""Methods of textures and images as lane code.
+"""The lowering of the methods of textures and images.
 
-- Coordinates are always three components: of a 2D texture the third is 0, of an array the layer.
-- A level that GLSL finds by itself is found from the differences between the pixels of a quad by one access
-  (`level_of_detail`) and used by the next; where there are no differences, in vertices and compute, it is 0.
+- Coordinates always have three components. The third is 0 for a 2D texture and the layer for an array.
+- Where GLSL computes the mip level implicitly, one access (`level_of_detail`) computes it from the differences between
+  the pixels of a quad, and the next access uses it. In vertex and compute stages there are no differences, and the
+  level is 0.
 """
 
 from __future__ import annotations
@@ -23,22 +24,22 @@ from rhi.shading.ir.lanes import (
 )
 from rhi.shading.language.types import ImageType, TextureType
 from rhi.shading.lowering.builtins import BuiltinLowering
-from rhi.shading.lowering.places import KINDS, all_kinds
+from rhi.shading.lowering.components import KINDS, all_kinds
 
 __rhi_internal__ = True
 
-_ONE_LEVEL: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3: 3, TextureKind.CUBE: 3}
-"""How many components of a coordinate decide about the level."""
+_LEVEL_AXES: Final = {TextureKind.D2: 2, TextureKind.D2_ARRAY: 2, TextureKind.D3: 3, TextureKind.CUBE: 3}
+"""The number of coordinate components that the mip level depends on."""
 
 
 class TextureLowering(BuiltinLowering):
-    """Lowers the methods in `rhi.shading.language.textures`."""
+    """Lowers the methods of `rhi.shading.language.textures`."""
 
     has_helpers = False
-    """Whether differences between pixels are known."""
+    """Whether the stage has differences between pixels, for which helper invocations run."""
 
     def difference(self, name: str, value: Value) -> Value:
-        """ "ddx" or "ddy" of a value."""
+        """Return the difference of a value between neighbouring pixels; `name` is "ddx" or "ddy"."""
         raise NotImplementedError
 
     def texture(self, node: tree.BuiltinCall) -> list[Value]:
@@ -76,7 +77,7 @@ class TextureLowering(BuiltinLowering):
         return self.access("sample", memory, [*at, *level], KINDS[type.scalar], 4)
 
     def binding_of(self, node: tree.Expression) -> tree.BindingRead:
-        """The texture or image that an expression names: a binding, or a parameter that is one."""
+        """Return the binding of a texture or image that an expression names, directly or by a parameter."""
         if isinstance(node, tree.Read):
             return self.frame.textures[node.local]
         assert isinstance(node, tree.BindingRead)
@@ -90,19 +91,21 @@ class TextureLowering(BuiltinLowering):
             return self.access("load", memory, place, KINDS[type.scalar], 4)
         (values,), at = rest, place[:3]
         mask = self.effect_mask()
-        if mask is None and all(value.level < Uniformity.VARYING for value in at):
+        if mask is None and all(value.uniformity < Uniformity.VARYING for value in at):
             self.check_race(memory, values)
         self.emit(lanes.TextureAccess(self.line, "store", memory, (*at, *values), (), mask))
         return []
 
     def check_texel(self, memory: MemoryRegion, at: list[Value], level: Value) -> list[Value]:
-        """A texel and its level, each number reported where it is outside, if the shader is checked. Where lanes
-        want different levels, only those are."""
+        """Return a texel's coordinates and its level, checked against the texture's size if the shader is checked.
+
+        If the level varies among lanes, only the level is checked.
+        """
         if not self.checked:
             return [*at, level]
         (count,) = self.access("levels", memory, [], ScalarKind.INT, 1)
         level = self.check_index(level, count)
-        if level.level is Uniformity.VARYING and self.width != 1:
+        if level.uniformity is Uniformity.VARYING and self.width != 1:
             return [*at, level]
         axes = 2 if memory.shape is TextureKind.D2 else 3
         sizes = self.access("size", memory, [level], ScalarKind.INT, axes)
@@ -110,16 +113,16 @@ class TextureLowering(BuiltinLowering):
         return [*checked, *at[axes:], level]
 
     def check_race(self, memory: MemoryRegion, values: list[Value]) -> None:
-        """Refuse different values for one place."""
+        """Refuse a store of varying values to one address."""
         raise NotImplementedError
 
     def find_level(
         self, memory: MemoryRegion, type: TextureType, at: list[Value], bias: Value | None = None
     ) -> list[Value]:
-        """The level from the differences between pixels."""
+        """Return the mip level computed from the differences between pixels."""
         if not self.has_helpers:
             return [literal(0.0)]
-        count = _ONE_LEVEL[type.kind]
+        count = _LEVEL_AXES[type.kind]
         right = [self.difference("ddx", value) for value in at[:count]]
         down = [self.difference("ddy", value) for value in at[:count]]
         return self.level_of_detail(memory, at, right, down, bias or literal(0.0))
@@ -132,12 +135,12 @@ class TextureLowering(BuiltinLowering):
         dy: list[Value],
         bias: Value,
     ) -> list[Value]:
-        """The level for a step to the next pixel in two directions."""
+        """Return the mip level for the coordinate differences to the next pixel in two directions."""
         steps = [value for step in (dx, dy) for value in (*step, literal(0.0))[:3]]
         return self.access("level_of_detail", memory, [*at, *steps, bias], ScalarKind.FLOAT, 1)
 
     def texture_memory(self, source: tree.BindingRead) -> MemoryRegion:
-        """A texture or image."""
+        """Return the memory region of a texture or image."""
         name = source.declaration.name
         known = self.memories.get(name)
         if known is None:
@@ -150,12 +153,12 @@ class TextureLowering(BuiltinLowering):
     def access(
         self, operation: str, memory: MemoryRegion, arguments: list[Value], kind: ScalarKind, count: int
     ) -> list[Value]:
-        """An access and its results."""
+        """Emit a texture access and return its results."""
         arguments = [self.let(value) for value in arguments]
-        level = max([value.level for value in arguments], default=Uniformity.DISPATCH)
+        uniformity = max([value.uniformity for value in arguments], default=Uniformity.DISPATCH)
         if memory.writable and operation == "load":
-            level = max(level, Uniformity.GROUP)
-        results = tuple(self.variable(memory.name, kind, level) for _ in range(count))
+            uniformity = max(uniformity, Uniformity.GROUP)
+        results = tuple(self.variable(memory.name, kind, uniformity) for _ in range(count))
         mask = self.scope.mask
         self.emit(lanes.TextureAccess(self.line, operation, memory, tuple(arguments), results, mask))
-        return [Get(kind, level, result) for result in results]
+        return [Get(kind, uniformity, result) for result in results]

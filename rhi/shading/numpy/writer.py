@@ -87,11 +87,11 @@ class _Writer:
                 return name
             case lanes.Affine(base=base, stride=stride):
                 return f"({self.value(base)} + P.lanes * {stride})"
-            case lanes.Count(memory=memory):
+            case lanes.ElementCount(memory=memory):
                 return f"np.int32({self.name(memory)}.size // {memory.stride})"
-            case lanes.Input(place=lanes.DispatchIndex.LOCAL_INDEX):
+            case lanes.Input(index=lanes.DispatchIndex.LOCAL_INDEX):
                 return "P.local_index"
-            case lanes.Input(place=place, axis=axis):
+            case lanes.Input(index=place, axis=axis):
                 return f"P.{place.value}[{axis}]"
             case lanes.Apply(operation=operation, arguments=arguments):
                 return spelling(operation).numpy.format(*map(self.value, arguments))
@@ -141,7 +141,7 @@ class _Writer:
             case lanes.Let(variable=variable, value=value):
                 text = self.value(value) if value is not None else _ZEROS[variable.kind]
                 self.add(depth, f"{variable.name} = {text}")
-            case lanes.Begin(memory=memory):
+            case lanes.DeclareMemory(memory=memory):
                 kind = _DTYPES[memory.kind]
                 self.add(depth, f"{self.name(memory)} = R.private({memory.length}, {kind}, P)")
             case lanes.Set(variable=variable, value=value, mask=mask):
@@ -173,9 +173,9 @@ class _Writer:
                 self.advances.append(advance)
                 self.block([*body, *advance], depth + 1)
                 self.advances.pop()
-            case lanes.Break(none=mask):
+            case lanes.Break(when_empty=mask):
                 self.jump("break", mask, depth)
-            case lanes.Continue(none=mask):
+            case lanes.Continue(when_empty=mask):
                 self.jump("continue", mask, depth)
             case lanes.InlinedCall(block=inner):
                 self.block(inner, depth)

@@ -27,10 +27,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from rhi.contract.descriptors import Binding, Stage
+from rhi.contract.descriptors import Binding, Stage, StageText
 from rhi.shading.ir import tree
-from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, Bounds, StageCode, Uniformity
-from rhi.shading.ir.text import StageText
+from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, PositionBounds, StageCode, Uniformity
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl.writer import Writer
 
@@ -48,7 +47,7 @@ _FRAGMENT: Final = (
 
 
 def write_stage(
-    stage: tree.StageTree, code: StageCode, bounds: Bounds | None, bindings: tuple[Binding, ...],
+    stage: tree.StageTree, code: StageCode, bounds: PositionBounds | None, bindings: tuple[Binding, ...],
     precision: Precision,
 ) -> StageText:  # fmt: skip
     """A stage's function and all that it calls; of a stage with a body in OpenCL C, `code` is empty.
@@ -66,7 +65,7 @@ class _StageWriter(Writer):
         super().__init__(code.code, precision, native)
         self.outputs = code
 
-    def stage(self, stage: Stage, bounds: Bounds | None, bindings: tuple[Binding, ...]) -> StageText:
+    def stage(self, stage: Stage, bounds: PositionBounds | None, bindings: tuple[Binding, ...]) -> StageText:
         assert self.width == WIDTH
         given = [text for binding in bindings for text in self.parameters(binding)]
         given += ["global int *rhi_faults"] if self.code.checked else []
@@ -102,4 +101,4 @@ class _StageWriter(Writer):
         array, _, word = node.name.partition("_")
         if not word:
             return node.name if node.name != FIRST_VERTEX else "vertex.s0"
-        return self.cast(node.kind, node.level is Uniformity.VARYING, f"{array}[{word}]")
+        return self.cast(node.kind, node.uniformity is Uniformity.VARYING, f"{array}[{word}]")

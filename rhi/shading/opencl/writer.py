@@ -13,7 +13,7 @@ import math
 import struct
 from typing import Final
 
-from rhi.contract.descriptors import Binding, BindingKind, TextureKind
+from rhi.contract.descriptors import Binding, BindingKind, StageText, TextureKind
 from rhi.shading.ir import lanes, tree
 from rhi.shading.ir.lanes import (
     AddressSpace,
@@ -27,7 +27,7 @@ from rhi.shading.ir.lanes import (
     number,
 )
 from rhi.shading.ir.primitives import spelling
-from rhi.shading.ir.text import Lines, StageText, power_steps
+from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.language.builtins import Precision
 from rhi.shading.opencl import prelude as prelude
 from rhi.shading.opencl.textures import textures_text
@@ -146,7 +146,7 @@ class Writer:
         return _NAMES[kind] + (self.suffix if vector else "")
 
     def is_vector(self, value: Value) -> bool:
-        return value.level is Uniformity.VARYING and self.width > 1
+        return value.uniformity is Uniformity.VARYING and self.width > 1
 
     def wide(self, value: Value, vector: bool = True) -> str:
         """A value as a vector, if that is wanted."""
@@ -171,11 +171,11 @@ class Writer:
                 steps = steps if stride == 1 else f"{steps} * {stride}"
                 steps = f"as_uint{self.width}({steps})" if kind is ScalarKind.UINT else steps
                 return f"({self.value(base)} + {steps})"
-            case lanes.Count(memory=memory):
+            case lanes.ElementCount(memory=memory):
                 return f"{self.name(memory)}_count"
-            case lanes.Input(place=lanes.DispatchIndex.ITEM):
+            case lanes.Input(index=lanes.DispatchIndex.ITEM):
                 return "rhi_item"
-            case lanes.Input(place=place, axis=axis):
+            case lanes.Input(index=place, axis=axis):
                 function = "get_group_id" if place is lanes.DispatchIndex.GROUP_ID else "get_num_groups"
                 return f"((int){function}({axis}))"
             case lanes.Apply():
@@ -288,7 +288,7 @@ class Writer:
         place = self.wide(index)
         if node.mask is not None:
             place = f"({place} & {self.mask(node.mask)})"
-        varying = memory.level is Uniformity.VARYING
+        varying = memory.uniformity is Uniformity.VARYING
         if varying:
             place = f"{place} * {self.width} + RHI_LANES"
         text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {place})")
@@ -312,11 +312,11 @@ class Writer:
     def statement(self, node: lanes.Statement) -> None:
         match node:
             case lanes.Let(variable=variable, value=value):
-                vector = variable.level is Uniformity.VARYING
+                vector = variable.uniformity is Uniformity.VARYING
                 name = f"{self.type(variable.kind, vector)} {variable.name}"
                 text = self.wide(value, vector) if value is not None else "0"
                 self.add(node, f"{name} = {text};")
-            case lanes.Begin(memory=memory, zeros=zeros):
+            case lanes.DeclareMemory(memory=memory, zeros=zeros):
                 self.begin(node, memory, zeros)
             case lanes.Set():
                 self.add(node, f"{self.set(node)};")
@@ -337,16 +337,16 @@ class Writer:
                 steps = ", ".join(self.set(step) for step in advance if isinstance(step, lanes.Set))
                 with self.lines.braces(f"for (;; {steps})", *node.line):
                     self.block(body)
-            case lanes.Break(none=mask):
+            case lanes.Break(when_empty=mask):
                 self.jump(node, "break", mask)
-            case lanes.Continue(none=mask):
+            case lanes.Continue(when_empty=mask):
                 self.jump(node, "continue", mask)
-            case lanes.Return(body=body, none=mask):
+            case lanes.Return(call=body, when_empty=mask):
                 self.jump(node, f"goto end_{body.label}", mask)
-            case lanes.InlinedCall(label=label, block=inner, is_left=is_left):
+            case lanes.InlinedCall(label=label, block=inner, returns_early=returns_early):
                 with self.lines.braces("", *node.line):
                     self.block(inner)
-                    if is_left:
+                    if returns_early:
                         self.add(node, f"end_{label}: ;")
             case _:
                 raise TypeError(f"no OpenCL C for {node}")
@@ -359,7 +359,7 @@ class Writer:
         self.add(node, f"rhi_check({bad}, {self.wide(given)}, {self.value(limit)}, rhi_faults, RHI_HERE);")
 
     def begin(self, node: lanes.Statement, memory: MemoryRegion, zeros: bool) -> None:
-        vector = memory.level is Uniformity.VARYING
+        vector = memory.uniformity is Uniformity.VARYING
         self.add(node, f"{self.type(memory.kind, vector)} {self.name(memory)}[{memory.length}];")
         if zeros:
             fill = f"{self.name(memory)}[i] = 0"
@@ -367,7 +367,7 @@ class Writer:
 
     def set(self, node: lanes.Set) -> str:
         variable = node.variable
-        text = self.wide(node.value, variable.level is Uniformity.VARYING)
+        text = self.wide(node.value, variable.uniformity is Uniformity.VARYING)
         if node.mask is not None:
             text = f"select({variable.name}, {text}, {node.mask.name})"
         return f"{variable.name} = {text}"
@@ -428,7 +428,7 @@ class Writer:
 
     def store_private(self, node: lanes.Store) -> None:
         memory, index, (value,) = node.memory, node.index, node.values
-        vector = memory.level is Uniformity.VARYING
+        vector = memory.uniformity is Uniformity.VARYING
         if not self.is_vector(index):
             place = f"{self.name(memory)}[{self.value(index)}]"
             text = self.wide(value, vector)
@@ -473,7 +473,7 @@ class Writer:
         operation, name, results = node.operation, node.memory.name, node.results
         self.textures.add(node.memory.shape)
         each = self.width > 1
-        varies = each and bool(results) and results[0].level is Uniformity.VARYING
+        varies = each and bool(results) and results[0].uniformity is Uniformity.VARYING
         first = ".s0" if each and not varies else ""
         texts = [self.wide(value, each) for value in node.arguments]
         if operation in ("size", "levels"):

@@ -1,1 +1,1 @@
-"""From Python's syntax to the typed tree."""
+"""The parser: from Python's syntax tree to the typed tree."""

@@ -1,4 +1,4 @@
-"""Calls: of functions, built-ins, methods and constructors, with Python's rules for arguments."""
+"""The parser of calls of functions, built-ins, methods and constructors, with Python's rules for arguments."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from rhi.shading.language.textures import methods_of
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, with_scalar
 from rhi.shading.language.vectors import array
 from rhi.shading.parser.expressions import ExpressionParser, member_tip
-from rhi.shading.parser.signatures import AnyLength, Callee, Signature, fits
+from rhi.shading.parser.signatures import Callee, Signature, UnsizedArray, fits
 
 __rhi_internal__ = True
 
@@ -32,7 +32,7 @@ _PYTHON_BUILTINS: Final[dict[Any, Builtin]] = {
 
 
 class CallParser(ExpressionParser):
-    """Parses calls."""
+    """Parses the calls of one function."""
 
     def _call(self, node: ast.Call) -> Expression:
         for part in node.args:
@@ -53,9 +53,9 @@ class CallParser(ExpressionParser):
         return self._call_object(node, found)
 
     def _call_method(self, node: ast.Call, name: str, after: type | None) -> Expression:
-        found = self.program.method(name, after)
+        found = self.stage_context.method(name, after)
         if found is None:
-            shader = self.program.shader
+            shader = self.stage_context.shader
             if name in shader._declared:
                 self.refuse(rules.WRONG_ARGUMENTS, node, f"{name} is a binding, not a method")
             self.refuse(
@@ -84,7 +84,7 @@ class CallParser(ExpressionParser):
                     suggest(name, names),
                 )
             given[name] = keyword.value
-        # Arguments are evaluated in the order written, which is the order of `given`.
+        # Python evaluates arguments in the order in which they are written, which is the order of `given`.
         values = {name: self._argument(callee, signature, name, at) for name, at in given.items()}
         if [name for name in names if name in given] != list(given) and any(
             map(tree.has_effect, values.values())
@@ -95,18 +95,18 @@ class CallParser(ExpressionParser):
                 default = self._default(callee, parameter.default, node)
                 if default is None:
                     self.refuse(rules.WRONG_ARGUMENTS, node, f"no {parameter.name!r}", ", ".join(names))
-                assert not isinstance(parameter.type, AnyLength)
+                assert not isinstance(parameter.type, UnsizedArray)
                 values[parameter.name] = self.convert(default, parameter.type, node)
         arguments = tuple(values[name] for name in names)
         types = tuple(argument.type for argument in arguments)
-        function = self.program.instance(callee, types, node, self.source)
+        function = self.stage_context.instance(callee, types, node, self.source)
         if function.has_effect:
             self.mark_effect()
         return tree.Call(function.result, span_of(node), function, arguments)
 
     def _argument(self, callee: Callee, signature: Signature, name: str, at: ast.expr) -> Expression:
         wanted = next(parameter.type for parameter in signature.parameters if parameter.name == name)
-        if not isinstance(wanted, AnyLength):
+        if not isinstance(wanted, UnsizedArray):
             return self.converted(at, wanted, name)
         value = self.expression(at)
         if not fits(wanted, value.type):
@@ -116,7 +116,7 @@ class CallParser(ExpressionParser):
     def _default(self, callee: Callee, default: ast.expr | None, node: ast.Call) -> Expression | None:
         if default is None:
             return None
-        return CallParser(self.program, callee.source, None, None).expression(default)
+        return CallParser(self.stage_context, callee.source, None, None).expression(default)
 
     def _call_on_value(self, node: ast.Call) -> Expression:
         if not isinstance(node.func, ast.Attribute):
@@ -172,7 +172,7 @@ class CallParser(ExpressionParser):
         if overload is None:
             given = f"{row.name}({', '.join(str(type) for type in types)})"
             self.refuse(rules.WRONG_ARGUMENTS, node, given, row.signatures())
-        self.program.check_stage(row, node, self.source)
+        self.stage_context.check_stage(row, node, self.source)
         converted = []
         for argument, parameter, at in zip(
             arguments,
@@ -193,12 +193,12 @@ class CallParser(ExpressionParser):
             self.mark_effect()
         return tree.BuiltinCall(overload.result, span_of(node), row, overload, tuple(converted))
 
-    def check_memory(self, place: Expression, at: ast.AST) -> None:
-        """Refuse an atomic's first argument unless it is a place in writable storage or shared memory."""
+    def check_memory(self, target: Expression, at: ast.AST) -> None:
+        """Refuse an atomic's first argument unless it is an lvalue in writable storage or shared memory."""
         raise NotImplementedError
 
     def mark_effect(self) -> None:
-        """Note that the function changes memory."""
+        """Record that the function has side effects."""
         raise NotImplementedError
 
     def _length(self, node: ast.Call) -> Expression:
@@ -242,7 +242,7 @@ class CallParser(ExpressionParser):
         if list(given) != [name for name in names if name in given] and any(
             map(tree.has_effect, parts.values())
         ):
-            # Python evaluates in the order written, a constructor in the order of the fields.
+            # Python evaluates arguments in the order written, a constructor in the order of the fields.
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
         for field in type.fields:
             if field.name not in parts:
@@ -256,29 +256,29 @@ class CallParser(ExpressionParser):
         if node.keywords:
             self.refuse(rules.WRONG_ARGUMENTS, node, f"{node.keywords[0].arg}=…", "arguments by position")
         parts = [self.expression(argument) for argument in node.args]
-        place = span_of(node)
+        span = span_of(node)
         types = ", ".join(str(part.type) for part in parts)
         if isinstance(type, ScalarType):
             if len(parts) == 1 and isinstance(parts[0].type, ScalarType):
-                return self.cast(parts[0], type, place)
+                return self.cast(parts[0], type, span)
         elif isinstance(type, VectorType):
             only = parts[0] if len(parts) == 1 else None
             if only is not None and isinstance(only.type, VectorType) and only.type.size == type.size:
-                return self.cast(only, type, place)
+                return self.cast(only, type, span)
             if only is not None and isinstance(only.type, ScalarType):
-                return tree.Construct(type, place, (self._component(only, type, node.args[0]),))
+                return tree.Construct(type, span, (self._component(only, type, node.args[0]),))
             if sum(getattr(part.type, "size", 1) for part in parts) == type.size and len(parts) > 1:
                 components = [self._component(p, type, at) for p, at in zip(parts, node.args, strict=True)]
-                return tree.Construct(type, place, tuple(components))
+                return tree.Construct(type, span, tuple(components))
         elif isinstance(type, MatrixType):
             row = VECTORS[FLOAT, type.size]
             if len(parts) == 1 and isinstance(parts[0].type, MatrixType):
-                return tree.Construct(type, place, tuple(parts))
+                return tree.Construct(type, span, tuple(parts))
             if len(parts) == type.size and all(part.type == row for part in parts):
-                return tree.Construct(type, place, tuple(parts))
+                return tree.Construct(type, span, tuple(parts))
             if len(parts) in (1, type.size**2):
                 scalars = [self.convert(p, FLOAT, at) for p, at in zip(parts, node.args, strict=True)]
-                return tree.Construct(type, place, tuple(scalars))
+                return tree.Construct(type, span, tuple(scalars))
         self.refuse(rules.WRONG_ARGUMENTS, node, f"{type}({types})", _constructor_tip(type))
 
     def _component(self, part: Expression, type: VectorType, at: ast.AST) -> Expression:
@@ -293,7 +293,9 @@ class CallParser(ExpressionParser):
 
 def _constructor_tip(type: Type) -> str:
     if isinstance(type, VectorType):
-        return f"{type.size} components in all, one for all, or another vector of {type.size}"
+        return f"{type.size} components in total, one scalar for all, or another vector of {type.size}"
     if isinstance(type, MatrixType):
-        return f"{type.size} rows, {type.size**2} numbers row by row, one for the diagonal, or a matrix"
+        return (
+            f"{type.size} rows, {type.size**2} numbers row by row, one number for the diagonal, or a matrix"
+        )
     return "one scalar"

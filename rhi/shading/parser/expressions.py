@@ -1,7 +1,7 @@
-"""From Python's syntax to typed expressions.
+"""The parser of expressions: from Python's syntax tree to typed expressions.
 
-`ExpressionParser` handles one function; what a name is depends on the function's variables
-(`rhi.shading.parser.statements`), and a call of another function on the stage being compiled (`StageContext`).
+`ExpressionParser` handles one function. Names are resolved with the function's variables
+(`rhi.shading.parser.statements`), calls of other functions by the stage being compiled (`StageContext`).
 """
 
 from __future__ import annotations
@@ -75,41 +75,43 @@ _AXES: Final = ("xyzw", "rgba")
 
 
 class StageContext(Protocol):
-    """What an expression needs of the stage being compiled."""
+    """The interface that an expression parser needs of the stage being compiled."""
 
     shader: type[Shader]
 
     def method(self, name: str, after: type | None) -> Callee | None:
-        """The shader's method of that name, or its bases' beyond `after`."""
+        """Return the shader's method of that name; with `after`, that of the bases behind this class."""
 
     def instance(
         self, callee: Callee, types: tuple[Type, ...], at: ast.Call, caller: Source
     ) -> tree.Function:
-        """The function compiled for arguments of these types."""
+        """Return the function compiled for arguments of these types."""
 
     def check_stage(self, builtin: Builtin, at: ast.Call, caller: Source) -> None:
-        """Refuse a built-in that the stage being compiled hasn't got."""
+        """Refuse a built-in that isn't available in the stage being compiled."""
 
 
 class ExpressionParser:
     """Parses the expressions of one function."""
 
-    def __init__(self, program: StageContext, source: Source, owner: type | None, self_name: str | None) -> None:
-        self.program = program
+    def __init__(
+        self, stage_context: StageContext, source: Source, owner: type | None, self_name: str | None
+    ) -> None:
+        self.stage_context = stage_context
         self.source = source
         self.owner = owner
         self.self_name = self_name
 
-    # -- what statements provide
+    # -- provided by FunctionParser
 
     def read(self, name: str, at: ast.Name) -> Expression | None:
-        """The variable of that name, or None if the function has none."""
+        """Return a read of the variable of that name, or None if the function has none."""
         return None
 
     # -- entry points
 
     def expression(self, node: ast.expr, wanted: Type | None = None) -> Expression:
-        """The typed expression; `wanted` gives a tuple its type and is not enforced otherwise."""
+        """Return the typed expression. `wanted` gives a tuple its type; it isn't enforced otherwise."""
         if isinstance(node, ast.Tuple) and isinstance(wanted, VectorType):
             parts = tuple(self.converted(part, wanted.scalar) for part in node.elts)
             if len(parts) != wanted.size:
@@ -117,18 +119,18 @@ class ExpressionParser:
             return tree.Construct(wanted, span_of(node), parts)
         parse = getattr(self, f"_{type(node).__name__.lower()}", None)
         if parse is None:
-            tip = "array(float, 4) makes an array of zeros; a constant one is a tuple of the module's or the class's"
+            tip = "array(float, 4) makes an array of zeros; a constant array is a tuple defined in the module or class"
             self.unsupported(node, tip if isinstance(node, ast.List) else "")
         result: Expression = parse(node)
         return result
 
     def converted(self, node: ast.expr, wanted: Type, what: str = "") -> Expression:
-        """The expression as a value of type `wanted`, or a refusal."""
+        """Return the expression converted to `wanted`, or refuse it."""
         value = self.expression(node, wanted)
         return self.convert(value, wanted, node, what)
 
     def convert(self, value: Expression, wanted: Type, at: ast.AST, what: str = "") -> Expression:
-        """`value` as `wanted`, or a refusal at `at`."""
+        """Return `value` converted to `wanted`, or refuse it at `at`."""
         result = convert(value, wanted)
         if result is None:
             given = f"{what}: {value.type}" if what else str(value.type)
@@ -136,7 +138,7 @@ class ExpressionParser:
         return result
 
     def condition(self, node: ast.expr) -> Expression:
-        """The expression as a bool."""
+        """Return the expression, which must be a bool."""
         value = self.expression(node)
         if value.type is not BOOL:
             tip = "write the comparison: `!= 0`" if isinstance(value.type, ScalarType) else ""
@@ -175,7 +177,7 @@ class ExpressionParser:
         return found
 
     def variable_names(self) -> list[str]:
-        """The function's own names, for suggestions."""
+        """Return the names of the function's variables, for suggestions."""
         return []
 
     def _as_expression(self, found: Any, node: ast.expr, name: str) -> Expression:
@@ -190,30 +192,30 @@ class ExpressionParser:
             )
         return constant
 
-    def constant(self, value: Any, place: SourceSpan, name: str) -> Expression | None:
-        """A Python value as a constant, or None if it can't be one."""
+    def constant(self, value: Any, span: SourceSpan, name: str) -> Expression | None:
+        """Return a Python value as a constant, or None if it can't be one."""
         if isinstance(value, enum.Enum) and isinstance(value, int):
             value = int(value)
         if isinstance(value, bool):
-            return Constant(BOOL, place, value)
+            return Constant(BOOL, span, value)
         if isinstance(value, numbers.Integral):
             if isinstance(getattr(type(value), "shading_type", None), ScalarType):
-                return Constant(UINT, place, int(value))
+                return Constant(UINT, span, int(value))
             if not -(2**31) <= int(value) < 2**32:
-                self.refuse(rules.OUT_OF_RANGE, place, str(value), "32 bits")
-            return Constant(INT, place, int(value), literal=True)
+                self.refuse(rules.OUT_OF_RANGE, span, str(value), "32 bits")
+            return Constant(INT, span, int(value), literal=True)
         if isinstance(value, numbers.Real):
-            return Constant(FLOAT, place, float(value))
+            return Constant(FLOAT, span, float(value))
         if isinstance(value, Composite):
             scalar = scalar_of(value.shading_type) or FLOAT
-            parts = [Constant(scalar, place, component) for component in value.components]
-            return tree.Construct(value.shading_type, place, tuple(parts))
+            parts = [Constant(scalar, span, component) for component in value.components]
+            return tree.Construct(value.shading_type, span, tuple(parts))
         if isinstance(value, tuple) and value:
-            return self._constant_array(value, place, name)
+            return self._constant_array(value, span, name)
         return None
 
-    def _constant_array(self, value: tuple[Any, ...], place: SourceSpan, name: str) -> Expression | None:
-        elements = [self.constant(part, place, name) for part in value]
+    def _constant_array(self, value: tuple[Any, ...], span: SourceSpan, name: str) -> Expression | None:
+        elements = [self.constant(part, span, name) for part in value]
         types = [element.type for element in elements if element is not None]
         if len(types) != len(elements):
             return None
@@ -224,7 +226,7 @@ class ExpressionParser:
         ):
             return None
         parts = tuple(element for element in converted if element is not None)
-        return tree.ConstantArray(ArrayType(element_type, len(parts)), place, name, parts)
+        return tree.ConstantArray(ArrayType(element_type, len(parts)), span, name, parts)
 
     # -- operators
 
@@ -245,7 +247,7 @@ class ExpressionParser:
         )
 
     def binary(self, op: Operator, left: Expression, right: Expression, at: ast.AST) -> Expression:
-        """A typed binary operation, or a refusal."""
+        """Return a typed binary operation, or refuse its operands."""
         try:
             result = binary(op, left, right, span_of(at))
         except (ZeroDivisionError, OverflowError, ValueError, TypeError) as error:
@@ -299,7 +301,7 @@ class ExpressionParser:
         return isinstance(node, ast.Name) and node.id == self.self_name
 
     def static(self, node: ast.expr) -> Any:
-        """The Python object that a dotted name means outside the shader, or `MISSING`."""
+        """Return the Python object that a dotted name refers to outside the shader, or `MISSING`."""
         if isinstance(node, ast.Name):
             if self.is_self(node) or self.has_variable(node.id):
                 return MISSING
@@ -315,7 +317,7 @@ class ExpressionParser:
         return MISSING
 
     def has_variable(self, name: str) -> bool:
-        """Whether the function has a variable of that name."""
+        """Return whether the function has a variable of that name."""
         return False
 
     def _attribute(self, node: ast.Attribute) -> Expression:
@@ -325,34 +327,34 @@ class ExpressionParser:
         if found is not MISSING:
             return self._as_expression(found, node, node.attr)
         base = self.expression(node.value)
-        place = span_of(node)
+        span = span_of(node)
         if isinstance(base.type, StructType):
             field = base.type.field(node.attr)
             if field is None:
                 names = [field.name for field in base.type.fields]
                 tip = suggest(node.attr, names)
                 self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", ", ".join(names), tip)
-            return tree.Member(field.type, place, base, node.attr)
+            return tree.Member(field.type, span, base, node.attr)
         if isinstance(base.type, VectorType):
             return self._swizzle(base, base.type, node)
         self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=member_tip(base.type))
 
     def _swizzle(self, base: Expression, type: VectorType, node: ast.Attribute) -> Expression:
         for axes in _AXES:
-            places = tuple(axes[: type.size].find(letter) for letter in node.attr)
-            if len(places) <= 4 and min(places) >= 0:
-                result = type.scalar if len(places) == 1 else VECTORS[type.scalar, len(places)]
-                return tree.Swizzle(result, span_of(node), base, places)
+            components = tuple(axes[: type.size].find(letter) for letter in node.attr)
+            if len(components) <= 4 and min(components) >= 0:
+                result = type.scalar if len(components) == 1 else VECTORS[type.scalar, len(components)]
+                return tree.Swizzle(result, span_of(node), base, components)
         allowed = " or ".join(axes[: type.size] for axes in _AXES)
         self.refuse(rules.UNKNOWN_MEMBER, node, f"{type}.{node.attr}", f"up to 4 of {allowed}")
 
     def _field_of_shader(self, node: ast.Attribute) -> Expression:
-        shader, place = self.program.shader, span_of(node)
+        shader, span = self.stage_context.shader, span_of(node)
         declared: Declaration | None = shader._declared.get(node.attr)
         if declared is not None:
-            return tree.BindingRead(declared.type, place, declared)
+            return tree.BindingRead(declared.type, span, declared)
         found = getattr(shader, node.attr, MISSING)
-        constant = self.constant(found, place, node.attr) if found is not MISSING else None
+        constant = self.constant(found, span, node.attr) if found is not MISSING else None
         if constant is None:
             names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
             self.refuse(
@@ -362,7 +364,7 @@ class ExpressionParser:
 
     def _subscript(self, node: ast.Subscript) -> Expression:
         base = self.expression(node.value)
-        type, place = base.type, span_of(node)
+        type, span = base.type, span_of(node)
         if isinstance(type, StorageType | ArrayType):
             element: Type = type.element
         elif isinstance(type, VectorType):
@@ -382,35 +384,35 @@ class ExpressionParser:
             self.refuse(rules.WRONG_TYPE, node.slice, str(index.type), "int or uint")
         if isinstance(index, Constant):
             index = self._constant_index(index, type, node)
-        return tree.Index(element, place, base, index)
+        return tree.Index(element, span, base, index)
 
     def _constant_index(self, index: Constant, type: Type, node: ast.Subscript) -> Constant:
         value = int(index.value)
         if isinstance(type, StorageType):
             if value < 0:
-                self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), "0 or more", "count from len(…)")
+                self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), "0 or more", "count back from len(…)")
             return index
         length = type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
         if not -length <= value < length:
             self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), f"{-length} to {length - 1}")
-        return Constant(INT, index.place, value % length)
+        return Constant(INT, index.span, value % length)
 
     # -- for calls and statements
 
-    def cast(self, value: Expression, type: ScalarType | VectorType, place: SourceSpan) -> Expression:
-        """A conversion asked for by name."""
+    def cast(self, value: Expression, type: ScalarType | VectorType, span: SourceSpan) -> Expression:
+        """Return an explicit conversion, such as `int(x)`."""
         if value.type == type:
             return value
         if isinstance(value, Constant) and isinstance(type, ScalarType):
             number = value.value
             if type is UINT:
-                return Constant(UINT, place, int(number) & 0xFFFFFFFF)
-            made = {BOOL: bool, INT: int, FLOAT: float}[type](number)
-            return Constant(type, place, made)
-        return tree.Convert(type, place, value)
+                return Constant(UINT, span, int(number) & 0xFFFFFFFF)
+            converted = {BOOL: bool, INT: int, FLOAT: float}[type](number)
+            return Constant(type, span, converted)
+        return tree.Convert(type, span, value)
 
     def check_value(self, value: Expression, at: ast.AST) -> None:
-        """Refuse what can't be held in a variable."""
+        """Refuse a value that can't be held in a variable."""
         if not is_value(value.type):
             tip = "textures and buffers are used in place" if not isinstance(value, tree.Call) else ""
             self.refuse(rules.WRONG_TYPE, at, str(value.type), "a value", tip)
@@ -431,7 +433,7 @@ def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
     if op is Operator.MATRIX_MULTIPLY:
         if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
             size = left.type.size
-            return f"a mat{size} takes a vec{size}" + ("; of a point: vec4(v, 1.0)" if size == 4 else "")
+            return f"a mat{size} takes a vec{size}" + ("; for a point: vec4(v, 1.0)" if size == 4 else "")
         return "@ multiplies matrices; use dot(a, b) for vectors" if vectors else ""
     if isinstance(left.type, MatrixType) and isinstance(right.type, VectorType):
         return "use @ to multiply a matrix with a vector"
@@ -445,7 +447,7 @@ def _operator_tip(op: Operator, left: Expression, right: Expression) -> str:
 
 
 def member_tip(type: Type) -> str:
-    """What to do with a value of this type, which has no fields."""
+    """Return a tip for the use of a value that has no fields."""
     if isinstance(type, StorageType):
         return "storage is an array: index it first"
     if isinstance(type, TextureType | ImageType):

@@ -1,8 +1,8 @@
-"""What flows between a shader's stages: vertex inputs, varyings, outputs.
+"""The interface of a shader's stages: vertex inputs, varyings and outputs, read from their signatures.
 
 - The vertex stage takes structs of attributes and returns a `vec4`, the clip position, or a struct whose
-  first field is it; the other fields are varyings.
-- The fragment stage takes nothing, or a struct whose fields are among the vertex stage's by name and type; it
+  first field is the clip position; the other fields are varyings.
+- The fragment stage takes nothing, or a struct whose fields match varyings of the vertex stage by name and type; it
   returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
 """
 
@@ -33,7 +33,7 @@ __rhi_internal__ = True
 
 
 def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
-    """The attributes of the vertex stage's parameters, in order."""
+    """Return the attributes of the vertex stage's parameters, in order."""
     attributes: list[Attribute] = []
     source = vertex.source
     for parameter in vertex.signature.parameters:
@@ -57,7 +57,7 @@ def vertex_inputs(vertex: Callee) -> tuple[Attribute, ...]:
 
 
 def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
-    """The name of the position field and all varyings of the vertex stage, the position as the last."""
+    """Return the name of the position field and all varyings of the vertex stage, with the position as the last."""
     described, source = vertex.signature, vertex.source
     if described.result == VEC4:
         return "", ()
@@ -87,7 +87,7 @@ def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
 
 
 def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> None:
-    """Refuse a fragment stage that wants what the vertex stage doesn't give."""
+    """Refuse a fragment stage with an input that the vertex stage doesn't write."""
     described, source = fragment.signature, fragment.source
     if len(described.parameters) > 1:
         source.refuse(
@@ -112,12 +112,12 @@ _INTERPOLATIONS = {
 
 
 def varyings_read(fragment: tree.StageTree, varyings: tuple[Varying, ...]) -> tuple[StageVarying, ...]:
-    """Those of the vertex stage's varyings that the fragment stage reads, and their words."""
+    """Return the varyings that the fragment stage reads, with their words."""
     return words_of_varyings(varyings, _fields_read(fragment.entry))
 
 
 def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[StageVarying, ...]:
-    """Those of the varyings that have these names, and their words."""
+    """Return the varyings that have these names, with their words."""
     found, word = [], 0
     for varying in varyings:
         if varying.name in names:
@@ -129,7 +129,7 @@ def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[S
 
 
 def _fields_read(entry: tree.Function) -> set[str]:
-    """The fields of its parameter that an entry reads: all, if it reads the parameter as a whole."""
+    """Return the fields of its parameter that an entry reads; all if it reads the parameter as a whole."""
     names: set[str] = set()
     whole = 1 if entry.native else 0
     for node in tree.walk(entry.body):
@@ -146,7 +146,7 @@ def _fields_read(entry: tree.Function) -> set[str]:
 
 
 def fragment_outputs(fragment: Callee) -> tuple[str, tuple[FragmentOutput, ...]]:
-    """The name of the depth field and the colour outputs by location."""
+    """Return the name of the depth field and the colour outputs by location."""
     described, source = fragment.signature, fragment.source
     if described.result == VOID:
         return "", ()

@@ -1,9 +1,9 @@
-"""The typing rules of operators: operands in, a typed node with converted operands out, or None.
+"""The typing rules of operators: from operands to a typed node with converted operands, or None if there is none.
 
-- Python's meaning decides: `/` gives floats, a constant expression is computed by Python, and int meets float
-  as float.
-- Operands of different scalar types meet only as int with float, or an int literal with uint; two vectors
-  only when they agree.
+- Python's semantics apply: `/` gives floats, Python computes constant expressions, and an int is converted to float
+  where it meets a float.
+- Operands of different scalar types can be combined only if they are int and float, or an int literal and uint. Two
+  vectors must have the same type.
 """
 
 from __future__ import annotations
@@ -47,23 +47,23 @@ EQUALITY: Final = frozenset({Operator.EQUAL, Operator.NOT_EQUAL})
 ORDER: Final = frozenset({Operator.LESS, Operator.LESS_EQUAL, Operator.GREATER, Operator.GREATER_EQUAL})
 
 MAX_POWER: Final = 16
-"""Constant whole exponents up to this one become multiplications."""
+"""The greatest constant integer exponent that is expanded to multiplications."""
 
 
 def convert(value: Expression, type: Type) -> Expression | None:
-    """`value` as `type`: itself, or with the conversions that happen by themselves; None if there is none."""
+    """Return `value` as `type`, implicitly converted if needed; None if there is no implicit conversion."""
     if value.type == type:
         return value
     literal = isinstance(value, Constant) and value.literal and int(value.value) >= 0
     if not converts(value.type, type, literal):
         return None
     if isinstance(value, Constant):
-        return Constant(type, value.place, float(value.value) if type is FLOAT else value.value)
-    return Convert(type, value.place, value)
+        return Constant(type, value.span, float(value.value) if type is FLOAT else value.value)
+    return Convert(type, value.span, value)
 
 
-def unary(op: Operator, operand: Expression, place: SourceSpan) -> Expression | None:
-    """`-x`, `~x` or `not x`."""
+def unary(op: Operator, operand: Expression, span: SourceSpan) -> Expression | None:
+    """Return a typed `-x`, `~x` or `not x`, folded if x is a constant; None if the type is wrong."""
     scalar = scalar_of(operand.type)
     if op is Operator.NOT:
         allowed = operand.type is BOOL
@@ -76,17 +76,18 @@ def unary(op: Operator, operand: Expression, place: SourceSpan) -> Expression | 
     if isinstance(operand, Constant) and operand.type is not UINT:
         value = operand.value
         result = not value if op is Operator.NOT else ~int(value) if op is Operator.INVERT else -value
-        return Constant(operand.type, place, result, operand.literal)
-    return Unary(operand.type, place, op, operand)
+        return Constant(operand.type, span, result, operand.literal)
+    return Unary(operand.type, span, op, operand)
 
 
-def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
-    """`left op right`, folded if both are constants.
+def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
+    """Return a typed `left op right`, folded if both are constants; None if the types don't fit.
 
     Raises:
-        ZeroDivisionError: a constant division by zero. OverflowError, ValueError: other constant nonsense.
+        ZeroDivisionError: a constant division by zero.
+        OverflowError, ValueError: another constant operation without a valid result.
     """
-    node = _binary(op, left, right, place)
+    node = _binary(op, left, right, span)
     if isinstance(node, Binary) and isinstance(node.left, Constant) and isinstance(node.right, Constant):
         if op in SHIFTS and not 0 <= node.right.value < 32:
             raise ValueError(f"a shift by {node.right.value}")
@@ -94,7 +95,7 @@ def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan)
         literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
         if node.type is UINT:
             value &= 0xFFFFFFFF
-        return Constant(node.type, place, value, literal)
+        return Constant(node.type, span, value, literal)
     if isinstance(node, Binary) and op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
         divisor = node.right
         if isinstance(divisor, Constant) and divisor.value == 0 and divisor.type is not FLOAT:
@@ -102,19 +103,19 @@ def binary(op: Operator, left: Expression, right: Expression, place: SourceSpan)
     return node
 
 
-def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def _binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     if op is Operator.MATRIX_MULTIPLY:
-        return _matrix_multiply(left, right, place)
+        return _matrix_multiply(left, right, span)
     if op in (Operator.AND, Operator.OR):
         both = left.type is BOOL and right.type is BOOL
-        return Binary(BOOL, place, op, left, right) if both else None
+        return Binary(BOOL, span, op, left, right) if both else None
     if isinstance(left.type, MatrixType) or isinstance(right.type, MatrixType):
-        return _with_matrix(op, left, right, place)
+        return _with_matrix(op, left, right, span)
     a, b = left.type, right.type
     if not isinstance(a, ScalarType | VectorType) or not isinstance(b, ScalarType | VectorType):
         return None
     if op in EQUALITY and a == b:
-        return Binary(BOOL, place, op, left, right)
+        return Binary(BOOL, span, op, left, right)
     if op in EQUALITY | ORDER and (isinstance(a, VectorType) or isinstance(b, VectorType)):
         return None
     if scalar_of(a) is BOOL or scalar_of(b) is BOOL:
@@ -122,11 +123,11 @@ def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan
     if op in SHIFTS:
         integers = scalar_of(a) in (INT, UINT) and scalar_of(b) in (INT, UINT)
         shapes = isinstance(b, ScalarType) or (isinstance(a, VectorType) and a.size == b.size)
-        return Binary(a, place, op, left, right) if integers and shapes else None
-    if op is Operator.POWER and _is_whole_power(right):
-        # A constant whole exponent means multiplications: exact, and right for negative bases.
+        return Binary(a, span, op, left, right) if integers and shapes else None
+    if op is Operator.POWER and _is_integer_power(right):
+        # A constant integer exponent is expanded to multiplications: exact, and correct for negative bases.
         if scalar_of(a) is FLOAT or (isinstance(right, Constant) and right.value >= 0):
-            return Binary(a, place, op, left, right)
+            return Binary(a, span, op, left, right)
         return None
     if op is Operator.DIVIDE:
         left, right = _to_float(left), _to_float(right)
@@ -134,7 +135,7 @@ def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan
     shape = b if isinstance(a, ScalarType) else a
     if isinstance(a, VectorType) and isinstance(b, VectorType) and a != b:
         return None
-    scalar = _meet(left, right)
+    scalar = _common_scalar(left, right)
     if scalar is None or (isinstance(shape, VectorType) and shape.scalar is not scalar):
         return None
     if (op in BITWISE and scalar is FLOAT) or (op is Operator.POWER and scalar is not FLOAT):
@@ -146,10 +147,10 @@ def _binary(op: Operator, left: Expression, right: Expression, place: SourceSpan
     if converted_left is None or converted_right is None:
         return None
     result = BOOL if op in EQUALITY | ORDER else with_scalar(shape, scalar)
-    return Binary(result, place, op, converted_left, converted_right)
+    return Binary(result, span, op, converted_left, converted_right)
 
 
-def _is_whole_power(exponent: Expression) -> bool:
+def _is_integer_power(exponent: Expression) -> bool:
     return (
         isinstance(exponent, Constant)
         and exponent.type in (INT, UINT)
@@ -162,12 +163,12 @@ def _to_float(value: Expression) -> Expression:
     if not isinstance(type, ScalarType | VectorType) or scalar_of(type) is FLOAT:
         return value
     if isinstance(value, Constant):
-        return Constant(FLOAT, value.place, float(value.value))
-    return Convert(with_scalar(type, FLOAT), value.place, value)
+        return Constant(FLOAT, value.span, float(value.value))
+    return Convert(with_scalar(type, FLOAT), value.span, value)
 
 
-def _meet(left: Expression, right: Expression) -> ScalarType | None:
-    """The scalar type at which two operands meet."""
+def _common_scalar(left: Expression, right: Expression) -> ScalarType | None:
+    """Return the scalar type that both operands are converted to; None if there is none."""
     a, b = scalar_of(left.type), scalar_of(right.type)
     if a is b:
         return a
@@ -179,24 +180,24 @@ def _meet(left: Expression, right: Expression) -> ScalarType | None:
     return None
 
 
-def _matrix_multiply(left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def _matrix_multiply(left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     a, b = left.type, right.type
     if isinstance(a, MatrixType) and a == b:
-        return Binary(a, place, Operator.MATRIX_MULTIPLY, left, right)
+        return Binary(a, span, Operator.MATRIX_MULTIPLY, left, right)
     for matrix, vector in ((a, b), (b, a)):
         if isinstance(matrix, MatrixType) and vector == VectorType(FLOAT, matrix.size):
-            return Binary(vector, place, Operator.MATRIX_MULTIPLY, left, right)
+            return Binary(vector, span, Operator.MATRIX_MULTIPLY, left, right)
     return None
 
 
-def _with_matrix(op: Operator, left: Expression, right: Expression, place: SourceSpan) -> Expression | None:
+def _with_matrix(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
     a, b = left.type, right.type
     if a == b and op in (Operator.ADD, Operator.SUBTRACT, Operator.MULTIPLY):
-        return Binary(a, place, op, left, right)
+        return Binary(a, span, op, left, right)
     if isinstance(a, MatrixType) and op in (Operator.MULTIPLY, Operator.DIVIDE):
         factor = convert(right, FLOAT)
-        return Binary(a, place, op, left, factor) if factor is not None else None
+        return Binary(a, span, op, left, factor) if factor is not None else None
     if isinstance(b, MatrixType) and op is Operator.MULTIPLY:
         factor = convert(left, FLOAT)
-        return Binary(b, place, op, factor, right) if factor is not None else None
+        return Binary(b, span, op, factor, right) if factor is not None else None
     return None

@@ -1,4 +1,4 @@
-"""What a function takes and gives, from its annotations."""
+"""Signatures: the parameters and results of functions, read from their annotations."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ __rhi_internal__ = True
 
 
 @dataclass(frozen=True, slots=True)
-class AnyLength:
-    """An array parameter: it takes arrays of every length, and the function is compiled for each."""
+class UnsizedArray:
+    """The type of an array parameter. It accepts arrays of any length; the function is compiled for each."""
 
     element: Type
 
@@ -32,20 +32,20 @@ class AnyLength:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
-    """A parameter; `host` is the annotation, `default` the syntax of its default."""
+class FunctionParameter:
+    """A parameter of a function. `host` is its annotation, `default` the syntax tree of its default value."""
 
     name: str
-    type: Type | AnyLength
+    type: Type | UnsizedArray
     host: Any
     default: ast.expr | None
 
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """Parameters without `self`, its name if there is one, and the result with its annotation."""
+    """The parameters of a function without `self`, the name of `self`, and the result with its annotation."""
 
-    parameters: tuple[Parameter, ...]
+    parameters: tuple[FunctionParameter, ...]
     result: Type
     result_host: Any
     self_name: str | None
@@ -55,7 +55,7 @@ _MISSING: Final = object()
 
 
 def signature_of(source: Source, is_method: bool) -> Signature:
-    """The signature of a function, or a refusal at the parameter that is wrong."""
+    """Return the signature of a function, or refuse the parameter that is wrong."""
     arguments = source.node.args
     for extra in (arguments.vararg, arguments.kwarg):
         if extra is not None:
@@ -76,7 +76,7 @@ def signature_of(source: Source, is_method: bool) -> Signature:
         wanted = _parameter_type(host)
         if wanted is None:
             _refuse(source, argument.annotation or argument, host)
-        parameters.append(Parameter(argument.arg, wanted, host, default))
+        parameters.append(FunctionParameter(argument.arg, wanted, host, default))
     node = source.node
     host = _annotation(source, "return", node, node.returns)
     result: Type | None = VOID if host is None or host is type(None) else value_type(host)
@@ -93,25 +93,28 @@ def _annotation(source: Source, name: str, at: ast.AST, node: ast.expr | None) -
 
 
 def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -> Any:
-    """What an annotation means: `known` unless that is text or missing."""
+    """Return the object that an annotation names: `known` unless that is a string or missing."""
     if known is not _MISSING and not isinstance(known, str):
         return known
     try:
         return source.scope.evaluate(known if isinstance(known, str) else ast.unparse(node))
     except NameError as error:
         source.refuse(
-            rules.UNKNOWN_NAME, node, repr(error.name), tip=suggest_name(error.name or "", source.scope.names())
+            rules.UNKNOWN_NAME,
+            node,
+            repr(error.name),
+            tip=suggest_name(error.name or "", source.scope.names()),
         )
     except Exception as error:
         source.refuse(rules.ANNOTATION, node, f"{type(error).__name__}: {error}")
 
 
-def _parameter_type(host: Any) -> Type | AnyLength | None:
+def _parameter_type(host: Any) -> Type | UnsizedArray | None:
     if isinstance(host, type) and issubclass(host, SampledTexture):
         return host.shading_type
     if get_origin(host) in (Array, ReadOnlyArray):
         element = value_type(get_args(host)[0])
-        return AnyLength(element) if element is not None else None
+        return UnsizedArray(element) if element is not None else None
     return value_type(host)
 
 
@@ -119,29 +122,29 @@ def _refuse(source: Source, at: ast.AST, host: Any) -> NoReturn:
     allowed = "float, int, uint, bool, vectors, matrices, Struct classes, textures"
     tip = ""
     if get_origin(host) in (Array, ReadOnlyArray):
-        tip = "arrays can't be returned; put one in a Struct"
+        tip = "arrays can't be returned; return a Struct with an array field"
     elif get_origin(host) in (Uniform, Storage, StorageRW):
         tip = "bindings are read through self: make the function a method, or pass an element"
     source.refuse(rules.ANNOTATION, at, getattr(host, "__name__", repr(host)), allowed, tip)
 
 
-def fits(parameter: Type | AnyLength, given: Type) -> bool:
-    """Whether an argument's type is one that an array parameter takes."""
+def fits(parameter: Type | UnsizedArray, given: Type) -> bool:
+    """Return whether an array parameter accepts an argument of this type."""
     return (
-        isinstance(parameter, AnyLength)
+        isinstance(parameter, UnsizedArray)
         and isinstance(given, ArrayType)
         and given.element == parameter.element
     )
 
 
 def struct_class(host: Any) -> type[Struct] | None:
-    """The Struct class that an annotation names, or None."""
+    """Return the Struct class that an annotation names, or None."""
     return host if isinstance(host, type) and issubclass(host, Struct) else None
 
 
 @dataclass(frozen=True, slots=True)
 class Callee:
-    """A Python function to call; `owner` is the class that defines it, None for a module-level function."""
+    """A Python function that is called. `owner` is the class that defines it, None for a module-level function."""
 
     source: Source
     owner: type | None
@@ -149,7 +152,7 @@ class Callee:
 
     @property
     def signature(self) -> Signature:
-        """What the function takes and gives; its annotations are read once."""
+        """The function's signature. Its annotations are read once."""
         source = self.source
         if source.signature is None:
             source.signature = signature_of(source, self.owner is not None and self.has_self)
@@ -158,7 +161,7 @@ class Callee:
 
 
 def find_method(shader: type[Shader], name: str, after: type | None = None) -> Callee | None:
-    """A method of the shader as written: the nearest class that has it, searched beyond `after`."""
+    """Return a method from the first class of the shader's MRO, behind `after`, that defines it; None if none does."""
     classes = shader.__mro__
     start = classes.index(after) + 1 if after is not None else 0
     for cls in classes[start:]:

@@ -1,9 +1,9 @@
-"""One stage of a shader, from the class to a `tree.StageTree`.
+"""The parser of one stage of a shader, from the class to a `tree.StageTree`.
 
-- Methods are looked up along the shader's classes, so an override in a subclass is what a base's stage calls.
-- A function is compiled once per stage for the argument types it is called with.
-- What the stage uses is collected from the finished tree, so code that a constant switches off counts for
-  nothing.
+- Methods are looked up along the MRO of the shader, so a stage in a base calls the override in a subclass.
+- A function is compiled once per stage for each combination of argument types it is called with.
+- The resources that a stage uses are collected from the finished tree, so code that a constant condition removes
+  doesn't count.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from rhi.shading.language.builtins import Builtin, Effect
 from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import Source, show, span_of
 from rhi.shading.language.types import StorageType, Type
-from rhi.shading.parser.signatures import AnyLength, Callee, find_method
+from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
 from rhi.shading.parser.statements import FunctionParser
 
 __rhi_internal__ = True
 
 
 class StageParser:
-    """Compiles one stage's functions."""
+    """Parses the functions of one stage; the `StageContext` of their parsers."""
 
     def __init__(self, shader: type[Shader], stage: Stage) -> None:
         self.shader = shader
@@ -36,16 +36,16 @@ class StageParser:
         self.finished: list[tree.Function] = []
 
     def parse(self, entry: Callee) -> tree.StageTree:
-        """The stage whose entry is `entry`."""
+        """Return the stage whose entry function is `entry`."""
         types = []
         for parameter in entry.signature.parameters:
-            if isinstance(parameter.type, AnyLength):
+            if isinstance(parameter.type, UnsizedArray):
                 entry.source.refuse(rules.INTERFACE, entry.source.node, f"{parameter.name}: {parameter.type}")
             types.append(parameter.type)
         function = self._compile(entry, tuple(types))
         return _collect(self.stage, function, self.finished, self.shader)
 
-    # -- what expressions ask for
+    # -- StageContext
 
     def method(self, name: str, after: type | None) -> Callee | None:
         return find_method(self.shader, name, after)
@@ -81,7 +81,7 @@ class StageParser:
         return function
 
 
-# -- what a stage uses ---------------------------------------------------------------------------------------
+# -- the resources of a stage ---------------------------------------------------------------------------------------
 
 
 def _collect(
@@ -104,7 +104,7 @@ def _collect(
         for type in (function.result, *(parameter.type for parameter in function.parameters)):
             _add_structs(type, structs)
         if function.native:
-            # What its text uses isn't known: everything.
+            # The declarations that a native text uses aren't known, so all of them count as used.
             for declaration in shader._declared.values():
                 declared.add(declaration.name)
                 loaded.add(declaration.name)
@@ -140,11 +140,11 @@ def _collect(
                 case tree.Constant(type=type, value=value) if type is INT and not -(2**31) <= value < 2**31:
                     raise ShaderError(
                         rules.OUT_OF_RANGE,
-                        f"{function.name}\n{show(function.file, node.place)}",
+                        f"{function.name}\n{show(function.file, node.span)}",
                         str(value),
                         "an int of 32 bits",
                         "write uint(…) for numbers above 2147483647",
-                        CallSite(function.file, node.place.line, function.name),
+                        CallSite(function.file, node.span.line, function.name),
                     )
     bindings = tuple(d for d in shader._declared.values() if d.name in declared)
     for declaration in bindings:
@@ -165,7 +165,7 @@ def _collect(
 
 
 def _add_structs(type: Type, structs: dict[StructType, None]) -> None:
-    """Add a type's structs, those inside before those outside."""
+    """Add the structs of a type, nested ones before those that contain them."""
     if isinstance(type, ArrayType):
         _add_structs(type.element, structs)
     elif isinstance(type, StructType) and type not in structs:

@@ -1,10 +1,10 @@
-"""From Python's statements to the typed tree: variables, their types and homes, and control flow.
+"""The parser of functions: from Python's statements to the typed tree, with variables, their types and scopes.
 
 - A variable has the type of its first value. Python's variables belong to the function; in the tree each is
-  declared in the narrowest block that holds all its uses, found when the function is done.
-- Definite assignment is tracked along the way: a read that some path reaches without a value is refused, so
-  Python's UnboundLocalError can't happen on a device, where it would be silent.
-- A condition known now (`if self.has_fog:` with a class constant) keeps only the branch taken.
+  declared in the innermost block that contains all its uses, which is known at the end of the function.
+- Definite assignment is tracked while parsing: a read that some path reaches without an assignment is refused.
+  Otherwise Python's UnboundLocalError would go unnoticed on a device.
+- If a condition is known at compile time (`if self.has_fog:` with a class constant), only the taken branch is kept.
 """
 
 from __future__ import annotations
@@ -48,9 +48,13 @@ _STATEMENT_TIPS: Final = {
 }
 
 
-class Block(list[tree.Statement]):
-    """A block under construction: locals to be declared before the statement at an index, and statements
-    that go before all."""
+class BlockBuilder(list[tree.Statement]):
+    """A block under construction.
+
+    Attributes:
+        declares: the locals to declare in front of the statement at an index.
+        prologue: statements that precede all others.
+    """
 
     def __init__(self) -> None:
         super().__init__()
@@ -60,20 +64,27 @@ class Block(list[tree.Statement]):
 
 @dataclass(slots=True, eq=False)
 class Splice(tree.Statement):
-    """A block that goes into its parent as it is: the branch taken of a condition known now."""
+    """A block whose statements are inserted into its parent: the branch of a condition known at compile time."""
 
-    block: Block
+    block: BlockBuilder
 
 
 @dataclass(slots=True, eq=False)
-class Variable:
-    """A local, where it was first assigned, and the narrowest block so far that holds all its uses."""
+class TrackedLocal:
+    """A local under observation: its first assignment, and the innermost block that contains all uses found so far.
+
+    Attributes:
+        path: the blocks around all uses, from the function's body inwards.
+        indices: for each block of the path, the index of the statement that contains the first use.
+        first: the first assignment, in `first_block`.
+        loops: the `for` loops that have the local as their variable.
+    """
 
     local: Local
-    path: list[Block]
+    path: list[BlockBuilder]
     indices: list[int]
     first: tree.Statement | None = None
-    first_block: Block | None = None
+    first_block: BlockBuilder | None = None
     loops: list[tree.For] = field(default_factory=list)
 
 
@@ -81,25 +92,25 @@ class FunctionParser(CallParser):
     """Parses one function into a `tree.Function`."""
 
     def __init__(
-        self, program: StageContext, callee: Callee, types: tuple[Type, ...], function: tree.Function
+        self, stage_context: StageContext, callee: Callee, types: tuple[Type, ...], function: tree.Function
     ) -> None:
         signature = callee.signature
-        super().__init__(program, callee.source, callee.owner, signature.self_name)
+        super().__init__(stage_context, callee.source, callee.owner, signature.self_name)
         self.function = function
-        self.variables: dict[str, Variable] = {}
-        self.done: list[Variable] = []
+        self.variables: dict[str, TrackedLocal] = {}
+        self.superseded: list[TrackedLocal] = []
         self.assigned: set[Local] = set()
         self.reachable = True
-        self.blocks: list[Block] = [Block()]
-        # For each loop we are in: the assigned sets at its breaks.
+        self.blocks: list[BlockBuilder] = [BlockBuilder()]
+        # For each enclosing loop: the sets of assigned locals at its breaks.
         self.breaks: list[list[set[Local]]] = []
         self.stored = _stored_names(callee.source.node)
         for local in function.parameters:
-            self.variables[local.name] = Variable(local, [self.blocks[0]], [0])
+            self.variables[local.name] = TrackedLocal(local, [self.blocks[0]], [0])
             self.assigned.add(local)
 
     def parse(self) -> None:
-        """Fill in the function's body."""
+        """Parse the function's body."""
         body = self.source.node.body
         for language, text in getattr(self.source.function, NATIVE, {}).items():
             self.function.native[language] = replace(text, line=_native_line(self.source.node, text.body))
@@ -110,9 +121,8 @@ class FunctionParser(CallParser):
         if self.function.result != VOID and self.reachable:
             wanted = str(self.function.result)
             self.refuse(rules.MISSING_RETURN, _header(self.source.node), "the end is reached", wanted)
-        self.done.extend(self.variables.values())
-        for variable in self.done:
-            self._settle(variable)
+        for variable in (*self.superseded, *self.variables.values()):
+            self._place_declaration(variable)
         self.function.body = _finish(self.blocks[0])
 
     # -- variables
@@ -136,7 +146,7 @@ class FunctionParser(CallParser):
     def variable_names(self) -> list[str]:
         return list(self.variables)
 
-    def _use(self, variable: Variable) -> None:
+    def _use(self, variable: TrackedLocal) -> None:
         depth = 0
         for mine, now in zip(variable.path, self.blocks, strict=False):
             if mine is not now:
@@ -145,16 +155,16 @@ class FunctionParser(CallParser):
         del variable.path[depth:]
         del variable.indices[depth:]
 
-    def _new_variable(self, name: str, type: Type) -> Variable:
+    def _new_variable(self, name: str, type: Type) -> TrackedLocal:
         local = Local(name, type)
-        variable = Variable(local, list(self.blocks), [len(block) for block in self.blocks])
+        variable = TrackedLocal(local, list(self.blocks), [len(block) for block in self.blocks])
         if name in self.variables:
-            self.done.append(self.variables[name])
+            self.superseded.append(self.variables[name])
         self.variables[name] = variable
         return variable
 
-    def _settle(self, variable: Variable) -> None:
-        """Put the variable's declaration into its home block."""
+    def _place_declaration(self, variable: TrackedLocal) -> None:
+        """Place the variable's declaration in the innermost block that contains all its uses."""
         if variable.local.is_parameter or not variable.path:
             return
         home, index = variable.path[-1], variable.indices[len(variable.path) - 1]
@@ -162,23 +172,23 @@ class FunctionParser(CallParser):
             loop = variable.loops[0]
             own = len(variable.loops) == 1 and home is loop.body
             if own and variable.local.writes == 1:
-                return  # the loop declares it
+                return  # the `For` declares it
             for loop in variable.loops:
-                # The body assigns the variable, or it lives longer than the loop: the loop counts by itself.
+                # The body assigns the variable, or it outlives the loop: the loop gets a counter of its own.
                 loop.local = Local(f"{variable.local.name}_count", INT, writes=1)
-                count = tree.Read(INT, loop.place, loop.local)
-                assert isinstance(loop.body, Block)
+                count = tree.Read(INT, loop.span, loop.local)
+                assert isinstance(loop.body, BlockBuilder)
                 loop.body.prologue.append(
-                    tree.Declare(loop.place, variable.local, count)
+                    tree.Declare(loop.span, variable.local, count)
                     if own
-                    else tree.Assign(loop.place, tree.Read(INT, loop.place, variable.local), count)
+                    else tree.Assign(loop.span, tree.Read(INT, loop.span, variable.local), count)
                 )
             if own:
                 return
         if variable.first is not None and variable.first_block is home:
             assert isinstance(variable.first, tree.Assign)
             at = next(i for i, statement in enumerate(home) if statement is variable.first)
-            home[at] = tree.Declare(variable.first.place, variable.local, variable.first.value)
+            home[at] = tree.Declare(variable.first.span, variable.local, variable.first.value)
             return
         home.declares.setdefault(index, []).append(variable.local)
 
@@ -195,8 +205,8 @@ class FunctionParser(CallParser):
             parse(node)
 
     @contextmanager
-    def _block(self) -> Iterator[Block]:
-        block = Block()
+    def _block(self) -> Iterator[BlockBuilder]:
+        block = BlockBuilder()
         self.blocks.append(block)
         yield block
         self.blocks.pop()
@@ -213,7 +223,7 @@ class FunctionParser(CallParser):
         ):
             return
         if not isinstance(node.value, ast.Call):
-            self.refuse(rules.SYNTAX, node, "a value that nobody uses", "a call, an assignment")
+            self.refuse(rules.SYNTAX, node, "an unused value", "a call, an assignment")
         value = self.expression(node.value)
         if isinstance(value, tree.BuiltinCall) and value.builtin.effect is Effect.DISCARD:
             self._append(tree.Discard(span_of(node)))
@@ -221,22 +231,24 @@ class FunctionParser(CallParser):
             self.reachable = False
             return
         if value.type != VOID and not tree.has_effect(value):
-            self.refuse(rules.SYNTAX, node, f"a {value.type} that nobody uses", "a call with an effect")
+            self.refuse(rules.SYNTAX, node, f"an unused {value.type}", "a call with a side effect")
         self._append(tree.Evaluate(span_of(node), value))
 
     def _assign(self, node: ast.Assign) -> None:
         if len(node.targets) != 1:
-            self.refuse(rules.SYNTAX, node, "several targets", "one target", "write one line for each")
+            self.refuse(rules.SYNTAX, node, "several targets", "one target", "write one assignment for each")
         target = node.targets[0]
         if isinstance(target, ast.Tuple | ast.List):
-            self.refuse(rules.SYNTAX, target, "a tuple of targets", "one target", "write one line for each")
+            self.refuse(
+                rules.SYNTAX, target, "a tuple of targets", "one target", "write one assignment for each"
+            )
         if isinstance(target, ast.Name):
             known = self.variables.get(target.id)
             value = self.expression(node.value, known.local.type if known is not None else None)
             self._assign_name(target, value, node)
             return
-        place = self._place(target)
-        self._append(tree.Assign(span_of(node), place, self.converted(node.value, place.type)))
+        lvalue = self._assignment_target(target)
+        self._append(tree.Assign(span_of(node), lvalue, self.converted(node.value, lvalue.type)))
 
     def _annassign(self, node: ast.AnnAssign) -> None:
         if not isinstance(node.target, ast.Name) or node.value is None:
@@ -274,35 +286,38 @@ class FunctionParser(CallParser):
         self._append(statement)
 
     def _augassign(self, node: ast.AugAssign) -> None:
-        place = self._place(node.target)
-        if tree.has_effect(place):
+        target = self._assignment_target(node.target)
+        if tree.has_effect(target):
             self.refuse(rules.EVALUATED_TWICE, node.target)
-        value = self.binary(BINARY[type(node.op)], place, self.expression(node.value), node)
+        value = self.binary(BINARY[type(node.op)], target, self.expression(node.value), node)
         if isinstance(node.target, ast.Name):
             self._assign_name(node.target, value, node)
             return
-        self._append(tree.Assign(span_of(node), place, self.convert(value, place.type, node)))
+        self._append(tree.Assign(span_of(node), target, self.convert(value, target.type, node)))
 
-    def _place(self, node: ast.expr) -> Expression:
-        """An expression that can be assigned to, or a refusal."""
-        place = self.expression(node)
-        self._check_place(place, node)
-        if isinstance(place, tree.Index) and isinstance(place.base.type, MatrixType):
+    def _assignment_target(self, node: ast.expr) -> Expression:
+        """Return an expression that can be assigned to, or refuse it."""
+        target = self.expression(node)
+        self._check_target(target, node)
+        if isinstance(target, tree.Index) and isinstance(target.base.type, MatrixType):
             self.refuse(
                 rules.NOT_WRITABLE, node, "a matrix's row", tip="write m[row][column], or make a new matrix"
             )
-        if isinstance(place, tree.Swizzle) and len(set(place.components)) < len(place.components):
-            self.refuse(rules.NOT_WRITABLE, node, "a component twice")
-        return place
+        if isinstance(target, tree.Swizzle) and len(set(target.components)) < len(target.components):
+            self.refuse(rules.NOT_WRITABLE, node, "the same component twice")
+        return target
 
-    def _check_place(self, place: Expression, node: ast.AST) -> StorageClass | None:
-        root = tree.root_of(place)
+    def _check_target(self, target: Expression, node: ast.AST) -> StorageClass | None:
+        root = tree.root_of(target)
         if isinstance(root, tree.Read):
             root.local.writes += 1
             return None
         if not isinstance(root, tree.BindingRead):
             self.refuse(
-                rules.NOT_WRITABLE, node, "a value that has no place", "variables, StorageRW, shared memory"
+                rules.NOT_WRITABLE,
+                node,
+                "a temporary value",
+                "variables, StorageRW, shared memory",
             )
         declaration = root.declaration
         if declaration.storage_class is StorageClass.STORAGE:
@@ -310,7 +325,7 @@ class FunctionParser(CallParser):
             if not declaration.type.writable:
                 tip = f"declare it as StorageRW[{declaration.type.element}]"
                 self.refuse(rules.NOT_WRITABLE, node, f"{declaration.name}: {declaration.type}", tip=tip)
-            if root is place:
+            if root is target:
                 self.refuse(rules.NOT_WRITABLE, node, "a whole buffer", "its elements")
         elif declaration.storage_class is not StorageClass.SHARED:
             self.refuse(
@@ -322,10 +337,10 @@ class FunctionParser(CallParser):
         self.mark_effect()
         return declaration.storage_class
 
-    def check_memory(self, place: Expression, at: ast.AST) -> None:
-        if self._check_place(place, at) is None or isinstance(place, tree.Swizzle):
+    def check_memory(self, target: Expression, at: ast.AST) -> None:
+        if self._check_target(target, at) is None or isinstance(target, tree.Swizzle):
             allowed = "an int or uint in storage or shared memory"
-            self.refuse(rules.NOT_WRITABLE, at, "a place that atomics can't reach", allowed)
+            self.refuse(rules.NOT_WRITABLE, at, "a target that atomics don't support", allowed)
 
     def mark_effect(self) -> None:
         self.function.has_effect = True
@@ -363,7 +378,7 @@ class FunctionParser(CallParser):
         breaks = self.breaks.pop()
         self.assigned, self.reachable = before, reachable
         if isinstance(condition, Constant) and condition.value:
-            # Only a break leads behind the loop.
+            # Only a break leaves this loop.
             self.reachable = reachable and bool(breaks)
             if breaks:
                 self.assigned = set.intersection(*breaks)
@@ -382,20 +397,20 @@ class FunctionParser(CallParser):
                 rules.WRONG_ARGUMENTS, call, ast.unparse(call), "range(stop), range(start, stop[, step])"
             )
         bounds = [self._bound(argument) for argument in call.args]
-        place = span_of(node)
+        span = span_of(node)
         if len(bounds) == 1:
-            bounds.insert(0, Constant(INT, place, 0))
+            bounds.insert(0, Constant(INT, span, 0))
         if len(bounds) == 2:
-            bounds.append(Constant(INT, place, 1))
+            bounds.append(Constant(INT, span, 1))
         if isinstance(bounds[2], Constant) and bounds[2].value == 0:
-            self.refuse(rules.OUT_OF_RANGE, call.args[2], "a step of 0", "any other")
+            self.refuse(rules.OUT_OF_RANGE, call.args[2], "a step of 0", "any other step")
         before, reachable = set(self.assigned), self.reachable
         self.breaks.append([])
         with self._block() as body:
             name = node.target.id
             variable = self.variables.get(name)
             if variable is None or (variable.local not in before and variable.local.type is INT):
-                # Nothing read it before, nothing can read it after: a variable of its own for each loop.
+                # It wasn't assigned before the loop and can't be read after it: each loop gets a variable of its own.
                 variable = self._new_variable(name, INT)
             elif variable.local.type is not INT:
                 self.refuse(rules.TYPE_CHANGED, node.target, f"{name}: int", str(variable.local.type))
@@ -444,18 +459,18 @@ class FunctionParser(CallParser):
         self._append(tree.Return(span_of(node), value))
 
 
-def _finish(block: Block) -> tree.Block:
-    """The block with its declarations in place and branches spliced in."""
+def _finish(block: BlockBuilder) -> tree.Block:
+    """Return the block with its declarations placed and the known branches inserted."""
     result: tree.Block = list(block.prologue)
     for index, statement in enumerate(block):
-        result.extend(tree.Declare(statement.place, local, None) for local in block.declares.get(index, ()))
+        result.extend(tree.Declare(statement.span, local, None) for local in block.declares.get(index, ()))
         match statement:
             case Splice(block=inner):
                 result.extend(_finish(inner))
                 continue
-            case tree.If(then=Block() as then, otherwise=Block() as otherwise):
+            case tree.If(then=BlockBuilder() as then, otherwise=BlockBuilder() as otherwise):
                 statement.then, statement.otherwise = _finish(then), _finish(otherwise)
-            case tree.For(body=Block() as body) | tree.While(body=Block() as body):
+            case tree.For(body=BlockBuilder() as body) | tree.While(body=BlockBuilder() as body):
                 statement.body = _finish(body)
         result.append(statement)
     return result
@@ -475,7 +490,7 @@ def _is_empty(body: list[ast.stmt]) -> bool:
 
 
 def _native_line(node: ast.FunctionDef, body: str) -> int:
-    """Where a native body stands in the file, if it is written as one string, line by line."""
+    """Return the file's line of a native body that is a single string with a source line per line; otherwise 0."""
     for decorator in node.decorator_list:
         for argument in decorator.args if isinstance(decorator, ast.Call) else ():
             if isinstance(argument, ast.Constant) and argument.value == body:
@@ -485,7 +500,7 @@ def _native_line(node: ast.FunctionDef, body: str) -> int:
 
 
 def _header(node: ast.stmt) -> SourceSpan:
-    """The place of a statement's first line."""
+    """Return the span of a statement's first line."""
     return SourceSpan(node.lineno, node.col_offset, 0)
 
 

@@ -1,8 +1,8 @@
-"""Bindings that nobody uses: every draw would have to bind them, and a slot of the device would be gone for nothing.
+"""A check for unused bindings: every draw would have to bind them, and each would occupy a slot of the device.
 
-A binding counts as used where any method of the shader or of its bases names it, even in a branch that a constant takes
-away: a variant of a shader keeps the bindings of the whole. Only what the class itself declares is asked for, so that a
-base may declare what its subclasses use.
+A binding counts as used if any method of the shader or of its bases names it, even in a branch that a constant
+condition removes: a variant of a shader keeps the bindings of the whole. Only bindings that the class itself declares
+are checked, so that a base may declare bindings for its subclasses.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ __rhi_internal__ = True
 
 
 def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
-    """Refuse a shader that declares a binding no method names; `used` are those that its stages read or write.
+    """Refuse a shader that declares a binding no method names; `used` are the bindings its stages read or write.
 
     Raises:
-        ShaderError `shading-unused-binding`: with the line of the declaration.
+        ShaderError: `shading-unused-binding`, with the line of the declaration.
     """
     own = [
         name
@@ -39,18 +39,18 @@ def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
         for value in vars(base).values() if isinstance(value, FunctionType)
     ]  # fmt: skip
     if any(hasattr(method, NATIVE) for method in methods):
-        return  # what a native text uses isn't known
+        return  # the bindings that a native text uses aren't known
     named = {name for method in methods for name in _named(method)}
     for name in unused:
         if name not in named:
-            file, place = _declaration(shader, methods[0], name)
-            call = f"class {shader.__name__}: {name}\n{show(file, place)}"
-            site = CallSite(file, place.line, shader.__qualname__)
+            file, span = _declaration(shader, methods[0], name)
+            call = f"class {shader.__name__}: {name}\n{show(file, span)}"
+            site = CallSite(file, span.line, shader.__qualname__)
             raise ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site)
 
 
 def _named(method: FunctionType) -> set[str]:
-    """The attributes of its first parameter that a method names."""
+    """Return the attributes of its first parameter that a method names."""
     node = source_of(method).node
     own = node.args.args[0].arg if node.args.args else "self"
     return {
@@ -61,7 +61,7 @@ def _named(method: FunctionType) -> set[str]:
 
 
 def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple[str, SourceSpan]:
-    """Where a class declares a binding: the file of its methods, and the place of `name: …` or `name = …` in it."""
+    """Return the file of a class's methods and the span of a binding's declaration in it (`name: …`, `name = …`)."""
     file = method.__code__.co_filename
     for node in ast.walk(ast.parse("".join(linecache.getlines(file)))):
         if isinstance(node, ast.ClassDef) and node.name == shader.__name__:

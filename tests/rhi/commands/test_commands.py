@@ -24,6 +24,7 @@ from rhi.contract.descriptors import (
     ProgramDescriptor,
     Region,
     Stage,
+    StageText,
 )
 from rhi.contract.states import (
     DEFAULTS,
@@ -344,7 +345,7 @@ def test_states_that_differ_by_target_are_shown_by_target():
 
 
 def test_a_program_is_shown_by_its_name():
-    program = ProgramDescriptor("Lit", frozenset({Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: "")
+    program = ProgramDescriptor("Lit", frozenset({Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: StageText(""))
     assert describe_call("create_program", {"program": 1, "descriptor": program}) == (
         "create_program(program=1, descriptor=ProgramDescriptor('Lit'))"
     )

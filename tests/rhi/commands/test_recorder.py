@@ -22,6 +22,7 @@ from rhi.contract.descriptors import (
     Region,
     SamplerDescriptor,
     Stage,
+    StageText,
     TextureDescriptor,
     VertexArrayDescriptor,
 )
@@ -64,7 +65,7 @@ class Broken(Listener):
         self.error = error
 
 
-PROGRAM = ProgramDescriptor("P", frozenset({Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: "")
+PROGRAM = ProgramDescriptor("P", frozenset({Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_: StageText(""))
 CALLS = {
     Op.CREATE_BUFFER: (1, BufferDescriptor(4)),
     Op.CREATE_TEXTURE: (2, TextureDescriptor((1, 1), Format.R8)),

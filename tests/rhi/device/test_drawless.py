@@ -9,7 +9,7 @@ from null_kit import hand_made_program
 
 import rhi
 from rhi.backends.null import NullBackend
-from rhi.contract.descriptors import ProgramDescriptor, Stage
+from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.device import registry
 from rhi.device.device import Device
 
@@ -21,7 +21,7 @@ def make_device(**capabilities: bool) -> Device:
 
 
 def compute_program() -> ProgramDescriptor:
-    return ProgramDescriptor("compute", frozenset({Stage.COMPUTE}), (), (), (), (1, 1, 1), lambda *_: "")
+    return ProgramDescriptor("compute", frozenset({Stage.COMPUTE}), (), (), (), (1, 1, 1), lambda *_: StageText(""))
 
 
 def test_a_program_that_draws_is_refused_without_draws() -> None:

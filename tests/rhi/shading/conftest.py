@@ -55,7 +55,7 @@ def link(context: moderngl.Context) -> Callable[[type[Shader]], ProgramDescripto
 
     def link(shader: type[Shader]) -> ProgramDescriptor:
         program = compile_shader(shader)
-        texts = {f"{stage.value}_shader": program.emit("glsl", stage) for stage in program.stages}
+        texts = {f"{stage.value}_shader": program.emit("glsl", stage).text for stage in program.stages}
         context.program(**texts).release()
         return program
 

@@ -17,7 +17,7 @@ def run_glsl(
 ) -> dict[str, Any]:
     """Run a compute shader on OpenGL; gives each storage buffer's contents after."""
     program = compile_shader(shader)
-    compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE))
+    compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE).text)
     buffers = {}
     for binding in program.bindings:
         value = values[binding.name]

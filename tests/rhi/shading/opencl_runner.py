@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from rhi.contract.descriptors import BindingKind
+from rhi.contract.descriptors import BindingKind, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words
 from rhi.shading.ir.faults import FAULT_WORDS, find_fault
-from rhi.shading.ir.text import StageText
-from rhi.shading.ir.texture_words import LevelPlace, describe_texture
+from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 from rhi.shading.numpy.textures import HostTexture
 
 PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_global_id(0); }"
@@ -118,7 +117,7 @@ def place_texture(texture: HostTexture) -> tuple[Any, Any]:
         padded = np.full((layers, -(-height // 4) * 4, -(-width // 4) * 4, channels), 77, texels.dtype)
         padded[:, :height, :width] = texels
         start = sum(map(len, parts))
-        places.append(LevelPlace(start, width, height, layers, padded[0, 0].nbytes, padded[0].nbytes))
+        places.append(LevelLayout(start, width, height, layers, padded[0, 0].nbytes, padded[0].nbytes))
         parts.append(padded.view(np.uint8).reshape(-1))
         parts.append(np.zeros(-len(parts[-1]) % 128, np.uint8))
     words = describe_texture(texture.format, texture.kind, places, texture.sampler)

@@ -89,7 +89,7 @@ class StageKernel:
             inputs=self.inputs,
             outputs=self.outputs,
         )
-        self.text = descriptor.emit("opencl16", stage) + text
+        self.text = descriptor.emit("opencl16", stage).text + text
         self.kernel = cl.Kernel(cl.Program(queue().context, self.text).build(["-w"]), "run")
 
     def launch(self, groups: int, words: int, *values: Any) -> Any:
@@ -335,7 +335,7 @@ def run_vertex_glsl(
     """As `run_vertex_lanes`; by transform feedback, of `instance` + 1 instances the last."""
     descriptor = compile_shader(shader)
     names = ["gl_Position", *(f"v_{varying.name}" for varying in descriptor.varyings)]
-    program = context.program(vertex_shader=descriptor.emit("glsl", Stage.VERTEX), varyings=names)
+    program = context.program(vertex_shader=descriptor.emit("glsl", Stage.VERTEX).text, varyings=names)
     buffers = GlslBuffers(context, shader, bindings)
     content, used = [], []
     for attribute in descriptor.attributes:
@@ -402,7 +402,7 @@ def run_fragment_glsl(
     place = f"gl_Position = vec4(corner * 2.0 - 1.0, {float(depth) * 2 - 1!r}, 1.0);"
     text = ["#version 430 core", "in vec2 corner;", *declared, "void main() {", *sets, place, "}"]
     program = context.program(
-        vertex_shader="\n".join(text), fragment_shader=descriptor.emit("glsl", Stage.FRAGMENT)
+        vertex_shader="\n".join(text), fragment_shader=descriptor.emit("glsl", Stage.FRAGMENT).text
     )
     buffers = GlslBuffers(context, shader, bindings)
     targets = []

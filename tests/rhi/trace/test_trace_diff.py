@@ -124,7 +124,8 @@ def test_the_same_sources_under_another_name_are_a_difference() -> None:
     with rhi.create_device("null") as a, rhi.create_device("null") as b:
         for device, tail in ((a, ""), (b, "// more")):
             descriptor = rhi.ProgramDescriptor(
-                "p", frozenset({rhi.Stage.VERTEX}), (), (), (), (1, 1, 1), lambda *_, tail=tail: f"void f(){{}}{tail}"
+                "p", frozenset({rhi.Stage.VERTEX}), (), (), (), (1, 1, 1),
+                lambda *_, tail=tail: rhi.StageText(f"void f(){{}}{tail}"),
             )
             device.program(descriptor)
         assert len(diff(a, b)) >= 1

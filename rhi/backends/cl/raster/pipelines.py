@@ -23,7 +23,7 @@ from rhi.backends.cl.programs import Faults, make_shader_error
 from rhi.backends.cl.raster import merger as targets
 from rhi.backends.cl.raster import tables
 from rhi.backends.cl.raster.builds import Builds, Kernel
-from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, VertexStream
+from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
 
 __rhi_internal__ = True
 
@@ -70,13 +70,14 @@ class Pipeline:
             if binding.kind is BindingKind.STORAGE
         ]
         self._vertex_text = descriptor.emit(LANGUAGE, Stage.VERTEX)
-        self._fragment_text = ""
+        self._fragment_text = StageText("")
         if Stage.FRAGMENT in descriptor.stages:
             self._fragment_text = descriptor.emit(LANGUAGE, Stage.FRAGMENT)
         self.faults: dict[Stage, Faults] = {}
         self._fault_places = dict.fromkeys(Stage, 0)
         for stage in descriptor.stages if descriptor.checked else ():
-            self.faults[stage] = Faults(context.context, descriptor.lines.get(stage, ()))
+            text = self._vertex_text if stage is Stage.VERTEX else self._fragment_text
+            self.faults[stage] = Faults(context.context, text.origins)
             self._fault_places[stage] = addresses.find(self.faults[stage].memory)
         self._vertex: dict[Layout, VertexKernels] = {}
         self._raster: dict[targets.MergerKey, Kernel] = {}
@@ -88,7 +89,7 @@ class Pipeline:
             before = [tables.common_macros(), read_kernels("common")]
             macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
             behind = [macros, read_kernels("vertex")]
-            names = "transform", *(["measure"] if _BOXED in self._vertex_text else [])
+            names = "transform", *(["measure"] if _BOXED in self._vertex_text.text else [])
             kernels = self._build(Stage.VERTEX, names, before, self._vertex_text, behind)
             self._vertex[layout] = VertexKernels(*kernels)
         return self._vertex[layout]
@@ -102,20 +103,21 @@ class Pipeline:
             ]  # fmt: skip
             macros = tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT])
             behind = [macros, read_kernels("raster")]
-            text = self._fragment_text if key.shades else ""
+            text = self._fragment_text if key.shades else StageText("")
             (self._raster[key],) = self._build(Stage.FRAGMENT, ("raster",), before, text, behind)
         return self._raster[key]
 
     def _build(
-        self, stage: Stage, names: Sequence[str], before: list[str], text: str, behind: list[str]
+        self, stage: Stage, names: Sequence[str], before: list[str], text: StageText, behind: list[str]
     ) -> list[Kernel]:
         """Kernels of the stage's text and what stands before and behind it."""
-        source = "\n".join([*before, text, *behind])
+        source = "\n".join([*before, text.text, *behind])
         try:
             return self._builds.build(source, names, self.descriptor.flushes_denormals)
         except cl.Error as error:
             lines = "\n".join([*before, ""]).count("\n")
-            raise make_shader_error(self.descriptor, stage, source, str(error), lines) from error
+            whole = StageText(source, (*[("", 0)] * lines, *text.origins))
+            raise make_shader_error(self.descriptor, stage, whole, str(error)) from error
 
 
 @cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
 from contextlib import suppress
 
 import numpy as np
@@ -21,6 +20,7 @@ from rhi.contract.descriptors import (
     QueryKind,
     Region,
     Stage,
+    StageText,
     TextureDescriptor,
 )
 
@@ -36,11 +36,11 @@ def describe_program(
     source: str,
     bindings: tuple[Binding, ...] = STORAGE,
     work_group: tuple[int, int, int] = (1, 1, 1),
-    lines: Mapping[Stage, tuple[tuple[str, int], ...]] | None = None,
+    origins: tuple[tuple[str, int], ...] = (),
 ) -> ProgramDescriptor:
     return ProgramDescriptor(
-        "Native", frozenset({Stage.COMPUTE}), bindings, (), (), work_group, lambda language, stage: source,
-        lines=lines or {},
+        "Native", frozenset({Stage.COMPUTE}), bindings, (), (), work_group,
+        lambda language, stage: StageText(source, origins),
     )  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from rhi.backends.cl.context import build, open_context
 from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state, read_source
 from rhi.conformance import reference
-from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage
+from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.states import (
     DEFAULTS,
@@ -110,7 +110,7 @@ def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> Pro
     )
     return ProgramDescriptor(
         "Merged", frozenset({Stage.VERTEX, Stage.FRAGMENT}), (), (), outputs, (1, 1, 1),
-        lambda language, stage: "", **more,
+        lambda language, stage: StageText(""), **more,
     )  # fmt: skip
 
 

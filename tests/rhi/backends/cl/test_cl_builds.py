@@ -17,7 +17,7 @@ from rhi import BlendFunction, CullMode, Device, Format, Program
 from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored, DepthFromColor
 from rhi.conformance.shapes import corners, rectangle
-from rhi.contract.descriptors import ProgramDescriptor, Stage
+from rhi.contract.descriptors import ProgramDescriptor, Stage, StageText
 from rhi.errors import ShaderError
 
 SIZE = (130, 70)
@@ -137,14 +137,16 @@ def test_a_text_that_the_driver_refuses_is_told_of_by_the_draw_that_needs_it(
         good = device.program(Colored)
         descriptor = good.descriptor
 
-        def emit(language: str, wanted: Stage) -> str:
-            text = descriptor.emit(language, wanted)
-            return "int undeclared(void) {\n    return nothing;\n}\n" + text if wanted is stage else text
+        def emit(language: str, wanted: Stage) -> StageText:
+            emitted = descriptor.emit(language, wanted)
+            if wanted is not stage:
+                return emitted
+            text = "int undeclared(void) {\n    return nothing;\n}\n" + emitted.text
+            return StageText(text, tuple(("bad.py", line) for line in (10, 20, 30)))
 
         bad = device.program(ProgramDescriptor(
             "Bad", descriptor.stages, descriptor.bindings, descriptor.attributes, descriptor.outputs,
             descriptor.work_group, emit, varyings=descriptor.varyings,
-            lines={stage: tuple(("bad.py", line) for line in (10, 20, 30))},
         ))  # fmt: skip
         image = device.texture(SIZE, Format.RGBA8)
         mesh = device.mesh(rectangle())

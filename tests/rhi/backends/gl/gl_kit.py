@@ -20,6 +20,7 @@ from rhi.contract.descriptors import (
     QueryKind,
     Region,
     Stage,
+    StageText,
     TextureDescriptor,
     VertexArrayDescriptor,
     VertexAttribute,
@@ -42,8 +43,11 @@ FULL = [(-1, 1), (-1, -3), (3, 1)]
 SIZE = 8
 
 
-def describe_program(vertex: str = VERTEX, fragment: str = FRAGMENT, **parts: object) -> ProgramDescriptor:
-    sources = {Stage.VERTEX: vertex, Stage.FRAGMENT: fragment}
+def describe_program(
+    vertex: str = VERTEX, fragment: str = FRAGMENT, origins: tuple[tuple[str, int], ...] = ()
+) -> ProgramDescriptor:
+    """Describe a program of GLSL; `origins` are those of the fragment stage."""
+    sources = {Stage.VERTEX: StageText(vertex), Stage.FRAGMENT: StageText(fragment, origins)}
     outputs = (FragmentOutput("color", 0, "float", 4),)
     return ProgramDescriptor(
         "Native",
@@ -53,8 +57,7 @@ def describe_program(vertex: str = VERTEX, fragment: str = FRAGMENT, **parts: ob
         outputs,
         (1, 1, 1),
         lambda language, stage: sources[stage],
-        **parts,
-    )  # type: ignore[arg-type]
+    )
 
 
 class GlKit:

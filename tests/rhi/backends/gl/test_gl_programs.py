@@ -7,12 +7,11 @@ from gl_kit import FRAGMENT, FULL, VERTEX, GlKit, describe_program
 
 from rhi.backends.gl.driver_log import make_shader_error
 from rhi.backends.gl.programs import add_alpha_test
-from rhi.contract.descriptors import Stage
+from rhi.contract.descriptors import Stage, StageText
 from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, CullMode
 from rhi.errors import ShaderError
 
-SOURCE = "first\nsecond\nthird"
-LINES = {Stage.FRAGMENT: (("a.py", 10), ("b.py", 20), ("c.py", 30))}
+SOURCE = StageText("first\nsecond\nthird", (("a.py", 10), ("b.py", 20), ("c.py", 30)))
 
 
 @pytest.mark.parametrize(
@@ -25,7 +24,7 @@ LINES = {Stage.FRAGMENT: (("a.py", 10), ("b.py", 20), ("c.py", 30))}
     ids=["mesa", "nvidia", "others"],
 )
 def test_a_drivers_line_leads_to_the_python_line(message: str) -> None:
-    error = make_shader_error(describe_program(lines=LINES), message, Stage.FRAGMENT, SOURCE)
+    error = make_shader_error(describe_program(), message, Stage.FRAGMENT, SOURCE)
     assert error.rule.id == "shader-driver"
     assert str(error.site) == "b.py:20"
     assert "GLSL line 2: second" in error.given
@@ -33,30 +32,30 @@ def test_a_drivers_line_leads_to_the_python_line(message: str) -> None:
 
 @pytest.mark.parametrize(("line", "site"), [(1, "a.py:10"), (3, "c.py:30")])
 def test_the_first_and_the_last_line_are_known(line: int, site: str) -> None:
-    error = make_shader_error(describe_program(lines=LINES), f"0:{line}(1): error", Stage.FRAGMENT, SOURCE)
+    error = make_shader_error(describe_program(), f"0:{line}(1): error", Stage.FRAGMENT, SOURCE)
     assert str(error.site) == site
 
 
 @pytest.mark.parametrize("line", [0, 4])
 def test_a_line_outside_the_source_is_left_alone(line: int) -> None:
-    error = make_shader_error(describe_program(lines=LINES), f"0:{line}(1): error", Stage.FRAGMENT, SOURCE)
+    error = make_shader_error(describe_program(), f"0:{line}(1): error", Stage.FRAGMENT, SOURCE)
     assert "GLSL line" not in error.given
     assert error.site is not None
     assert error.site.file == __file__
 
 
 def test_a_message_of_the_linker_has_no_line() -> None:
-    error = make_shader_error(describe_program(lines=LINES), "error: no main", None, "")
+    error = make_shader_error(describe_program(), "error: no main", None, StageText(""))
     assert "linking" in error.call
     assert error.given == "error: no main"
 
 
 def test_a_refused_stage_names_the_python_line_and_leaves_the_id_unused(gl_kit: GlKit) -> None:
     fragment = FRAGMENT.replace("1.0, 0.0", "missing, 0.0")
-    lines = {Stage.FRAGMENT: tuple((f"line{number}.py", number) for number in range(1, 5))}
+    origins = tuple((f"line{number}.py", number) for number in range(1, 5))
     program = gl_kit.new_id()
     with pytest.raises(ShaderError, match="missing") as caught:
-        gl_kit.backend.create_program(program, describe_program(fragment=fragment, lines=lines))
+        gl_kit.backend.create_program(program, describe_program(fragment=fragment, origins=origins))
     assert "fragment stage" in caught.value.call
     assert str(caught.value.site) == "line3.py:3"
     gl_kit.backend.create_program(program, describe_program())
@@ -73,11 +72,11 @@ def test_stages_that_do_not_fit_are_a_shader_error(gl_kit: GlKit) -> None:
 def test_the_alpha_test_moves_no_line() -> None:
     source = add_alpha_test(describe_program(), AlphaFunction.GREATER)
     assert source is not None
-    lines = source.split("\n")
+    lines = source.text.split("\n")
     assert (
         lines[: len(FRAGMENT.split("\n")) - 1] == FRAGMENT.replace("main", "rhi_inner_main").split("\n")[:-1]
     )
-    assert "color.a > rhi_alpha_reference" in source
+    assert "color.a > rhi_alpha_reference" in source.text
 
 
 @pytest.mark.parametrize("function", [AlphaFunction.ALWAYS, AlphaFunction.NEVER])

@@ -1,4 +1,4 @@
-"""Which clip positions can be bounded before they are computed, and that the bounds hold."""
+"""Bounds of clip positions: the stages for which they exist, and that they hold."""
 
 from __future__ import annotations
 
@@ -157,7 +157,7 @@ class Shaded(Struct):
 
 
 class ShadedVarying(Base):
-    """What isn't the position may be anything."""
+    """Only the position must be affine; other outputs may be arbitrary."""
 
     def vertex(self, v: Vertex) -> Shaded:
         return Shaded(
@@ -171,8 +171,8 @@ class ShadedVarying(Base):
 
 
 def boxed(shader: type[Shader]) -> list[int] | None:
-    """The words that positions are bounded by."""
-    text = compile_shader(shader).emit("opencl16", Stage.VERTEX)
+    """Return the input words that the bounds depend on, None without bounds."""
+    text = compile_shader(shader).emit("opencl16", Stage.VERTEX).text
     lines = [line for line in text.splitlines() if line.startswith("#define RHI_BOXED")]
     assert ("rhi_bounds(" in text) == bool(lines)
     return [int(word[5:-1]) for line in lines for word in line.split()[2:]] if lines else None
@@ -199,7 +199,7 @@ def test_other_positions_are_not_bounded(shader: type[Shader]) -> None:
 
 def test_bounds_read_nothing_by_a_vertex() -> None:
     """A corner's other inputs are unknown: an index among them would read anywhere."""
-    text = compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX)
+    text = compile_shader(ShadedVarying).emit("opencl16", Stage.VERTEX).text
     whole, bounds = text.split("#define RHI_BOXED")
     assert "places_" in whole.split("void rhi_vertex")[1].split("{", 1)[1]
     assert "places_" not in bounds.split("{", 1)[1]
@@ -235,7 +235,7 @@ ROUNDS = 512
 
 @pytest.fixture(scope="module", params=[Placed, Swayed])
 def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
-    text = compile_shader(request.param).emit("opencl16", Stage.VERTEX) + KERNEL
+    text = compile_shader(request.param).emit("opencl16", Stage.VERTEX).text + KERNEL
     return cl.Kernel(cl.Program(queue().context, text).build(["-w"]), "run")
 
 
@@ -245,7 +245,7 @@ def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
 def test_positions_lie_between_those_of_corners_but_for_the_slack(
     kernel: cl.Kernel, seed: int, scale: float, spread: float, flat: bool
 ) -> None:
-    """Terms of all sizes, which cancel or not; boxes of all sizes, down to a few steps of floats, some of them flat."""
+    """Draw terms of all magnitudes, some of which cancel, and boxes of all sizes, down to a few float steps or flat."""
     rng = np.random.default_rng(seed)
 
     def random(*shape: int) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Checked shaders: an index outside is an error with its line; a shader that isn't checked is not a word longer."""
+"""Checked shaders report an index out of range with its line; the text of other shaders is unchanged."""
 
 import inspect
 import math
@@ -31,7 +31,7 @@ from rhi.shading.language import rules
 
 
 def run_checked(shader, width, groups=1, **bindings):
-    """Run a kernel on OpenCL; raises what it found."""
+    """Run a kernel on OpenCL and raise the fault that it reports."""
     kernel_text = opencl_kernel(shader, width)
     kernel = cl.Kernel(cl.Program(queue().context, kernel_text.text).build(["-w"]), "compute")
     arguments, results = [], {}

@@ -1,5 +1,5 @@
-"""Whole fragment stages, made up, as `test_shading_lane_programs` makes up compute stages; they also discard, in called
-functions too, and take differences between pixels, so that helpers come along."""
+"""Generated fragment stages, like the compute stages of `test_shading_lane_programs`. They also discard, in called
+functions too, and take differences between pixels, so that helpers run."""
 
 import numpy as np
 import pytest
@@ -78,7 +78,7 @@ def test_fragments_mean_the_same_in_every_language(source, tmp_path, context):
 @pytest.mark.nightly
 @pytest.mark.parametrize("piece", range(10))
 def test_a_thousand_fragment_stages_mean_the_same_in_every_language(piece, tmp_path, context):
-    """A hundred each; `-k "[7]"` repeats one piece."""
+    """A hundred programs for each seed; `-k "[7]"` repeats one seed."""
 
     @seed(piece)
     @settings(program_settings(100), derandomize=False)

@@ -1,4 +1,4 @@
-"""Whole programs, made up: GLSL and one lane have real branches, 16 lanes and NumPy have masks; all must agree.
+"""Generated programs: GLSL and one lane have real branches, 16 lanes and NumPy have masks; all must agree.
 
 Numbers are ints, so that agreement is equality. Programs nest loops with varying bounds, breaks, continues and early
 returns, write local arrays at varying places, store where a mask says so, and add atomically.
@@ -81,7 +81,7 @@ def conditions(draw, depth=1, names=NAMES, calls=True):
 
 @st.composite
 def blocks(draw, depth=3, in_loop=False, result="", names=NAMES, discards=False):
-    """Lines of a block; `result`: what `return` gives where the function gives something."""
+    """Draw the lines of a block. `result` is the expression that `return` returns, if the function has a result."""
     is_helper = names != NAMES
     lines = []
     for _ in range(draw(st.integers(1, 3))):
@@ -184,7 +184,7 @@ def test_programs_mean_the_same_in_every_language(source, tmp_path, run):
 @pytest.mark.nightly
 @pytest.mark.parametrize("piece", range(20))
 def test_two_thousand_programs_mean_the_same_in_every_language(piece, tmp_path, run):
-    """A hundred each; `-k "[7]"` repeats one piece."""
+    """A hundred programs for each seed; `-k "[7]"` repeats one seed."""
 
     @seed(piece)
     @settings(program_settings(100), derandomize=False)

@@ -1,4 +1,4 @@
-"""The made-up programs would notice a fault in the masks: each kind of it, built in, is found by a hundred of them."""
+"""A test of the generated programs: a hundred of them find each kind of deliberate fault in the masks."""
 
 import sys
 from dataclasses import replace
@@ -18,7 +18,7 @@ def forget_mask(node):
 
 
 def break_assignments(monkeypatch):
-    """Assignments under a condition reach all lanes."""
+    """Assignments under a condition change all lanes."""
     real = opencl.Writer.set
     monkeypatch.setattr(opencl.Writer, "set", lambda self, node: real(self, forget_mask(node)))
 
@@ -34,7 +34,7 @@ def break_atomics(monkeypatch):
 
 
 def break_exits(monkeypatch):
-    """A break or return takes lanes out of the innermost mask only."""
+    """A break or return removes lanes from the innermost mask only."""
 
     def narrow(self, end):
         self.emit(lanes.Set(self.line, self.scope.mask, lanes.FALSE, None))
@@ -43,7 +43,7 @@ def break_exits(monkeypatch):
 
 
 def break_nesting(monkeypatch):
-    """A branch forgets who takes part outside it."""
+    """The mask of a branch ignores the masks outside it."""
     real = ScopeLowering.mask_value
 
     def mask_value(self):
@@ -53,7 +53,7 @@ def break_nesting(monkeypatch):
 
 
 def break_else(monkeypatch):
-    """`else` is for those that the condition holds for."""
+    """`else` is executed where the condition is true."""
 
     def two_branches(self, condition):
         condition = self.let(condition, "condition")
@@ -63,7 +63,7 @@ def break_else(monkeypatch):
 
 
 def break_nobody_left(monkeypatch):
-    """Code is left as soon as one lane has left it."""
+    """A masked jump is taken as soon as one lane is inactive, not only when all are."""
     real = opencl.Writer.jump
 
     def jump(self, node, text, mask):

@@ -1,4 +1,4 @@
-"""Stages mean the same as GLSL on the driver, on 16 lanes and with NumPy."""
+"""Stages give the same results as GLSL on the driver, on 16 lanes and with NumPy."""
 
 from __future__ import annotations
 
@@ -255,7 +255,7 @@ class Lit(Shader):
 
 
 def lit(front, mask):
-    """What `Lit` gives: color without rounding, id, ids, depth, hits."""
+    """Return the results of `Lit`: color without rounding, id, ids, depth, hits."""
     table = table_of_lit().astype("f8")
     uv, screen = COLUMNS / 16 + 0.01, ROWS / 12.0
     color = np.zeros((*SHAPE, 4))

@@ -1,4 +1,4 @@
-"""Vertex and fragment stages on 16 lanes: what flows in and out, who takes part, what is left."""
+"""Vertex and fragment stages on 16 lanes: inputs and outputs, active lanes, discards."""
 
 from __future__ import annotations
 
@@ -258,12 +258,12 @@ def test_a_discard_that_all_lanes_reach_ends_the_stage():
     out = run_fragment_lanes(Holes, {"value": value}, SHAPE, limits=np.array([2, 4], "f4"), hits=20)
     assert not out["kept"].any()
     assert not out["hits"].any()
-    text = compile_shader(Holes).emit("opencl16", Stage.FRAGMENT)
+    text = compile_shader(Holes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"^ *goto end_fragment", text, re.MULTILINE)  # and not with a mask's end
 
 
 class Endless(Shader):
-    """A loop that nothing but a discard in a called function ends."""
+    """A loop that ends only by a discard in a called function."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
@@ -320,7 +320,7 @@ def test_differences_are_those_of_each_row_and_column_of_a_quad():
 
 
 class CutSlopes(Shader):
-    """A discard, and then what the helpers of discarded fragments should not do."""
+    """A discard, followed by work that helpers of discarded fragments must not do."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)
@@ -345,7 +345,7 @@ def test_helpers_leave_with_the_last_fragment_of_their_quad(run):
     kept = mask & (COLUMNS >= 4)
     np.testing.assert_array_equal(out["kept"], kept)
     np.testing.assert_array_equal(out["color"][kept][:, :2], np.broadcast_to([3.0, 0.0], (kept.sum(), 2)))
-    text = compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT)
+    text = compile_shader(CutSlopes).emit("opencl16", Stage.FRAGMENT).text
     assert re.search(r"= rhi_quads\(kept_\d+\);", text)
 
 
@@ -372,7 +372,7 @@ class NativeOnly(Shader):
 
 
 def test_a_stage_that_is_native_in_another_language_has_no_lanes():
-    assert compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX)
+    assert compile_shader(NativeOnly).emit("opencl16", Stage.VERTEX).text
     with pytest.raises(ShaderError):
         compile_shader(NativeOnly).emit("opencl16", Stage.FRAGMENT)
 
@@ -412,7 +412,7 @@ def test_a_vertex_stage_reads_buffers_whatever_the_order_of_its_vertices(indices
 
 
 def test_consecutive_vertices_are_read_with_vector_loads():
-    assert "rhi_load_global_4_0(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX)
+    assert "rhi_load_global_4_0(places_," in compile_shader(Pulled).emit("opencl16", Stage.VERTEX).text
 
 
 class Value(Struct):
@@ -509,8 +509,8 @@ def test_the_same_position_in_two_programs_is_the_same_bits():
 
 def test_lines_of_a_stage_lead_back_to_python():
     descriptor = compile_shader(Slopes)
-    lines = descriptor.emit("opencl16", Stage.FRAGMENT).splitlines()
-    origins = descriptor.lines[Stage.FRAGMENT]
+    emitted = descriptor.emit("opencl16", Stage.FRAGMENT)
+    lines, origins = emitted.text.splitlines(), emitted.origins
     assert len(lines) == len(origins)
     at = next(i for i, line in enumerate(lines) if "rhi_ddy(" in line and "inline" not in line)
     file, number = origins[at]
@@ -520,7 +520,7 @@ def test_lines_of_a_stage_lead_back_to_python():
 
 
 class OwnArray(Shader):
-    """An array of its own, read and written at a place that the inputs say."""
+    """A local array, read and written at an index from the inputs."""
 
     def vertex(self, v: Corner) -> Values:
         return Values(clip=vec4(v.position, 0.0, 1.0), value=v.position)

@@ -1,4 +1,4 @@
-"""What a work-group may not do: part of it at a barrier, all of it storing to one place."""
+"""Refusals of work-groups: a barrier that only part of one reaches, a store by all of it to one address."""
 
 from __future__ import annotations
 

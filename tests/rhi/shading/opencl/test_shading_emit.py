@@ -30,17 +30,19 @@ class Corner(Shader):
 
 @pytest.mark.parametrize(("lanes", "items"), [(1, 32), (4, 8), (8, 4), (16, 2)])
 def test_a_compute_stage_is_emitted_as_a_kernel_for_so_many_lanes(lanes: int, items: int) -> None:
-    text = compile_shader(Ramp).emit(f"opencl{lanes}", Stage.COMPUTE)
+    text = compile_shader(Ramp).emit(f"opencl{lanes}", Stage.COMPUTE).text
     assert text.count("kernel void") == 1
     assert f"reqd_work_group_size({items}, 1, 1)" in text
-    assert "void main()" in compile_shader(Ramp).emit("glsl", Stage.COMPUTE)
+    assert "void main()" in compile_shader(Ramp).emit("glsl", Stage.COMPUTE).text
 
 
 @pytest.mark.parametrize("language", ["opencl16", "glsl", "opencl1"])
-def test_lines_are_those_of_the_text_emitted_last(language: str) -> None:
+def test_a_text_has_the_origins_of_its_own_lines(language: str) -> None:
     descriptor = compile_shader(Ramp)
-    lines = descriptor.emit(language, Stage.COMPUTE).split("\n")
-    origins = descriptor.lines[Stage.COMPUTE]
+    emitted = descriptor.emit(language, Stage.COMPUTE)
+    for other in ("opencl4", "numpy", "glsl"):
+        descriptor.emit(other, Stage.COMPUTE)
+    lines, origins = emitted.text.split("\n"), emitted.origins
     assert abs(len(lines) - len(origins)) <= 1  # a last line may be empty
     stores = [number for number, origin in enumerate(origins) if origin == (__file__, STORE)]
     assert any("signed" in lines[number] for number in stores)
@@ -54,7 +56,7 @@ def test_a_language_there_is_none_of_is_refused_with_those_there_are(language: s
 
 
 def test_a_stage_that_draws_is_a_function_for_16_lanes() -> None:
-    text = compile_shader(Corner).emit("opencl16", Stage.VERTEX)
+    text = compile_shader(Corner).emit("opencl16", Stage.VERTEX).text
     assert "void rhi_vertex(" in text
     assert "kernel" not in text
 

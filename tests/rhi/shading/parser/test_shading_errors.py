@@ -44,7 +44,7 @@ _number = itertools.count()
 
 @pytest.fixture
 def define(tmp_path):
-    """`define(source)` gives the last class of a module made from the prelude and the source."""
+    """Return `define(source)`, which returns the last class of a module made of the prelude and the source."""
 
     def define(source):
         name = f"shader_of_a_test_{next(_number)}"
@@ -162,7 +162,7 @@ BODIES = [
     ("not-writable", ["self.scale = 1.0"], ["self.out[0] = 1.0"], "uniform"),
     ("not-writable", ["v = vec2(1)", "v.xx = vec2(1)"], ["v = vec2(1)", "v.xy = vec2(1)"], "twice"),
     ("not-writable", ["m = mat2(1)", "m[0] = vec2(1)"], ["m = mat2(1)", "m[0][1] = 1.0"], "m[row][column]"),
-    ("not-writable", ["vec2(1).x = 1.0"], ["v = vec2(1)", "v.x = 1.0"], "no place"),
+    ("not-writable", ["vec2(1).x = 1.0"], ["v = vec2(1)", "v.x = 1.0"], "temporary value"),
     (
         "not-writable",
         ["n = 0", "x = atomic_add(n, 1)"],
@@ -208,7 +208,7 @@ BODIES = [
     ("unsupported", ["x = [1, 2]"], ["x = array(int, 2)"], "array(float, 4)"),
     ("unsupported", ["x = lambda: 1"], ["x = 1"], "Lambda"),
     ("unsupported", ["x = 'text'"], ["'''a docstring'''"], "str"),
-    ("unsupported", ["x, y = 1, 2"], ["x = 1", "y = 2"], "line for each"),
+    ("unsupported", ["x, y = 1, 2"], ["x = 1", "y = 2"], "assignment for each"),
     ("unsupported", ["x = y = 1"], ["x = 1", "y = x"], "one target"),
     (
         "unsupported",
@@ -224,7 +224,7 @@ BODIES = [
     ),
     ("unsupported", ["x = self.out[1:2]"], ["x = self.out[1]"], "slice"),
     ("unsupported", ["x = mat2(1)[0, 1]"], ["x = mat2(1)[0][1]"], "m[row][column]"),
-    ("unsupported", ["sin(1.0)"], ["self.bump()"], "nobody uses"),
+    ("unsupported", ["sin(1.0)"], ["self.bump()"], "unused"),
     ("unsupported", ["x = 1 in WEIGHTS"], ["x = 1 == 2"], "=="),
     ("unsupported", ["x = range(3)"], ["for x in range(3):", "    pass"], "for loop"),
     ("unsupported", ["def inner() -> None:", "    pass"], ["pass"], "@function"),

@@ -187,7 +187,7 @@ class EarlyOnly(Shader):
 
 def test_a_fragment_stage_may_only_write_memory(link):
     program = link(EarlyOnly)
-    assert "early_fragment_tests" in program.emit("glsl", Stage.FRAGMENT)
+    assert "early_fragment_tests" in program.emit("glsl", Stage.FRAGMENT).text
     assert (program.early_depth, program.outputs, program.writes_memory) == (True, (), True)
 
 
@@ -237,7 +237,7 @@ class Reversed(Colored):
 
 def draw(context, shader, **uniforms):
     program = compile_shader(shader)
-    texts = {f"{stage.value}_shader": program.emit("glsl", stage) for stage in program.stages}
+    texts = {f"{stage.value}_shader": program.emit("glsl", stage).text for stage in program.stages}
     gl = context.program(**texts)
     buffers = []
     for binding in program.bindings:
@@ -306,7 +306,7 @@ class Loading(Shader):
 def test_an_image_that_is_only_loaded_is_not_written():
     program = compile_shader(Loading)
     assert not next(binding for binding in program.bindings if binding.name == "source").writes
-    assert "layout(rgba8, binding = 0) readonly uniform image2D" in program.emit("glsl", Stage.COMPUTE)
+    assert "layout(rgba8, binding = 0) readonly uniform image2D" in program.emit("glsl", Stage.COMPUTE).text
 
 
 @function
@@ -352,10 +352,11 @@ def test_a_function_that_is_native_in_another_language_only_is_refused():
 
 def test_the_line_map_leads_from_glsl_to_python():
     program = compile_shader(Colored)
-    lines = program.emit("glsl", Stage.FRAGMENT).splitlines()
-    assert len(lines) == len(program.lines[Stage.FRAGMENT])
+    emitted = program.emit("glsl", Stage.FRAGMENT)
+    lines = emitted.text.splitlines()
+    assert len(lines) == len(emitted.origins)
     at = next(i for i, line in enumerate(lines) if "gl_FragCoord" in line)
-    file, number = program.lines[Stage.FRAGMENT][at]
+    file, number = emitted.origins[at]
     assert file == __file__
     with open(file) as text:
         assert "fragment_coordinate().xy, 0, 1" in text.read().splitlines()[number - 1]
@@ -367,11 +368,11 @@ def test_emission_is_deterministic_and_descriptors_are_memoised():
     from rhi.shading.compile import _compile
 
     for stage in first.stages:
-        assert _compile(Everything).emit("glsl", stage) == first.emit("glsl", stage)
+        assert _compile(Everything).emit("glsl", stage).text == first.emit("glsl", stage).text
 
 
 def test_only_what_a_stage_uses_is_declared_in_it():
     program = compile_shader(Colored)
-    assert "scale" not in program.emit("glsl", Stage.VERTEX)
-    assert "scale" in program.emit("glsl", Stage.FRAGMENT)
+    assert "scale" not in program.emit("glsl", Stage.VERTEX).text
+    assert "scale" in program.emit("glsl", Stage.FRAGMENT).text
     assert [d.name for d in stage_trees(Colored)[Stage.FRAGMENT].bindings] == ["scale"]

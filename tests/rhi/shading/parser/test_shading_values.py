@@ -1,4 +1,4 @@
-"""What compute shaders compute, against Python's own answer."""
+"""The results of compute shaders, compared with those of Python."""
 
 import itertools
 import math
