@@ -43,7 +43,7 @@ __all__ = [
     "Span",
     "StandIn",
     "create_backend",
-]  # fmt: skip
+]
 
 
 def create_backend(
