@@ -36,8 +36,8 @@ from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.device.encoder import Encoder, check_mesh, underlying_buffer
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
+from rhi.device.encoder import Encoder, check_drawable, underlying_buffer
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
@@ -45,7 +45,7 @@ from rhi.device.resources.buffers import Buffer, StorageBuffer
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import Arena, TransientMemory
-from rhi.errors import RhiError, find_user_frame, refuse
+from rhi.errors import RhiError, find_user_frame
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ARGUMENT,
@@ -112,7 +112,9 @@ class CommandBuffer(Encoder):
 
     def __enter__(self) -> Self:
         if self._state is not _EMPTY:
-            refuse(RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one")
+            self._recorder.refuse(
+                RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
+            )
         self._state = _RECORDING
         self._recorder.recording = True
         if self.label:
@@ -130,7 +132,7 @@ class CommandBuffer(Encoder):
         if kind is not None:
             return
         if left:
-            refuse(RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
+            core.refuse(RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
         if self.label:
             self._writer.pop_label()
         statistics = core.statistics()
@@ -142,11 +144,11 @@ class CommandBuffer(Encoder):
         core = self._recorder
         depth = core.states.depth
         return [
-            *(["a query"] if self._desk.open is not None else []),
+            *(["a query"] if core.open_query is not None else []),
             *(["a render pass"] if core.render_pass is not None else []),
             *([f"{depth} scopes of states"] if depth else []),
             *([f"{self._timers.depth} events"] if self._timers.depth else []),
-            *(["a condition"] if self._desk.conditional else []),
+            *(["a condition"] if core.condition_open else []),
         ]
 
     if not TYPE_CHECKING:
@@ -159,18 +161,20 @@ class CommandBuffer(Encoder):
                 own = self._programs[program]
             except (KeyError, TypeError):
                 own = self._own(program, "commands.draw")
-            check_mesh(mesh, "commands.draw")
+            check_drawable(self._recorder, mesh, "commands.draw")
             own.draw_with(mesh, instances, bindings)
 
     def query(self, query: OcclusionQuery) -> QueryUse:
         """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is
         that of the latest submission."""
-        return QueryUse(self._recorder, self._desk, query)
+        return QueryUse(self._recorder, query)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         super()._check_query_set(queries, call)
         if queries.id in self._recorder.queries:
-            refuse(QUERY_STATE, call, "the same query set twice in a command buffer", "each set once")
+            self._recorder.refuse(
+                QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
+            )
 
     def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
         self._recorder.queries[queries.id] = partial(queries.take_recorded, asked)
@@ -180,7 +184,7 @@ class CommandBuffer(Encoder):
 
         The query must be ended before this place, in the buffer or before it is submitted (`query-state`).
         """
-        return _RecordedConditional(self._recorder, self._desk, query, inverted)
+        return _RecordedConditional(self._recorder, query, inverted)
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
         """As `Buffer.clear`."""
@@ -191,7 +195,9 @@ class CommandBuffer(Encoder):
         offset: int = 0, target_offset: int = 0,
     ) -> None:  # fmt: skip
         """As `Buffer.copy_to`."""
-        underlying_buffer(source)._copy(self._recorder, underlying_buffer(target), size, offset, target_offset)
+        underlying_buffer(source)._copy(
+            self._recorder, underlying_buffer(target), size, offset, target_offset
+        )
 
     def copy_texture(
         self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
@@ -212,9 +218,9 @@ class CommandBuffer(Encoder):
         core = self._recorder
         core.check_open()
         if not isinstance(program, Program):
-            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+            core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
         if program.core is not core.device:
-            refuse(RESOURCE_FOREIGN, call, repr(program))
+            core.refuse(RESOURCE_FOREIGN, call, repr(program))
         own = self._programs.get(program)
         if own is None:
             own = self._programs[program] = RecordedProgram(core, program)
@@ -336,38 +342,38 @@ class CommandBuffer(Encoder):
 class QueryUse:
     """`with commands.query(query):`; see there."""
 
-    __slots__ = ("_core", "_desk", "_query")
+    __slots__ = ("_core", "_query")
 
-    def __init__(self, core: RecordingCore, desk: QueryDesk, query: OcclusionQuery) -> None:
+    def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:
         call = "commands.query"
         core.check_open()
         query.check_usable(core.device, call)
         self._core = core
-        self._desk = desk
         self._query = query
 
     def __enter__(self) -> None:
         core, query, call = self._core, self._query, "commands.query"
         core.check_open()
-        if self._desk.open is not None:
-            refuse(QUERY_NESTED, call, "a second open query")
+        if core.open_query is not None:
+            core.refuse(QUERY_NESTED, call, "a second open query")
         if core.render_pass is None:
-            refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+            core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
         if query.id in core.queries:
-            refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
+            core.refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
         for resource in query.ids:
             core.note_use(resource, query)
         query.write_begin(core)
-        self._desk.open = self
+        core.open_query = self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._desk.open is self:
-            self._desk.open = None
-            self._query.write_end(self._core)
-            self._core.counters.queries += 1
-            self._core.queries[self._query.id] = self._query.take_submission
+        core = self._core
+        if core.open_query is self:
+            core.open_query = None
+            self._query.write_end(core)
+            core.counters.queries += 1
+            core.queries[self._query.id] = self._query.take_submission
 
     def abandon(self) -> None:
         """End it, as its pass ends."""
@@ -388,19 +394,20 @@ class _RecordedConditional(Conditional):
             self._core.conditions.append(self._query)
 
 
-def check_submissions(buffers: Iterable[CommandBuffer], device: Core, conditional: bool) -> None:
-    """Refuse command buffers that can't be carried out one after the other, where a condition holds or none does;
-    see `Device.submit`."""
+def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
+    """Refuse command buffers that can't be executed one after the other; see `Device.submit`."""
     call = "device.submit"
     ended: set[Id] = set()
     for buffer in buffers:
         if not isinstance(buffer, CommandBuffer):
-            refuse(DEVICE_ARGUMENT, call, repr(buffer), "command buffers, as device.record() makes them")
+            device.refuse(
+                DEVICE_ARGUMENT, call, repr(buffer), "command buffers, as device.record() makes them"
+            )
         core = buffer._recorder
         if core.device is not device:
-            refuse(RESOURCE_FOREIGN, call, repr(buffer))
+            device.refuse(RESOURCE_FOREIGN, call, repr(buffer))
         if buffer._state is not _READY:
-            refuse(
+            core.refuse(
                 RECORD_STATE,
                 call,
                 f"a command buffer that is {buffer._state}",
@@ -409,16 +416,16 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core, conditiona
         for resource, site in buffer._dead.items():
             use = core.uses[resource]
             given = f"{use.name}, destroyed at {site}, used by what was recorded at {find_site(use.code, use.offset)}"
-            refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
+            core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
             if use.owner in device.locked:
-                refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
-        if conditional and buffer._desk.conditions:
+                core.refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
+        if device.condition_open and core.condition_count:
             given = f"{buffer!r} with a condition of its own, inside device.conditional"
-            refuse(CONDITION_NESTED, call, given)
+            core.refuse(CONDITION_NESTED, call, given)
         for query in core.conditions:
             if query.id not in ended:
-                query._check_ended(call)
+                query.check_ended(device, call)
         ended.update(core.queries)
 
 

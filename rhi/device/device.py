@@ -41,19 +41,18 @@ from rhi.contract.states import (
 )
 from rhi.device.command_buffer import CommandBuffer, check_submissions
 from rhi.device.core.core import Core, Statistics
+from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache
 from rhi.device.encoder import Encoder
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
-from rhi.device.refusals import RefusalLog
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
 from rhi.device.resources.lifetime import kept_if_filled
 from rhi.device.resources.meshes import Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Sampler, Texture, full_levels
 from rhi.device.transient import TransientMemory
-from rhi.errors import listen, refuse
 from rhi.errors.rules import (
     BUFFER_DTYPE,
     DEVICE_ARGUMENT,
@@ -82,12 +81,11 @@ class Device(Encoder):
         """`backend` may be a `Recorder` in front of another."""
         capabilities = backend.capabilities
         self._backend = backend
-        core = Core(backend, StateCache(_unsupported_states(capabilities)))
+        refusals = RefusalLog(backend)
+        states = StateCache(_unsupported_states(capabilities), refusals=refusals)
+        core = Core(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs: dict[object, Program[Any]] = {}
-        self._refusals = RefusalLog(core, backend) if isinstance(backend, Recorder) else None
-        if self._refusals is not None:
-            listen(self._refusals)
         self._frames: deque[int] = deque()
         self._frames_in_flight = max(1, frames_in_flight)
 
@@ -116,7 +114,9 @@ class Device(Encoder):
         self._backend.close()
         if core.locked and not quiet:
             shown = ", ".join(repr(owner) for owner in core.locked)
-            refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
+            self._core.refuse(
+                LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block"
+            )
 
     @property
     def closed(self) -> bool:
@@ -151,7 +151,9 @@ class Device(Encoder):
         """
         if isinstance(self._backend, Recorder):
             return self._backend.stream
-        refuse(DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record")
+        self._core.refuse(
+            DEVICE_NOT_RECORDING, "device.stream", f"a {self.backend_name} device that doesn't record"
+        )
 
     def backend_as(self, kind: type[B]) -> B:
         """The backend itself, for what only it can do; also below a recorder or whatever else is in front of it.
@@ -164,7 +166,7 @@ class Device(Encoder):
             backend = backend.backend
         if isinstance(backend, kind):
             return backend
-        refuse(
+        self._core.refuse(
             DEVICE_CAPABILITY, f"device.backend_as({kind.__name__})", type(backend).__name__, kind.__name__
         )
 
@@ -186,7 +188,7 @@ class Device(Encoder):
             return Buffer(self._core, int(source), np.dtype(dtype or np.uint8), usage, label)
         array = np.asarray(source)
         if dtype is not None and array.dtype != np.dtype(dtype):
-            refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
+            self._core.refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
         buffer = Buffer(self._core, array.size, array.dtype, usage, label)
         with kept_if_filled(buffer):
             buffer.write(array)
@@ -195,7 +197,7 @@ class Device(Encoder):
     def uniform(self, value: S, *, label: str = "") -> UniformBuffer[S]:
         """Constants: one struct, bound as `Uniform[S]`."""
         if not isinstance(value, Struct):
-            refuse(
+            self._core.refuse(
                 DEVICE_ARGUMENT, "device.uniform", repr(value), "a Struct's value, e.g. Tint(scale=(1, 1, 1))"
             )
         return UniformBuffer(self._core, value, label)
@@ -217,12 +219,12 @@ class Device(Encoder):
         dtype = element_dtype(shading_type, Layout.STD430)
         if isinstance(source, Buffer):
             if source.core is not self._core:
-                refuse(RESOURCE_FOREIGN, "device.storage", repr(source))
+                self._core.refuse(RESOURCE_FOREIGN, "device.storage", repr(source))
             return StorageBuffer(source, element, dtype)
         count = int(source) if isinstance(source, (int, np.integer)) else 0
         name = label or f"{getattr(element, '__name__', element)}[]"
         if not isinstance(source, (int, np.integer)):
-            array = match_layout(source, dtype, "device.storage")
+            array = match_layout(self._core, source, dtype, "device.storage")
             count = array.size // int(np.prod(dtype.shape, initial=1))
         storage: StorageBuffer[T] = StorageBuffer(
             Buffer(self._core, count, dtype, label=name), element, dtype
@@ -250,18 +252,22 @@ class Device(Encoder):
         filled from an array's texels if the format can be filtered.
         """
         if not isinstance(format, Format):
-            refuse(DEVICE_ARGUMENT, "device.texture", f"format={format!r}", "a rhi.Format, such as Format.RGBA8")
+            self._core.refuse(
+                DEVICE_ARGUMENT, "device.texture", f"format={format!r}", "an rhi.Format, such as Format.RGBA8"
+            )
         data = None
         if isinstance(source, np.ndarray):
             data = source
             if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.channels == 1):
-                refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", "(height, width, channels), or with "
-                       "layers in front")  # fmt: skip
+                allowed = "(height, width, channels), or with layers in front"
+                self._core.refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
             layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
         else:
             if len(source) != 2 or not all(isinstance(n, (int, np.integer)) for n in source):
-                refuse(TEXTURE_SIZE, "device.texture", repr(source), "(width, height), two whole numbers")
+                self._core.refuse(
+                    TEXTURE_SIZE, "device.texture", repr(source), "(width, height), two whole numbers"
+                )
             width, height = source
         if layers is None:
             layers = 6 if kind is TextureKind.CUBE else 1
@@ -321,7 +327,11 @@ class Device(Encoder):
         self._core.check_open()
         program = self._programs.get(shader)
         if program is None or program.destroyed:
-            descriptor = shader if isinstance(shader, ProgramDescriptor) else compile_shader(shader)
+            if isinstance(shader, ProgramDescriptor):
+                descriptor = shader
+            else:
+                with self._core.refusals:
+                    descriptor = compile_shader(shader)
             program = self._programs[shader] = Program(self._core, descriptor)
         return program
 
@@ -367,8 +377,8 @@ class Device(Encoder):
         core = self._core
         core.check_open()
         if core.render_pass is not None:
-            refuse(PASS_OPEN, "device.submit", "an open render pass")
-        check_submissions(buffers, core, self._desk.conditional)
+            self._core.refuse(PASS_OPEN, "device.submit", "an open render pass")
+        check_submissions(buffers, core)
         for buffer in buffers:
             buffer.execute()
 
@@ -399,7 +409,7 @@ class Device(Encoder):
 
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """A counter of visible samples; `emulated` asks for the thesis's emulation (4.4.2) where it can be had."""
-        return OcclusionQuery(self._core, self._desk, emulated)
+        return OcclusionQuery(self._core, emulated)
 
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
         """So many counters of visible samples, to be asked in one call: `device.draw_counted(…, queries)`."""
@@ -413,7 +423,7 @@ class Device(Encoder):
     @timing.setter
     def timing(self, on: bool) -> None:
         if on and not self.capabilities.timestamps:
-            refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
+            self._core.refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
         self._timers.enabled = on
 
     @property
@@ -432,7 +442,7 @@ class Device(Encoder):
         core = self._core
         core.check_open()
         if core.render_pass is not None:
-            refuse(PASS_OPEN, "device.present", "an open render pass")
+            self._core.refuse(PASS_OPEN, "device.present", "an open render pass")
         if image is not None:
             core.check_usable(image, "device.present")
         core.backend.present(image.id if image is not None else 0)

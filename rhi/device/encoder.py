@@ -20,15 +20,14 @@ from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope
 from rhi.device.immediate import Immediate
 from rhi.device.passes import Clear, RenderPass, Target
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Event, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer
-from rhi.device.resources.meshes import Mesh, check_draws
+from rhi.device.resources.meshes import Drawable, Mesh, check_draws
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
-from rhi.errors import refuse
 from rhi.errors.rules import (
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
@@ -68,7 +67,6 @@ class Encoder:
     def __init__(self, core: Core, timers: Timers, transient: TransientMemory) -> None:
         self._core = core
         self._scope = core.states.scope
-        self._desk = QueryDesk()
         self._timers = timers
         self._transient = transient
 
@@ -93,9 +91,7 @@ class Encoder:
             clear_depth: 0 is far and 1 near under reversed depth; None keeps what is there.
             resolve: single-sampled textures that get the averaged samples at the end.
         """
-        return RenderPass(
-            self._core, self._desk, color, depth, clear, clear_depth, clear_stencil, resolve, label
-        )  # fmt: skip
+        return RenderPass(self._core, color, depth, clear, clear_depth, clear_stencil, resolve, label)
 
     def states(self, *states: State) -> StateScope:
         """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
@@ -107,14 +103,20 @@ class Encoder:
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
         """`with device.conditional(query):` draws that the GPU drops if the query counted nothing. One at a time."""
-        return Conditional(self._core, self._desk, query, inverted)
+        return Conditional(self._core, query, inverted)
 
     # -- work --------------------------------------------------------------------------------------------
 
     if TYPE_CHECKING:
 
         def draw(
-            self, program: Program[P], mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
+            self,
+            program: Program[P],
+            mesh: Drawable,
+            instances: int = 1,
+            /,
+            *args: P.args,
+            **bindings: P.kwargs,
         ) -> None:
             """Draw `mesh` with `program`; a value for each of the program's bindings by name.
 
@@ -133,10 +135,10 @@ class Encoder:
         """
         call = f"{self.NAME}.draw_many"
         own = self._own(program, call)
-        check_mesh(mesh, call)
-        array = check_draws(mesh, draws, call)
+        check_mesh(self._core, mesh, call)
+        array = check_draws(self._core, mesh, draws, call)
         if mesh.primitive is Primitive.QUADS:
-            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
@@ -175,10 +177,12 @@ class Encoder:
         """
         call = f"{self.NAME}.draw_counted"
         own = self._own(program, call)
-        check_mesh(mesh, call)
-        array = check_draws(mesh, draws, call)
+        check_mesh(self._core, mesh, call)
+        array = check_draws(self._core, mesh, draws, call)
         if not isinstance(queries, QuerySet):
-            refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet, as device.query_set(…) makes it")
+            self._core.refuse(
+                DEVICE_ARGUMENT, call, repr(queries), "a QuerySet, as device.query_set(…) makes it"
+            )
         self._check_query_set(queries, call)
         each = queries.check_rows(rows, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
@@ -189,8 +193,8 @@ class Encoder:
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)
-        if self._desk.open is not None:
-            refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
+        if self._core.open_query is not None:
+            self._core.refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
 
     def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
         queries.take_draws(asked)
@@ -198,7 +202,7 @@ class Encoder:
     def draw_indirect(
         self,
         program: Program[P],
-        mesh: Mesh,
+        mesh: Drawable,
         arguments: IndirectDraws,
         /,
         *args: P.args,
@@ -207,7 +211,7 @@ class Encoder:
         """Draw with arguments that the GPU reads from a buffer when it gets there."""
         call = f"{self.NAME}.draw_indirect"
         own = self._own(program, call)
-        check_mesh(mesh, call)
+        check_drawable(self._core, mesh, call)
         core = self._core
         buffer = underlying_buffer(arguments.buffer)
         count = None if arguments.count is None else underlying_buffer(arguments.count)
@@ -215,23 +219,25 @@ class Encoder:
         end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
         if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
             given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
-            refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
+            self._core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
         if (
             arguments.stride < 20
             or arguments.stride % 4
             or arguments.offset % 4
             or arguments.count_offset % 4
         ):
-            refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
+            self._core.refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
                    "a stride of 20 or more and offsets, all multiples of 4")  # fmt: skip
         if mesh.primitive is Primitive.QUADS:
-            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         if count is not None:
             if not core.capabilities.indirect_count:
-                refuse(DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count")
+                self._core.refuse(
+                    DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count"
+                )
             core.check_usable(count, call)
             if not 0 <= arguments.count_offset <= count.size - 4:
-                refuse(
+                self._core.refuse(
                     INDIRECT_RANGE,
                     call,
                     f"count at byte {arguments.count_offset}",
@@ -263,7 +269,7 @@ class Encoder:
         sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
         most = self._core.capabilities.max_dispatch
         if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
-            refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
+            self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
         own.bind(own.ready_to_dispatch, None, bindings)
         if 0 not in sizes:
             self._core.backend.dispatch(*sizes)
@@ -284,7 +290,9 @@ class Encoder:
         source = underlying_buffer(buffer)
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
-            refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}")
+            self._core.refuse(
+                INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}"
+            )
         own.bind(own.ready_to_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1
@@ -311,12 +319,14 @@ class Encoder:
             ValidationError: `device-argument` if it is none, `resource-foreign` if another device's.
         """
         if not isinstance(program, Program):
-            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+            self._core.refuse(
+                DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it"
+            )
         if program.core is not self._core:
-            refuse(RESOURCE_FOREIGN, call, repr(program))
+            self._core.refuse(RESOURCE_FOREIGN, call, repr(program))
         return program
 
-    def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
+    def _bind_draws(self, program: Program[Any], mesh: Drawable, bindings: dict[str, Any]) -> int:
         """Everything a draw needs but the draw itself; returns the vertex array."""
         program.ready_to_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
@@ -329,10 +339,16 @@ def _is_ready(mesh: object) -> None:
     """In place of a check that was done before."""
 
 
-def check_mesh(mesh: object, call: str) -> None:
-    """Refuse what is no mesh."""
+def check_drawable(core: Core, mesh: object, call: str) -> None:
+    """Refuse anything that no draw can read vertices from."""
+    if not isinstance(mesh, Drawable):
+        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+
+
+def check_mesh(core: Core, mesh: object, call: str) -> None:
+    """Refuse anything but a `Mesh`, also transient meshes, which have no parts to draw."""
     if not isinstance(mesh, Mesh):
-        refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
 
 
 def underlying_buffer(buffer: Buffer | StorageBuffer[Any]) -> Buffer:

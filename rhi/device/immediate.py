@@ -16,7 +16,6 @@ from rhi.contract.descriptors import Primitive
 from rhi.device.resources.meshes import check_finite
 from rhi.device.resources.programs import Program
 from rhi.device.transient import EMPTY_MESH, TransientMemory, match_vertices, vertex_dtype
-from rhi.errors import refuse
 from rhi.errors.rules import IMMEDIATE_VERTEX
 
 if TYPE_CHECKING:
@@ -37,8 +36,8 @@ class Immediate(Generic[S]):
     ) -> None:
         program.check_names(bindings)
         if not program.descriptor.attributes:
-            refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
-                   "a program with vertex inputs")  # fmt: skip
+            program.core.refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
+                                "a program with vertex inputs")  # fmt: skip
         self._memory = memory
         self._program = program
         self._primitive = primitive
@@ -60,15 +59,21 @@ class Immediate(Generic[S]):
         except KeyError:
             row = ()
         if len(row) != len(fields) or not self._open:
-            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", ", ".join(fields) if self._open else "a closed block",
-                   ", ".join(names) + " inside the `with` block")  # fmt: skip
+            given = ", ".join(fields) if self._open else "a closed block"
+            allowed = ", ".join(names) + " inside the `with` block"
+            self._program.core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", given, allowed)
         self._rows.append(row)
 
     def vertices(self, array: NDArray[Any]) -> None:
         """Many vertices: a structured array with the program's vertex fields."""
+        program = self._program
         if not self._open:
-            refuse(IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block")
-        matched = np.array(match_vertices(self._program, array))  # what is done to the caller's afterwards is not drawn
+            program.core.refuse(
+                IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block"
+            )
+        matched = np.array(
+            match_vertices(program.core, program, array)
+        )  # a copy: the caller may change its array
         self._arrays += [self._collect(), matched]
 
     def __enter__(self) -> Self:
@@ -99,10 +104,11 @@ class Immediate(Generic[S]):
 
     def _collect(self) -> NDArray[Any]:
         """The single vertices since the latest array; they stay where they are if one is refused."""
+        core = self._program.core
         try:
             array = np.array(self._rows, self._dtype)
         except (TypeError, ValueError) as error:
-            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
-        check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
+            core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
+        check_finite(core, array, IMMEDIATE_VERTEX, "Immediate.vertex")
         self._rows.clear()
         return array

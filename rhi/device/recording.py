@@ -17,10 +17,10 @@ from rhi.contract.descriptors import Id, VertexArrayDescriptor
 from rhi.device.core.core import Core, Owner, describe
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.resources.draw_code import write
-from rhi.device.resources.meshes import Mesh, MeshData
+from rhi.device.resources.meshes import Drawable, Mesh, MeshData
 from rhi.device.resources.programs import Program
 from rhi.device.transient import TransientOwner
-from rhi.errors import find_user_frame, refuse
+from rhi.errors import find_user_frame
 from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
 
 __rhi_internal__ = True
@@ -55,7 +55,7 @@ class RecordingCore(Core):
     records = True
 
     def __init__(self, device: Core, writer: CommandWriter) -> None:
-        super().__init__(writer, device.states.fresh())
+        super().__init__(writer, device.states.fresh(), device.refusals)
         self.device = device
         self.timeline = device.timeline
         self.locked = device.locked
@@ -73,9 +73,9 @@ class RecordingCore(Core):
 
     def check_open(self) -> None:
         if self.device.closed:
-            refuse(DEVICE_CLOSED, "device", "a closed device")
+            self.refuse(DEVICE_CLOSED, "device", "a closed device")
         if not self.recording:
-            refuse(
+            self.refuse(
                 RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it"
             )
 
@@ -83,7 +83,7 @@ class RecordingCore(Core):
         """As for the device, and keep in mind that it is used."""
         if isinstance(owner, TransientOwner):
             if owner.core is not self:
-                refuse(RECORD_TRANSIENT, call, describe(owner))
+                self.refuse(RECORD_TRANSIENT, call, describe(owner))
             return
         used = owner.origin if isinstance(owner, RecordedProgram) else owner
         self.device.check_usable(used, call)
@@ -105,10 +105,10 @@ class RecordedProgram(Program[Any]):
 
     Attributes:
         origin: the device's program.
-        calls: the draws of meshes, as functions of the number of instances.
+        prepared_draws: by mesh, the prepared draw as a function of the number of instances.
     """
 
-    __slots__ = ("calls", "origin")
+    __slots__ = ("origin", "prepared_draws")
 
     def __init__(self, core: RecordingCore, origin: Program[Any]) -> None:
         self.core = core
@@ -117,25 +117,30 @@ class RecordedProgram(Program[Any]):
         self.descriptor = origin.descriptor
         self.name = origin.name
         self.destroyed = False
-        self.calls: dict[Mesh, Callable[[int], object]] = {}
+        self.prepared_draws: dict[Drawable, Callable[[int], object]] = {}
         if origin.recorded_code is None:
             origin.recorded_code = write(origin.name, origin.descriptor.bindings, recorded=True)
         self._take_code(origin.recorded_code)
 
-    def attach(self, mesh: Mesh) -> Callable[[int], object]:
-        call = self.calls[mesh] = self.prepare(mesh)
-        return call
+    def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
+        draw = self.prepared_draws[mesh] = self._make_draw(mesh)
+        return draw
 
-    def find_vertex_array(self, mesh: Mesh) -> Id:
-        core, data = self.core, mesh.data
+    def find_vertex_array(self, mesh: Drawable) -> Id:
+        core = self.core
         assert isinstance(core, RecordingCore)
-        known = data.vertex_arrays.get(self.origin) or data.vertex_arrays.get(self)
+        known = mesh.vertex_arrays.get(self.origin) or mesh.vertex_arrays.get(self)
+        if not isinstance(mesh, Mesh):
+            return known or mesh.create_vertex_array(
+                self.origin, self.id, self.name, self.descriptor.attributes
+            )
+        data = mesh.data
         if known is None:
             key = (self.origin, data)
             if key not in core.vertex_arrays:
-                descriptor = data.describe(self.id, self.name, self.descriptor.attributes)
+                descriptor = data.describe_vertex_array(self.id, self.name, self.descriptor.attributes)
                 core.vertex_arrays[key] = core.new_id(), descriptor
             known = core.vertex_arrays[key][0]
-        if isinstance(data, MeshData):  # given back with the mesh, even if its buffers stay
-            core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
+        # The vertex array is destroyed with the mesh, even if the mesh's buffers stay.
+        core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
         return known

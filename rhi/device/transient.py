@@ -7,7 +7,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,9 @@ from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core
 from rhi.device.core.ring import Ring
-from rhi.device.resources.meshes import Mesh, check_finite, match_indices
+from rhi.device.resources.meshes import Drawable, check_finite, match_indices
 from rhi.device.resources.programs import Program
-from rhi.errors import refuse
+from rhi.errors import RhiError
 from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE, RESOURCE_DESTROYED
 from rhi.shading.language.bindings import UniformRange
 
@@ -124,7 +124,11 @@ class TransientMemory:
         """Constants for the draws of this frame."""
         core = self._core
         core.check_open()
-        data = value.to_bytes()
+        try:
+            data = value.to_bytes()
+        except RhiError as error:  # a struct without a layout in memory
+            core.refusals.note(error)
+            raise
         core.upload_bytes += len(data)
         offset = self._constants.write(data, len(data), core.capabilities.uniform_alignment)
         if self._owner is None or self._constants.generation != self._owner_generation:
@@ -140,7 +144,7 @@ class TransientMemory:
         vertices: NDArray[Any],
         indices: NDArray[Any] | None = None,
         primitive: Primitive = Primitive.TRIANGLES,
-    ) -> Mesh:
+    ) -> TransientMesh:
         """A mesh of this frame for one program.
 
         Args:
@@ -151,19 +155,19 @@ class TransientMemory:
             ValidationError: `immediate-vertex`, `mesh-index`.
         """
         self._core.check_open()
-        array = match_vertices(program, vertices)
+        array = match_vertices(self._core, program, vertices)
         if indices is not None:
-            indices = match_indices(indices, len(array), "transient.mesh")
+            indices = match_indices(self._core, indices, len(array), "transient.mesh")
         return self.place_mesh(program, array, indices, primitive)
 
     def place_mesh(
         self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None, primitive: Primitive
-    ) -> Mesh:  # fmt: skip
+    ) -> TransientMesh:  # fmt: skip
         """`mesh` of what `match_vertices` and `match_indices` gave."""
         vertex_array, first, base = self._place(program, vertices, indices)
         count = len(vertices) if indices is None else len(indices)
-        return _TransientMesh(
-            _TransientData({program: vertex_array}, self._mesh_owner), primitive, first, count, base
+        return TransientMesh(
+            self._core, {program: vertex_array}, primitive, first, count, base, self._mesh_owner
         )
 
     def _place(
@@ -206,40 +210,34 @@ class TransientMemory:
             self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
-class _TransientData:
-    """What a transient mesh has in place of buffers of its own: an owner to check, and a vertex array by program."""
+class TransientMesh(Drawable):
+    """Vertices in transient memory, laid out for one program."""
 
-    label = "transient"
+    __slots__ = ("_core",)
 
-    def __init__(self, vertex_arrays: dict[object, Id], *owners: TransientOwner) -> None:
-        self.vertex_arrays = vertex_arrays
-        self.buffers = owners
+    def __init__(
+        self, core: Core, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int,
+        base_vertex: int, *owners: TransientOwner,
+    ) -> None:  # fmt: skip
+        super().__init__(primitive, first, count, base_vertex, 0, owners, vertex_arrays)
+        self._core = core
 
-    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
-        refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", "a transient mesh that was made for another program",
-               "one made for this one")  # fmt: skip
+    def __repr__(self) -> str:
+        return f"TransientMesh({self.primitive.name}, {self.first}+{self.count})"
 
-    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
-        self.describe(program, name, attributes)
-
-
-class _TransientMesh(Mesh):
-    """A part of the rings, for one program."""
-
-    __slots__ = ()
-
-    def __init__(self, data: _TransientData, primitive: Primitive, first: int, count: int, base: int) -> None:
-        self.data = data  # type: ignore[assignment]
-        self.calls = {}
-        self.primitive = primitive
-        self.first = first
-        self.count = count
-        self.base_vertex = base
-        self.base_instance = 0
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> NoReturn:
+        self._core.refuse(
+            MESH_ATTRIBUTE,
+            f"draw of program {name!r}",
+            "a transient mesh that was made for another program",
+            "one made for this one",
+        )
 
 
-EMPTY_MESH = _TransientMesh(_TransientData({}), Primitive.TRIANGLES, 0, 0, 0)
-"""For checks that want a mesh where there is none yet."""
+EMPTY_MESH: Final = Drawable(Primitive.TRIANGLES, 0, 0, 0, 0, (), {})
+"""Stands in for a mesh in checks that run before its vertices are uploaded."""
 
 
 def vertex_attributes(attributes: tuple[Attribute, ...]) -> tuple[VertexAttribute, ...]:
@@ -263,22 +261,22 @@ def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
     return np.dtype(fields)
 
 
-def match_vertices(program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
+def match_vertices(core: Core, program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
     """The array's fields as tightly packed vertices of the program.
 
     Raises:
         ValidationError: `immediate-vertex` when a field is missing or has another shape.
     """
     if program.destroyed:
-        refuse(RESOURCE_DESTROYED, "vertices", repr(program))
+        core.refuse(RESOURCE_DESTROYED, "vertices", repr(program))
     dtype = vertex_dtype(program.descriptor.attributes)
     given = np.asarray(array)
     names = dtype.names or ()
     if given.ndim != 1 or not given.dtype.names or any(
         name not in given.dtype.names or given.dtype[name].shape != dtype[name].shape for name in names
     ):  # fmt: skip
-        refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
-    check_finite(given, IMMEDIATE_VERTEX, "vertices")
+        core.refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
+    check_finite(core, given, IMMEDIATE_VERTEX, "vertices")
     if given.dtype == dtype:
         return np.ascontiguousarray(given)
     packed = np.empty(len(given), dtype)

@@ -10,14 +10,15 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, NoReturn, Protocol, cast
 
 from rhi.contract.backend import Backend, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.contract.states import AlphaTest
+from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import refuse
+from rhi.errors import Rule
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
@@ -61,12 +62,23 @@ class Owner(Protocol):
     def label(self) -> str: ...
 
 
+class OpenQuery(Protocol):
+    """An occlusion query between its begin and its end."""
+
+    def abandon(self) -> None:
+        """End the query without an answer."""
+
+
 class Core:
     """The shared part of one device.
 
     Attributes:
+        refusals: raises and keeps the errors of refused calls.
         program: whose bindings are in place (a `Program`), None when the next draw must check everything.
         render_pass: the open pass, if any.
+        open_query: the occlusion query that counts now, if any.
+        condition_open: whether draws depend on a query's answer now.
+        condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
         tests_alpha: whether the alpha test is on and prepared draws can't be used.
@@ -81,13 +93,17 @@ class Core:
         "backend",
         "capabilities",
         "closed",
+        "condition_count",
+        "condition_open",
         "counters",
         "dispatches",
         "draw_counters",
         "draws",
         "frame_rings",
         "locked",
+        "open_query",
         "program",
+        "refusals",
         "render_pass",
         "sampler_descriptors",
         "states",
@@ -101,10 +117,11 @@ class Core:
     records: ClassVar[bool] = False
     """Whether this is a command buffer's, whose memory nothing else may use."""
 
-    def __init__(self, backend: Backend, states: StateCache) -> None:
+    def __init__(self, backend: Backend, states: StateCache, refusals: RefusalLog) -> None:
         self.backend = backend
         self.capabilities = backend.capabilities
-        self.timeline = Timeline(backend)
+        self.refusals = refusals
+        self.timeline = Timeline(backend, refusals)
         self.states = states
         self.counters = Statistics()
         self.draws = 0
@@ -113,6 +130,9 @@ class Core:
         self.closed = False
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
+        self.open_query: OpenQuery | None = None
+        self.condition_open = False
+        self.condition_count = 0
         self.targets: frozenset[Id] = frozenset()
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
@@ -127,6 +147,12 @@ class Core:
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
 
+    def refuse(
+        self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = ""
+    ) -> NoReturn:
+        """Raise a `ValidationError` for `rule` at the user's line; a recording device keeps it."""
+        self.refusals.refuse(rule, call, given, allowed, tip)
+
     def new_id(self) -> Id:
         """The next resource id; ids are never used twice."""
         return next(self._ids)
@@ -139,16 +165,24 @@ class Core:
 
     def check_open(self) -> None:
         if self.closed:
-            refuse(DEVICE_CLOSED, "device", "a closed device")
+            self.refuse(DEVICE_CLOSED, "device", "a closed device")
 
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked or another device's."""
         if owner.core is not self:
-            refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe(owner))
+            self.refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe(owner))
         if owner.destroyed:
-            refuse(RESOURCE_DESTROYED, call, describe(owner))
+            self.refuse(RESOURCE_DESTROYED, call, describe(owner))
         if owner in self.locked:
-            refuse(LOCK_OPEN, call, f"{describe(owner)}, which has an open lock")
+            self.refuse(LOCK_OPEN, call, f"{describe(owner)}, which has an open lock")
+
+    def abandon_query(self) -> bool:
+        """End the query that is still open as its pass ends; return whether there was one."""
+        query, self.open_query = self.open_query, None
+        if query is None:
+            return False
+        query.abandon()
+        return True
 
     def forget_program(self) -> None:
         """Nothing that a program has bound is in place any more."""
@@ -204,7 +238,9 @@ class Core:
         """The id of a sampler; equal descriptors share one. `device-capability` for more anisotropy than there is."""
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
-            refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}")
+            self.refuse(
+                DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}"
+            )
         sampler = self._samplers.get(descriptor)
         if sampler is None:
             sampler = self.new_id()

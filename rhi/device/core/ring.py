@@ -21,7 +21,6 @@ from typing_extensions import Buffer as BytesLike
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 from rhi.device.core.timeline import Timeline
-from rhi.errors import refuse
 from rhi.errors.rules import TRANSIENT_SIZE
 
 __rhi_internal__ = True
@@ -118,7 +117,9 @@ class Ring:
 
     def _refuse(self, size: int) -> NoReturn:
         given = f"{size} bytes more, {self.in_use} in use"
-        refuse(TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame")
+        self._timeline.refusals.refuse(
+            TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame"
+        )
 
     def _release(self, completed: int) -> None:
         marks = self._marks

@@ -30,7 +30,8 @@ from rhi.contract.states import (
     default_values,
 )
 from rhi.device.core.containers import FixedStack
-from rhi.errors import refuse
+from rhi.device.core.refusals import NO_LOG, RefusalLog
+from rhi.errors import RhiError
 from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_NOTHING, STATE_TYPE
 
 __rhi_internal__ = True
@@ -71,16 +72,23 @@ class StateCache:
     Attributes:
         wanted: the vector that scopes ask for.
         hardware: the vector the backend has been told.
+        refusals: raises and keeps the errors of refused scopes.
         unsupported: state types that the device lacks, with the names of the missing capabilities.
         software_changes, hardware_changes: the two counters, in states.
     """
 
     __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
-                 "software_changes", "unsupported", "wanted")  # fmt: skip
+                 "refusals", "software_changes", "unsupported", "wanted")  # fmt: skip
 
-    def __init__(self, unsupported: dict[type, str] | None = None, pool_entries: int = POOL_ENTRIES) -> None:
+    def __init__(
+        self,
+        unsupported: dict[type, str] | None = None,
+        pool_entries: int = POOL_ENTRIES,
+        refusals: RefusalLog = NO_LOG,
+    ) -> None:
         """`unsupported` maps state types the device lacks to the name of the missing capability."""
         self.unsupported = unsupported or {}
+        self.refusals = refusals
         self._limit = pool_entries
         self._pool: dict[tuple[object, ...], StateVector] = {}
         self._scopes: dict[tuple[State, ...], StateScope] = {}
@@ -92,7 +100,7 @@ class StateCache:
 
     def fresh(self) -> StateCache:
         """An empty cache with the same rules."""
-        return StateCache(self.unsupported, self._limit)
+        return StateCache(self.unsupported, self._limit, self.refusals)
 
     @property
     def depth(self) -> int:
@@ -178,19 +186,21 @@ class StateCache:
     def _validate(self, states: tuple[State, ...]) -> None:
         call = "device.states(" + ", ".join(map(repr, states)) + ")"
         if not states:
-            refuse(STATE_NOTHING, call, "no states", "one state or more")
+            self.refusals.refuse(STATE_NOTHING, call, "no states", "one state or more")
         seen: set[tuple[type, int | None]] = set()
         for state in states:
             state_type = type(state)
             if state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
-                refuse(STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}")
+                self.refusals.refuse(
+                    STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
+                )
             key = (state_type, getattr(state, "target", None))
             if key in seen:
-                refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
+                self.refusals.refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
             seen.add(key)
             if state_type in self.unsupported and _needs_capability(state):
-                refuse(
+                self.refusals.refuse(
                     STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self.unsupported[state_type]}"
                 )
 
@@ -242,7 +252,11 @@ class StateScope:
         cache = self._cache
         wanted = cache.wanted
         target = wanted.after.get(self) or cache._derive(self)
-        cache._stack.push(wanted)
+        try:
+            cache._stack.push(wanted)
+        except RhiError as error:  # the stack is full
+            cache.refusals.note(error)
+            raise
         cache.wanted = target
         cache.software_changes += len(self.states)
 
@@ -250,4 +264,8 @@ class StateScope:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         cache = self._cache
-        cache.wanted = cache._stack.pop()
+        try:
+            cache.wanted = cache._stack.pop()
+        except RhiError as error:  # no scope is open
+            cache.refusals.note(error)
+            raise

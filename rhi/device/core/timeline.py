@@ -16,7 +16,8 @@ from weakref import WeakSet
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
-from rhi.errors import DeviceError, refuse
+from rhi.device.core.refusals import NO_LOG, RefusalLog
+from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
 
 __rhi_internal__ = True
@@ -34,12 +35,14 @@ class Timeline:
 
     Attributes:
         signalled: the value signalled last; 0 before the first.
+        refusals: raises and keeps the errors of refused calls.
     """
 
-    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "signalled")
+    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "refusals", "signalled")
 
-    def __init__(self, backend: Backend) -> None:
+    def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
+        self.refusals = refusals
         self.signalled = 0
         self._completed = 0
         self._retired: deque[tuple[int, Id]] = deque()
@@ -68,14 +71,16 @@ class Timeline:
             DeviceError: `device-lost` if without a limit the GPU hasn't got there in an hour.
         """
         if not 0 <= value <= self.signalled:
-            refuse(FENCE_VALUE, f"device.wait({value})", value, f"0 to {self.signalled}")
+            self.refusals.refuse(FENCE_VALUE, f"device.wait({value})", value, f"0 to {self.signalled}")
         if value <= self._completed or value <= self.completed:
             return True
         reached = self._backend.wait(value, FOREVER if seconds is None else seconds)
         if reached:
             self._completed = max(self._completed, value)
         elif seconds is None:
-            raise DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
+            self.refusals.fail(
+                DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
+            )
         return reached
 
     def retire(self, resource: Id) -> None:

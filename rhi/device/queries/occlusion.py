@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import time
 from types import TracebackType
-from typing import Final, Generic, Protocol, Self, TypeVar
+from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core, describe
-from rhi.errors import DeviceError, refuse
+from rhi.errors import DeviceError
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ANSWER,
@@ -39,36 +39,6 @@ ANSWER_SECONDS: Final = 10.0
 _IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
 
 
-class Counting(Protocol):
-    """A query that is open."""
-
-    def abandon(self) -> None:
-        """End it; there is no answer."""
-
-
-class QueryDesk:
-    """Knows which occlusion query is open, and whether a condition holds: there can be one of each.
-
-    Attributes:
-        conditions: how many were ever begun.
-    """
-
-    __slots__ = ("conditional", "conditions", "open")
-
-    def __init__(self) -> None:
-        self.open: Counting | None = None
-        self.conditional = False
-        self.conditions = 0
-
-    def abandon(self) -> bool:
-        """End a query that is still open as its pass ends; whether there was one."""
-        query, self.open = self.open, None
-        if query is None:
-            return False
-        query.abandon()
-        return True
-
-
 class PendingQuery(Generic[T]):
     """What a query and a set of queries have in common: an answer that comes some time after its end."""
 
@@ -79,7 +49,7 @@ class PendingQuery(Generic[T]):
         capabilities = core.capabilities
         self.emulated = emulated or not capabilities.occlusion_queries
         if self.emulated and not capabilities.sample_counter:
-            refuse(DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
+            core.refuse(DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
         self._core = core
         self._ids: list[Id] = []
         kind = QueryKind.COUNTER if self.emulated else QueryKind.OCCLUSION
@@ -130,8 +100,8 @@ class PendingQuery(Generic[T]):
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.visible_samples"
-            self._check_ended(call)
-            refuse(QUERY_UNFINISHED, call, "an unfinished query")
+            self.check_ended(self._core, call)
+            self._core.refuse(QUERY_UNFINISHED, call, "an unfinished query")
         assert self._answer is not None
         return self._answer
 
@@ -143,13 +113,15 @@ class PendingQuery(Generic[T]):
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.wait"
-            self._check_ended(call)
+            self.check_ended(self._core, call)
             self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
             deadline = time.monotonic() + ANSWER_SECONDS
             while not self.is_finished:  # a driver may publish the result a moment after the fence
                 if time.monotonic() > deadline:
-                    given = f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
-                    raise DeviceError(DEVICE_ANSWER, call, given)
+                    given = (
+                        f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
+                    )
+                    self._core.refusals.fail(DeviceError(DEVICE_ANSWER, call, given))
                 time.sleep(0)
         assert self._answer is not None
         return self._answer
@@ -157,7 +129,9 @@ class PendingQuery(Generic[T]):
     def destroy(self) -> None:
         """Give it back; an open query can't be destroyed."""
         if self._state is _OPEN:
-            refuse(QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended")
+            self._core.refuse(
+                QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended"
+            )
         if not self.destroyed:
             self.destroyed = True
             for query in self._ids:
@@ -178,10 +152,11 @@ class PendingQuery(Generic[T]):
         """The answer, or None while it isn't there."""
         raise NotImplementedError
 
-    def _check_ended(self, call: str) -> None:
+    def check_ended(self, core: Core, call: str) -> None:
+        """Refuse a query that has no answer to come, in a call of `core`."""
         if self._state is not _ENDED or self.destroyed:
             state = "destroyed" if self.destroyed else self._state
-            refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
+            core.refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
 
 
 class OcclusionQuery(PendingQuery[int]):
@@ -190,11 +165,10 @@ class OcclusionQuery(PendingQuery[int]):
     One object may be used again and again; begin forgets the earlier answer. `with query:` is begin and end.
     """
 
-    __slots__ = ("_desk",)
+    __slots__ = ()
 
-    def __init__(self, core: Core, desk: QueryDesk, emulated: bool) -> None:
+    def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
-        self._desk = desk
 
     @property
     def id(self) -> Id:
@@ -206,24 +180,26 @@ class OcclusionQuery(PendingQuery[int]):
         core = self._core
         core.check_open()
         if self.destroyed:
-            refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
-        if self._desk.open is not None:
-            refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
+            self._core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
+        if core.open_query is not None:
+            self._core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
-            refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+            self._core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
         self.write_begin(core)
         if self.emulated:
             core.signal()
         self._answer = None
         self._state = _OPEN
-        self._desk.open = self
+        core.open_query = self
         core.counters.queries += 1
 
     def end(self) -> None:
         """Stop counting and let the GPU start on what was submitted, so that the answer can come."""
         if self._state is not _OPEN:
-            refuse(QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
-        self._desk.open = None
+            self._core.refuse(
+                QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"
+            )
+        self._core.open_query = None
         self._finish()
         self._state = _ENDED
 
@@ -262,9 +238,9 @@ class OcclusionQuery(PendingQuery[int]):
     def check_usable(self, core: Core, call: str) -> None:
         """Refuse another device's query, and a destroyed one."""
         if self._core is not core:
-            refuse(RESOURCE_FOREIGN, call, describe(self))
+            core.refuse(RESOURCE_FOREIGN, call, describe(self))
         if self.destroyed:
-            refuse(RESOURCE_DESTROYED, call, "a destroyed query")
+            core.refuse(RESOURCE_DESTROYED, call, "a destroyed query")
 
     def write_begin(self, core: Core) -> None:
         """Command `core` to begin counting."""
@@ -284,37 +260,38 @@ class OcclusionQuery(PendingQuery[int]):
 class Conditional:
     """`with device.conditional(query):` draws happen only if the query counted samples."""
 
-    __slots__ = ("_core", "_desk", "_inverted", "_query")
+    __slots__ = ("_core", "_inverted", "_query")
 
-    def __init__(self, core: Core, desk: QueryDesk, query: OcclusionQuery, inverted: bool) -> None:
+    def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
         if not core.capabilities.conditional_rendering:
-            refuse(
+            core.refuse(
                 DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
             )
         if query.emulated:
-            refuse(DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
+            core.refuse(
+                DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
+            )
         self._core = core
-        self._desk = desk
         self._query = query
         self._inverted = inverted
 
     def _check(self) -> None:
-        self._query._check_ended("device.conditional")
+        self._query.check_ended(self._core, "device.conditional")
 
     def __enter__(self) -> None:
-        self._core.check_open()
-        desk = self._desk
-        if desk.conditional:
-            refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
+        core = self._core
+        core.check_open()
+        if core.condition_open:
+            core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
-        self._core.backend.begin_conditional(self._query.id, self._inverted)
-        desk.conditional = True
-        desk.conditions += 1
+        core.backend.begin_conditional(self._query.id, self._inverted)
+        core.condition_open = True
+        core.condition_count += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._desk.conditional = False
+        self._core.condition_open = False
         if not self._core.closed:
             self._core.backend.end_conditional()

@@ -22,7 +22,6 @@ from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.queries import PlainQueries, list_draws
 from rhi.device.core.core import Core
 from rhi.device.queries.occlusion import PendingQuery
-from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, QUERY_ROWS
 
 __rhi_internal__ = True
@@ -73,7 +72,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         call = "device.query_set"
         core.check_open()
         if not isinstance(size, (int, np.integer)) or size < 0:
-            refuse(DEVICE_ARGUMENT, call, f"{size!r} queries", "a number, 0 or more")
+            core.refuse(DEVICE_ARGUMENT, call, f"{size!r} queries", "a number, 0 or more")
         super().__init__(core, int(size), emulated, call)
         self._size = int(size)
         self._asked = np.zeros(0, np.int64)
@@ -97,19 +96,19 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         size = len(self)
         if rows is None:
             if draws > size:
-                refuse(QUERY_ROWS, call, f"{draws} draws", f"up to {size}, or `rows`")
+                self._core.refuse(QUERY_ROWS, call, f"{draws} draws", f"up to {size}, or `rows`")
             return self._in_order[:draws]
         given = np.asarray(rows)
         if given.shape != (draws,) or (draws and given.dtype.kind not in "iu"):
-            refuse(
+            self._core.refuse(
                 QUERY_ROWS, call, f"rows of shape {given.shape} and {given.dtype}", f"({draws},) of integers"
             )
         each: NDArray[np.int64] = given.astype(np.int64)
         if draws and not 0 <= each.min() <= each.max() < size:
-            refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
+            self._core.refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
         repeated = np.bincount(find_runs(each)) > 1
         if repeated.any():
-            refuse(
+            self._core.refuse(
                 QUERY_ROWS, call, f"row {repeated.argmax()} again after other rows",
                 "the draws of a row one after the other",
             )  # fmt: skip
@@ -162,5 +161,3 @@ def find_runs(rows: NDArray[np.int64]) -> NDArray[np.int64]:
     begins = np.ones(len(rows), bool)
     np.not_equal(rows[1:], rows[:-1], out=begins[1:])
     return rows[begins]
-
-

@@ -14,7 +14,6 @@ from typing import Final
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
-from rhi.errors import refuse
 from rhi.errors.rules import SCOPE_ORDER
 
 __rhi_internal__ = True
@@ -87,7 +86,8 @@ class Timers:
 
     def end(self, event: _Running) -> None:
         if not self._open or self._open[-1] is not event:
-            refuse(SCOPE_ORDER, "device.event", f"the end of {event.node.name!r}", "the innermost open event")
+            given = f"the end of {event.node.name!r}"
+            self._core.refuse(SCOPE_ORDER, "device.event", given, "the innermost open event")
         self._open.pop()
         if event.end:
             self._core.backend.write_query(event.end)

@@ -18,7 +18,6 @@ from rhi.contract.layout import accepts, compare_layouts
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, kept_if_filled
 from rhi.device.resources.locks import Lock
-from rhi.errors import refuse
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -56,10 +55,10 @@ class Buffer(Resource):
         label: str = "",
     ) -> None:
         if dtype.hasobject or dtype.itemsize == 0:
-            refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
+            core.refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
         size = count * dtype.itemsize
         if not 0 < size < MAX_BYTES:
-            refuse(
+            core.refuse(
                 BUFFER_SIZE,
                 "device.buffer",
                 f"{count} elements of {dtype.itemsize} bytes",
@@ -133,7 +132,7 @@ class Buffer(Resource):
         core.check_open()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
-            refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
+            self.core.refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
         core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
 
     def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
@@ -145,11 +144,11 @@ class Buffer(Resource):
         size = self.size - offset if size is None else size
         for buffer, start in ((self, offset), (target, target_offset)):
             if start < 0 or size <= 0 or start + size > buffer.size:
-                refuse(
+                self.core.refuse(
                     BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
                 )
         if target is self and abs(offset - target_offset) < size:
-            refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
+            self.core.refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
         core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
 
     def _check(self, call: str) -> None:
@@ -163,14 +162,16 @@ class Buffer(Resource):
             given = f"shape {array.shape} of {array.dtype}"
             if base.names:
                 given = compare_layouts(base, array.dtype)
-            refuse(BUFFER_DTYPE, call, given, str(self.dtype))
+            self.core.refuse(BUFFER_DTYPE, call, given, str(self.dtype))
         return np.ascontiguousarray(array).reshape(-1, *shape)
 
     def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
         self._check(call)
         count = self.count - first if count is None else count
         if first < 0 or count < 0 or first + count > self.count:
-            refuse(BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
+            self.core.refuse(
+                BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements"
+            )
         return first, count
 
     def _upload(self, array: NDArray[Any], first: int) -> None:
@@ -202,15 +203,16 @@ class UniformBuffer(UniformRange[T], Resource):
 
     def __init__(self, core: Core, value: Any, label: str = "") -> None:
         layout = type(value)
-        data = value.to_bytes()
-        owner = Buffer(core, 1, layout.uniform_dtype, label=label or layout.__name__)
+        with core.refusals:  # a struct may have no layout in memory
+            data, dtype = value.to_bytes(), layout.uniform_dtype
+        owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
         with kept_if_filled(owner):
             owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
         """Replace the constants; ordered after the draws before."""
-        check_struct(value, self.type, "UniformBuffer.write")
+        check_struct(self.owner.core, value, self.type, "UniformBuffer.write")
         self.owner._check("UniformBuffer.write")
         self.owner._upload_bytes(value.to_bytes(), 0)  # type: ignore[attr-defined]
 
@@ -231,9 +233,11 @@ class UniformArray(Resource, Generic[T]):
 
     def __init__(self, core: Core, struct: Any, count: int, label: str = "") -> None:
         self.type = struct
-        self.dtype = aligned_dtype(struct.uniform_dtype, core.capabilities.uniform_alignment)
+        with core.refusals:  # a struct may have no layout in memory
+            uniform_dtype = struct.uniform_dtype
+        self.dtype = aligned_dtype(uniform_dtype, core.capabilities.uniform_alignment)
         self.buffer = Buffer(core, count, self.dtype, label=label or f"{struct.__name__}[]")
-        stride, size = self.dtype.itemsize, struct.uniform_dtype.itemsize
+        stride, size = self.dtype.itemsize, uniform_dtype.itemsize
         self._ranges: list[UniformRange[T]] = [
             UniformRange(self.buffer.id, offset, size, struct, self.buffer)
             for offset in range(0, count * stride, stride)
@@ -251,7 +255,7 @@ class UniformArray(Resource, Generic[T]):
         Raises:
             ValidationError: `layout-mismatch` with both layouts when the dtype is not `dtype`.
         """
-        self.buffer.write(match_layout(rows, self.dtype, "UniformArray.write"), first)
+        self.buffer.write(match_layout(self.buffer.core, rows, self.dtype, "UniformArray.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
@@ -282,7 +286,7 @@ class StorageBuffer(StorageRange[T], Resource):
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on; `layout-mismatch` when the dtype is not `dtype`."""
-        self._typed().write(match_layout(rows, self.dtype, "StorageBuffer.write"), first)
+        self._typed().write(match_layout(self.owner.core, rows, self.dtype, "StorageBuffer.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
@@ -298,7 +302,7 @@ class StorageBuffer(StorageRange[T], Resource):
 
     def _typed(self) -> Buffer:
         if self.owner.dtype != self.dtype:
-            refuse(
+            self.owner.core.refuse(
                 BUFFER_DTYPE,
                 "StorageBuffer",
                 str(self.owner.dtype),
@@ -321,17 +325,17 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
-def match_layout(array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
+def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
     """The array as one of the layout's dtype; refuses another layout, with both side by side."""
     given = np.asarray(array)
     base, shape = expected.subdtype or (expected, ())
     if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
         table = compare_layouts(base, given.dtype)
-        refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
+        core.refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
 
-def check_struct(value: object, expected: object, call: str) -> None:
+def check_struct(core: Core, value: object, expected: object, call: str) -> None:
     if type(value) is not expected:
         name = getattr(expected, "__name__", str(expected))
-        refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")
+        core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")

@@ -102,9 +102,9 @@ def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorde
         yield from _unpack(bindings)
     find = (
         "try:",
-        f"    _draw = {'_program.calls[_mesh]' if recorded else '_mesh.calls[_program]'}",
+        f"    _draw = {'_program.prepared_draws[_mesh]' if recorded else '_mesh.prepared_draws[_program]'}",
         "except KeyError:",
-        "    _draw = _program.attach(_mesh)",
+        "    _draw = _program.prepare_draw(_mesh)",
         "if _instances != 1:",
         "    _instances = _program.check_instances(_instances)",
     )

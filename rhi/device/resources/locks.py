@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Access
 from rhi.device.core.core import Owner, describe
-from rhi.errors import refuse
 from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
 
 __rhi_internal__ = True
@@ -46,9 +45,9 @@ class Lock:
         owner, core = self._owner, self._owner.core
         core.check_open()
         if owner.destroyed:
-            refuse(RESOURCE_DESTROYED, "lock", describe(owner))
+            core.refuse(RESOURCE_DESTROYED, "lock", describe(owner))
         if owner in core.locked:
-            refuse(LOCK_TWICE, "lock", describe(owner))
+            core.refuse(LOCK_TWICE, "lock", describe(owner))
         array = self._read() if self._access.reads else self._make()
         array.flags.writeable = self._access.writes
         core.locked.append(owner)
@@ -61,7 +60,7 @@ class Lock:
     ) -> None:
         array, self._array = self._array, None
         if array is None:
-            refuse(LOCK_CLOSED, "lock", "a lock that is not open")
+            self._owner.core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
         self._owner.core.locked.remove(self._owner)
         if kind is None and self._access.writes and not self._owner.destroyed:
             self._write(array)

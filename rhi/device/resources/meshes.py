@@ -9,7 +9,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 from weakref import WeakSet
 
@@ -29,10 +29,10 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
-from rhi.device.core.core import Core
+from rhi.device.core.core import Core, Owner
 from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.lifetime import Resource
-from rhi.errors import Rule, refuse
+from rhi.errors import Rule
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
 __rhi_internal__ = True
@@ -47,7 +47,7 @@ _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat
 class MeshData:
     """The buffers of a mesh; shared by its views."""
 
-    __slots__ = ("core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
+    __slots__ = ("buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
                  "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
@@ -59,12 +59,12 @@ class MeshData:
         # Everything is checked before the first buffer is made, so that a refusal leaves nothing behind.
         if isinstance(vertices, np.integer):
             vertices = int(vertices)
-        vertex_array = None if isinstance(vertices, int) else _structured(vertices, call)
+        vertex_array = None if isinstance(vertices, int) else _structured(core, vertices, call)
         if isinstance(vertices, int) and vertices < 1:
-            refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
+            core.refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
         self.vertex_count = vertices if isinstance(vertices, int) else _length(vertex_array)
-        instance_array = None if instances is None else _structured(instances, call)
-        index_array = _index_source(indices, self.vertex_count, call)
+        instance_array = None if instances is None else _structured(core, instances, call)
+        index_array = _index_source(core, indices, self.vertex_count, call)
         self.core = core
         self.label = label
         self.owned: list[Buffer] = []
@@ -87,12 +87,10 @@ class MeshData:
             self.index_count = self.index_buffer.count
         self.vertex_arrays: dict[object, Id] = {}
         self.views: WeakSet[Mesh] = WeakSet()
+        sources = (self.vertices, self.instances, self.index_buffer)
+        self.buffers = tuple(buffer for buffer in sources if buffer is not None)
         for buffer in self.buffers:
             buffer.dependents.append(self._forget)
-
-    @property
-    def buffers(self) -> tuple[Buffer, ...]:
-        return tuple(b for b in (self.vertices, self.instances, self.index_buffer) if b is not None)
 
     def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
         if isinstance(source, Buffer):
@@ -102,21 +100,25 @@ class MeshData:
         buffer.write(source)
         return buffer
 
-    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
-        """The vertex array of this mesh for a program's inputs; made at the first draw of the pair.
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
+        """Create the vertex array of this mesh for a program's inputs; called at the first draw of the pair.
 
         It is kept under `key`, the `Program`: ids of two devices may be the same, programs can't.
 
         Raises:
             ValidationError: `mesh-attribute` when a field is missing or of a type the stage can't read.
         """
-        descriptor = self.describe(program, name, attributes)
+        descriptor = self.describe_vertex_array(program, name, attributes)
         vertex_array = self.core.new_id()
         self.core.backend.create_vertex_array(vertex_array, descriptor)
         self.vertex_arrays[key] = vertex_array
         return vertex_array
 
-    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> VertexArrayDescriptor:
+    def describe_vertex_array(
+        self, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> VertexArrayDescriptor:
         """How a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
         streams = []
         remaining = {attribute.name: attribute for attribute in attributes}
@@ -140,7 +142,9 @@ class MeshData:
                 field for b in (self.vertices, self.instances) if b for field in b.dtype.names or ()
             )
             need = ", ".join(f"{a.name}: {a.type}" for a in attributes)
-            refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}")
+            self.core.refuse(
+                MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}"
+            )
         return VertexArrayDescriptor(
             program, tuple(streams), self.index_buffer.id if self.index_buffer else 0, self.index_format
         )
@@ -156,7 +160,7 @@ class MeshData:
         # A vector may be fed with more components than it reads, never with fewer.
         form = _FORMATS.get((code, given, normalized))
         if form is None or form.components < components or (form.kind != scalar):
-            refuse(
+            self.core.refuse(
                 MESH_ATTRIBUTE,
                 f"draw of program {program!r}",
                 f"{attribute.name} as {given}×{code}",
@@ -167,7 +171,7 @@ class MeshData:
 
     def _forget(self) -> None:
         for view in self.views:
-            view.calls.clear()
+            view.prepared_draws.clear()
         for vertex_array in self.vertex_arrays.values():
             self.core.timeline.retire(vertex_array)
         self.vertex_arrays.clear()
@@ -182,25 +186,59 @@ def _shown(form: VertexFormat) -> str:
     return f"{form.components}×{form.code}{' normalised' if form.normalized else ''}"
 
 
-class Mesh(Resource):
-    """What a draw reads its vertices from; made by `device.mesh`.
+class Drawable:
+    """Vertices that a draw can read: a `Mesh`, or a `TransientMesh`.
 
     Attributes:
-        primitive, first, count, base_vertex, base_instance: what a draw of it draws. `first` and `count`
-            are in indices for an indexed mesh, in vertices otherwise. Not to be changed.
-        calls: the draws that programs have prepared, as functions of the number of instances.
+        primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in indices
+            for an indexed mesh, in vertices otherwise. Read-only.
+        buffers: the resources that a draw reads, which must be usable.
+        vertex_arrays: the vertex array for each program that has drawn this.
+        prepared_draws: by program, the prepared draw as a function of the number of instances.
     """
 
     __slots__ = (
         "__weakref__",
         "base_instance",
         "base_vertex",
-        "calls",
+        "buffers",
         "count",
-        "data",
         "first",
+        "prepared_draws",
         "primitive",
+        "vertex_arrays",
     )
+
+    def __init__(
+        self,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
+        base_instance: int,
+        buffers: Sequence[Owner],
+        vertex_arrays: dict[object, Id],
+    ) -> None:
+        self.primitive = primitive
+        self.first = first
+        self.count = count
+        self.base_vertex = base_vertex
+        self.base_instance = base_instance
+        self.buffers = buffers
+        self.vertex_arrays = vertex_arrays
+        self.prepared_draws: dict[object, Callable[[int], object]] = {}
+
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
+        """Create the vertex array for a program's inputs and keep it in `vertex_arrays`; see `MeshData`."""
+        raise NotImplementedError
+
+
+class Mesh(Drawable, Resource):
+    """Vertices with optional indices and per-instance data, or a part of them; created by `device.mesh`."""
+
+    __slots__ = ("data",)
 
     def __init__(
         self,
@@ -211,14 +249,16 @@ class Mesh(Resource):
         base_vertex: int = 0,
         base_instance: int = 0,
     ) -> None:
+        super().__init__(
+            primitive, first, count, base_vertex, base_instance, data.buffers, data.vertex_arrays
+        )
         self.data = data
-        self.calls: dict[object, Callable[[int], object]] = {}
         data.views.add(self)
-        self.primitive = primitive
-        self.first = first
-        self.count = count
-        self.base_vertex = base_vertex
-        self.base_instance = base_instance
+
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
+        return self.data.create_vertex_array(key, program, name, attributes)
 
     @property
     def vertex_count(self) -> int:
@@ -272,13 +312,13 @@ class Mesh(Resource):
         Raises:
             ValidationError: `mesh-range` when it reaches beyond the indices or vertices.
         """
-        total = self.element_count
+        core, total = self.data.core, self.element_count
         count = total - first if count is None else count
         if first < 0 or count < 0 or first + count > total or base_instance < 0:
             given = f"first {first}, count {count}, base instance {base_instance}"
-            refuse(MESH_RANGE, "Mesh.view", given, f"within {total} elements, base instance 0 or more")
+            core.refuse(MESH_RANGE, "Mesh.view", given, f"within {total} elements, base instance 0 or more")
         if not self.is_indexed and base_vertex:
-            refuse(MESH_RANGE, "Mesh.view", f"base vertex {base_vertex}", "0 for a mesh without indices")
+            core.refuse(MESH_RANGE, "Mesh.view", f"base vertex {base_vertex}", "0 for a mesh without indices")
         return Mesh(self.data, primitive or self.primitive, first, count, base_vertex, base_instance)
 
     def draws(
@@ -295,11 +335,12 @@ class Mesh(Resource):
         Returns:
             (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
         """
+        core = self.data.core
         count = self.element_count if count is None else count
         parts = np.broadcast_arrays(first, count, instances, base_vertex, base_instance)
         first, count, instances, base_vertex, base_instance = (np.atleast_1d(part) for part in parts)
         if len(first) and (first.min() < 0 or count.min() < 0 or (first + count).max() > self.element_count):
-            refuse(
+            core.refuse(
                 MESH_RANGE,
                 "Mesh.draws",
                 "first + count beyond the mesh",
@@ -311,7 +352,7 @@ class Mesh(Resource):
         if self.is_indexed:
             draws["base_vertex"] = base_vertex
         elif np.any(base_vertex):
-            refuse(MESH_RANGE, "Mesh.draws", "a base vertex", "0 for a mesh without indices")
+            core.refuse(MESH_RANGE, "Mesh.draws", "a base vertex", "0 for a mesh without indices")
         return draws
 
     def destroy(self) -> None:
@@ -320,51 +361,55 @@ class Mesh(Resource):
         self.data.core.program = None
 
 
-def check_draws(mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
+def check_draws(core: Core, mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
     """The draws as a contiguous array of the mesh's kind; refuses another dtype or one out of range."""
     expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
     array = np.asarray(draws)
     if array.dtype != expected or array.ndim != 1:
-        refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
+        core.refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
     if len(array):
         last = int((array["first"].astype(np.int64) + array["count"]).max())
         if last > mesh.element_count:
-            refuse(MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements")
+            core.refuse(
+                MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements"
+            )
     return np.ascontiguousarray(array)
 
 
-def _structured(source: VertexSource, call: str) -> NDArray[Any] | Buffer:
+def _structured(core: Core, source: VertexSource, call: str) -> NDArray[Any] | Buffer:
     if isinstance(source, Buffer):
         if not source.dtype.names:
-            refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
+            core.refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
         return source
-    array = _interleave(source, call) if isinstance(source, Mapping) else np.asarray(source)
+    array = _interleave(core, source, call) if isinstance(source, Mapping) else np.asarray(source)
     if not array.dtype.names:
         tip = (
             'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
         )
-        refuse(MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
+        core.refuse(
+            MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip
+        )
     if array.ndim != 1 or not len(array):
-        refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
-    check_finite(array, MESH_DATA, call)
+        core.refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
+    check_finite(core, array, MESH_DATA, call)
     return array
 
 
-def check_finite(vertices: NDArray[Any], rule: Rule, call: str) -> None:
+def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> None:
     """Refuse a structured array with a NaN or infinity in it."""
     for name in vertices.dtype.names or ():
         values = vertices[name]
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             bad = int(np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))[0])
-            refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
+            core.refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
 
 
-def _interleave(arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:
+def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:
     columns = {name: np.asarray(values) for name, values in arrays.items()}
     lengths = {len(values) if values.ndim else 0 for values in columns.values()}
     if len(lengths) != 1:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
-        refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
+        core.refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
     # Doubles are what NumPy makes by default and no vertex stage reads: they become float32.
     types = [
         (name, np.float32 if values.dtype == np.float64 else values.dtype, values.shape[1:])
@@ -383,18 +428,18 @@ def _length(source: NDArray[Any] | Buffer | None) -> int:
 
 
 def _index_source(
-    source: NDArray[Any] | Buffer | None, vertices: int, call: str
+    core: Core, source: NDArray[Any] | Buffer | None, vertices: int, call: str
 ) -> NDArray[Any] | Buffer | None:
     if source is None:
         return None
     if isinstance(source, Buffer):
         if source.dtype not in (np.dtype("u2"), np.dtype("u4")):
-            refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
+            core.refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
         return source
-    return match_indices(source, vertices, call)
+    return match_indices(core, source, vertices, call)
 
 
-def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
+def match_indices(core: Core, source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
     """Indices of any integer dtype as (n,) uint16 or uint32.
 
     Raises:
@@ -402,7 +447,7 @@ def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any
     """
     array = np.asarray(source)
     if array.dtype.kind not in "iu" or not array.size:
-        refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
+        core.refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
     array = array.reshape(-1)
     code = array.dtype if array.dtype in (np.dtype("u2"), np.dtype("u4")) else np.dtype("u4")
     restart = np.iinfo(code).max
@@ -411,7 +456,7 @@ def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any
         inside |= array == restart
     if not inside.all():
         bad = int(np.flatnonzero(~inside)[0])
-        refuse(
+        core.refuse(
             MESH_INDEX,
             call,
             f"index {array[bad]} at {bad}",

@@ -19,9 +19,8 @@ from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
 from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe
 from rhi.device.resources.draw_code import MISSING, make, write
-from rhi.device.resources.meshes import Mesh
+from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
-from rhi.errors import refuse
 from rhi.errors.rules import (
     BINDING_MISSING,
     BINDING_NAME,
@@ -68,7 +67,7 @@ class Program(Generic[P]):
         "recorded_code",
     )
 
-    draw_with: Callable[[Mesh, int, dict[str, Any]], None]
+    draw_with: Callable[[Drawable, int, dict[str, Any]], None]
     """`draw` with the bindings in a dictionary: `draw_with(mesh, instances, bindings)`."""
 
     bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
@@ -76,7 +75,7 @@ class Program(Generic[P]):
 
     if TYPE_CHECKING:
 
-        def draw(self, mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
+        def draw(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
             """Draw `mesh`; the same as `device.draw(program, mesh, …)` with one call less."""
 
     def __init__(self, core: Core, descriptor: ProgramDescriptor) -> None:
@@ -114,21 +113,21 @@ class Program(Generic[P]):
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
-    def ready_to_draw(self, mesh: Mesh) -> None:
+    def ready_to_draw(self, mesh: Drawable) -> None:
         """What must hold before any draw of this program."""
         core = self.core
         call = f"draw of program {self.name!r}"
         core.check_open()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
-            refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
+            self.core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
         if core.render_pass is None:
-            refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
-        for buffer in mesh.data.buffers:
+            self.core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+        for buffer in mesh.buffers:
             core.check_usable(buffer, call)
         for output, kind in zip(self.descriptor.outputs, core.target_kinds, strict=False):
             if output.kind != kind:
-                refuse(
+                self.core.refuse(
                     PROGRAM_OUTPUT,
                     call,
                     f"{output.name}: {output.kind}",
@@ -142,9 +141,9 @@ class Program(Generic[P]):
         core.check_open()
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
-            refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
+            self.core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
         if core.render_pass is not None:
-            refuse(PASS_OPEN, call, "an open render pass")
+            self.core.refuse(PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
         """Make this program the current one; while something is locked none is, so that all is checked."""
@@ -152,13 +151,13 @@ class Program(Generic[P]):
         core.backend.bind_program(self.id)
         core.program = None if core.locked else self
 
-    def attach(self, mesh: Mesh) -> Callable[[int], object]:
-        """The draw of a mesh that this program hasn't drawn yet, kept with the mesh."""
-        call = mesh.calls[self] = self.prepare(mesh)
-        return call
+    def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
+        """Prepare the draw of a mesh that this program has not drawn yet, and keep it with the mesh."""
+        draw = mesh.prepared_draws[self] = self._make_draw(mesh)
+        return draw
 
-    def prepare(self, mesh: Mesh) -> Callable[[int], object]:
-        """The draw of a mesh as a function of the number of instances."""
+    def _make_draw(self, mesh: Drawable) -> Callable[[int], object]:
+        """Return the draw of a mesh as a function of the number of instances."""
         self.ready_to_draw(mesh)
         return self.core.prepare_draw(
             self.id,
@@ -170,12 +169,12 @@ class Program(Generic[P]):
             mesh.base_instance,
         )
 
-    def find_vertex_array(self, mesh: Mesh) -> Id:
-        """What this program reads its vertices through, made when a mesh is first drawn."""
-        made = mesh.data.vertex_arrays.get(self)
-        return made or mesh.data.attach(self, self.id, self.name, self.descriptor.attributes)
+    def find_vertex_array(self, mesh: Drawable) -> Id:
+        """Return the vertex array through which this program reads a mesh, creating it on first use."""
+        known = mesh.vertex_arrays.get(self)
+        return known or mesh.create_vertex_array(self, self.id, self.name, self.descriptor.attributes)
 
-    def draw_unprepared(self, mesh: Mesh, instances: int) -> None:
+    def draw_unprepared(self, mesh: Drawable, instances: int) -> None:
         """The draw itself, all of its arguments given now."""
         self.core.backend.draw(
             self.find_vertex_array(mesh),
@@ -192,7 +191,7 @@ class Program(Generic[P]):
         binding = self.descriptor.bindings[index]
         call = f"{binding.name}= of program {self.name!r}"
         if value is MISSING or value is None:
-            refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
+            self.core.refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
         match binding.kind:
             case BindingKind.UNIFORM | BindingKind.STORAGE:
                 self._check_range(binding, value, call)
@@ -205,7 +204,7 @@ class Program(Generic[P]):
         fits = isinstance(value, _RANGES[binding.kind])
         if not fits or value.type is not binding.type:
             tip = "" if isinstance(value, UniformRange | StorageRange) else _how_to_make(binding)
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
+            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
         self.core.check_usable(value.owner, call)
         limits = self.core.capabilities
         uniform = binding.kind is BindingKind.UNIFORM
@@ -213,29 +212,32 @@ class Program(Generic[P]):
         alignment = limits.uniform_alignment if uniform else limits.storage_alignment
         if not binding.size <= value.size <= most or value.offset % alignment:
             allowed = f"{binding.size} to {most} bytes at a multiple of {alignment}"
-            refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
+            self.core.refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
 
     def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
         wanted: Any = binding.type
         if texture.samples != 1:
-            refuse(BINDING_TYPE, call, f"{texture!r} of {texture.samples} samples", "a single-sampled texture",
-                   "resolve it first: texture.resolve_to(…)")  # fmt: skip
+            given, tip = (
+                f"{texture!r} of {texture.samples} samples",
+                "resolve it first: texture.resolve_to(…)",
+            )
+            self.core.refuse(BINDING_TYPE, call, given, "a single-sampled texture", tip)
         if texture.kind is not wanted.kind:
-            refuse(BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
         compares = self.core.sampler_descriptors[value.sampler].compare is not None
         if wanted.compare != compares:
             tip = "use texture.sampled(SamplerDescriptor(compare=…))" if wanted.compare else ""
-            refuse(BINDING_TYPE, call, "a sampler that compares" if compares else "a sampler that does not compare",
-                   _wanted(binding), tip)  # fmt: skip
+            given = "a sampler that compares" if compares else "a sampler that does not compare"
+            self.core.refuse(BINDING_TYPE, call, given, _wanted(binding), tip)
         if wanted.compare and not texture.format.is_depth:
-            refuse(BINDING_TYPE, call, texture.format.name, "a depth format")
+            self.core.refuse(BINDING_TYPE, call, texture.format.name, "a depth format")
         if shader_kind(texture.format) != str(wanted.scalar):
-            refuse(
+            self.core.refuse(
                 BINDING_TYPE,
                 call,
                 f"{texture.format.name}, read as {shader_kind(texture.format)}",
@@ -244,25 +246,25 @@ class Program(Generic[P]):
 
     def _check_image(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, ImageBinding) or not isinstance(value.owner, Texture):
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
+            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
         wanted: Any = binding.type
         if texture.format is not wanted.format or texture.samples != 1:
-            refuse(BINDING_TYPE, call, repr(texture), _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, repr(texture), _wanted(binding))
         kind = TextureKind.D2 if value.layer is not None else texture.kind
         if kind is not wanted.kind:
-            refuse(BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
 
     def _check_feedback(self, texture: Texture, call: str) -> None:
         if texture.id in self.core.targets:
-            refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
+            self.core.refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
     def raise_for(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
         """Turn a Python error of the generated functions into the rule that was broken."""
-        if mesh is not None and not isinstance(mesh, Mesh):
-            refuse(
+        if mesh is not None and not isinstance(mesh, Drawable):
+            self.core.refuse(
                 DEVICE_ARGUMENT,
                 f"draw of program {self.name!r}",
                 repr(mesh),
@@ -279,15 +281,15 @@ class Program(Generic[P]):
         call = f"draw of program {self.name!r}"
         shown = ", ".join(sorted(wanted)) or "no bindings"
         if names - wanted:
-            refuse(BINDING_UNKNOWN, call, ", ".join(sorted(names - wanted)), shown)
+            self.core.refuse(BINDING_UNKNOWN, call, ", ".join(sorted(names - wanted)), shown)
         if wanted - names:
-            refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
+            self.core.refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
     def check_instances(self, instances: Any) -> int:
         """Instances as an int; refuse what is no number of them."""
         if not isinstance(instances, (int, np.integer)) or not 0 <= instances < 1 << 31:
             given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
-            refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
+            self.core.refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
         return int(instances)
 
 
@@ -336,27 +338,29 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     for kind, most in room.items():
         used = sum(binding.kind is kind for binding in descriptor.bindings)
         if used > most:
-            refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
+            core.refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
     if len(descriptor.attributes) > limits.max_vertex_attributes:
-        refuse(
+        core.refuse(
             DEVICE_CAPABILITY,
             call,
             f"{len(descriptor.attributes)} attributes",
             f"at most {limits.max_vertex_attributes}",
         )
     if Stage.VERTEX in descriptor.stages and not limits.draws:
-        refuse(DEVICE_CAPABILITY, call, _stages(descriptor), "a compute program: needs capabilities.draws")
+        core.refuse(
+            DEVICE_CAPABILITY, call, _stages(descriptor), "a compute program: needs capabilities.draws"
+        )
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = descriptor.work_group
         most_x, most_y, most_z = limits.max_work_group
         total = limits.max_work_group_invocations
         if not limits.compute or x > most_x or y > most_y or z > most_z or x * y * z > total:
-            refuse(
+            core.refuse(
                 DEVICE_CAPABILITY, call, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
             )
         if descriptor.shared_bytes > limits.max_shared_bytes:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
-            refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+            core.refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
     for binding in descriptor.bindings:
         if binding.name == "self" or keyword.iskeyword(binding.name):
-            refuse(BINDING_NAME, call, binding.name, "what can be the keyword of a draw")
+            core.refuse(BINDING_NAME, call, binding.name, "what can be the keyword of a draw")

@@ -28,7 +28,6 @@ from rhi.contract.formats import Format
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
-from rhi.errors import refuse
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     TEXTURE_DATA,
@@ -173,7 +172,7 @@ class Texture(TextureBinding, Resource):
         """One layer's stencil values: (height, width) uint8. Waits."""
         call = "Texture.read_stencil"
         if not self.format.has_stencil:
-            refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
+            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
         stencil: NDArray[np.uint8] = self._read(call, level, self._region(call, level, layer, region), True)
         return stencil[0, :, :, 0]
 
@@ -188,7 +187,7 @@ class Texture(TextureBinding, Resource):
         call = "Texture.write"
         self._check(call, level, layer)
         if self.format.is_depth:
-            refuse(
+            self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
             )
         self._check_single_sample(call)
@@ -200,7 +199,7 @@ class Texture(TextureBinding, Resource):
             array = array[None]
         if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != channels:
             allowed = f"(height, width, {channels}) of {self.format.dtype}"
-            refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
+            self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
         region = Region(x, y, width, height, layer, layers)
         self._check_region(call, level, region)
@@ -218,7 +217,7 @@ class Texture(TextureBinding, Resource):
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
         if self.format.is_depth or self.format.is_integer:
-            refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
+            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
             core.backend.generate_mipmaps(self.id)
 
@@ -246,15 +245,17 @@ class Texture(TextureBinding, Resource):
         self._check_region(call, level, source_region, core)
         target._check(call, target_level, layer, core)
         if target.format is not self.format:
-            refuse(TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats")
+            self.core.refuse(
+                TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats"
+            )
         if target.samples != 1 or self.samples != 1:
-            refuse(
+            self.core.refuse(
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "1", "use resolve_to"
             )
         end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
         target._check_region(call, target_level, end, core)
         if target is self and level == target_level and _overlap(source_region, end):
-            refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+            self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def resolve_to(self, target: Texture) -> None:
@@ -267,20 +268,20 @@ class Texture(TextureBinding, Resource):
         self._check(call, core=core)
         target._check(call, core=core)
         if self.samples == 1 or target.samples != 1:
-            refuse(
+            self.core.refuse(
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "several samples to 1"
             )
         has_average = not (self.format.is_depth or self.format.is_integer)
         if self.format is not target.format or self.size != target.size or not has_average:
             allowed = "a color format that is no integer, equal in both, and equal sizes"
-            refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+            self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """`with texture.lock(Access.WRITE) as texels:` gives (height, width, channels), top row first."""
         call = "Texture.lock"
         if self.format.is_depth and access.writes:
-            refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
+            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self._check_single_sample(call)
         where = self._region(call, level, layer, region)
         return Lock(
@@ -298,14 +299,14 @@ class Texture(TextureBinding, Resource):
         core.check_open()
         core.check_usable(self, call)
         if not 0 <= level < self.levels:
-            refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
+            self.core.refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
         layers = self.descriptor.level_layers(level)
         if not 0 <= layer < layers:
-            refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
+            self.core.refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
 
     def _check_single_sample(self, call: str) -> None:
         if self.samples != 1:
-            refuse(
+            self.core.refuse(
                 TEXTURE_SAMPLES,
                 call,
                 f"{self.samples} samples",
@@ -326,7 +327,7 @@ class Texture(TextureBinding, Resource):
             and region.layer + region.layers <= layers
         )
         if not inside:
-            refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
+            self.core.refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
 
     def _whole(self, level: int, core: Core) -> Region:
         self._check("Texture", level, core=core)
@@ -368,34 +369,38 @@ def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     limits = core.capabilities
     width, height = descriptor.size
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
-        refuse(TEXTURE_SIZE, call, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
+        core.refuse(TEXTURE_SIZE, call, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
     if descriptor.format in limits.unsupported_formats:
-        refuse(DEVICE_CAPABILITY, call, descriptor.format.name, "not among capabilities.unsupported_formats")
+        core.refuse(
+            DEVICE_CAPABILITY, call, descriptor.format.name, "not among capabilities.unsupported_formats"
+        )
     kind, layers = descriptor.kind, descriptor.layers
     allowed_layers = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
         kind, (1, limits.max_texture_layers)
     )
     if not allowed_layers[0] <= layers <= allowed_layers[1]:
-        refuse(
+        core.refuse(
             TEXTURE_SIZE,
             call,
             f"{layers} layers of {kind.name}",
             f"{allowed_layers[0]} to {allowed_layers[1]}",
         )
     if kind is TextureKind.CUBE and width != height:
-        refuse(TEXTURE_SIZE, call, f"a cube of {width}×{height}", "square faces")
+        core.refuse(TEXTURE_SIZE, call, f"a cube of {width}×{height}", "square faces")
     most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
     if not 1 <= descriptor.levels <= most:
-        refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
+        core.refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
     samples = descriptor.samples
     if samples not in (1, 2, 4, 8) or samples > limits.max_samples:
-        refuse(TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}")
+        core.refuse(
+            TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}"
+        )
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
-        refuse(
+        core.refuse(
             TEXTURE_SAMPLES,
             call,
             f"{samples} samples, {descriptor.levels} levels, {kind.name}",
             "2D, one level",
         )
     if descriptor.format.is_depth and kind is TextureKind.D3:
-        refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")
+        core.refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")
