@@ -42,6 +42,7 @@ from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
 from rhi.device.resources.buffers import Buffer, StorageBuffer
+from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import Arena, TransientMemory
@@ -151,18 +152,19 @@ class CommandBuffer(Encoder):
             *(["a condition"] if core.condition_open else []),
         ]
 
-    if not TYPE_CHECKING:
+    def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
+        """Draw `mesh` with `program`; see `Encoder.draw`."""
+        if self._state is not _RECORDING:
+            self._recorder.check_open()
+        try:
+            own: Program[Any] = self._programs[program]
+        except (KeyError, TypeError):
+            own = self._own(program, "commands.draw")
+        check_drawable(self._recorder, mesh, "commands.draw")
+        own.draw_with(mesh, instances, bindings)
 
-        def draw(self, program, mesh, instances=1, /, **bindings):
-            """Draw `mesh` with `program`; see `Device.draw`."""
-            if self._state is not _RECORDING:
-                self._recorder.check_open()
-            try:
-                own = self._programs[program]
-            except (KeyError, TypeError):
-                own = self._own(program, "commands.draw")
-            check_drawable(self._recorder, mesh, "commands.draw")
-            own.draw_with(mesh, instances, bindings)
+    if not TYPE_CHECKING:
+        draw = _draw  # typed by `Encoder.draw`, whose *args (always empty) would cost 80 ns a call
 
     def query(self, query: OcclusionQuery) -> QueryUse:
         """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is

@@ -49,7 +49,7 @@ from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
 from rhi.device.resources.lifetime import kept_if_filled
-from rhi.device.resources.meshes import Mesh, MeshData, VertexSource
+from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Sampler, Texture, full_levels
 from rhi.device.transient import TransientMemory
@@ -337,22 +337,14 @@ class Device(Encoder):
 
     # -- work --------------------------------------------------------------------------------------------
 
-    if not TYPE_CHECKING:
-        # Without *args, which cost 80 ns; there are none, a type checker only wants them named.
-        def draw(self, program, mesh, instances=1, /, **bindings):
-            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
+    def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
+        """Draw `mesh` with `program`; see `Encoder.draw`."""
+        if program.__class__ is not Program or program.core is not self._core:
+            self._own(program, "device.draw")
+        program.draw_with(mesh, instances, bindings)
 
-            Raises:
-                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
-                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
-            """
-            try:
-                if program.core is not self._core:
-                    self._own(program, "device.draw")
-                program.draw_with(mesh, instances, bindings)
-            except AttributeError:
-                self._own(program, "device.draw")
-                raise
+    if not TYPE_CHECKING:
+        draw = _draw  # typed by `Encoder.draw`, whose *args (always empty) would cost 80 ns a call
 
     def record(self, *, label: str = "") -> CommandBuffer:
         """`with device.record() as commands:` commands that are written down now and carried out by `submit`.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,23 +107,16 @@ class Encoder:
 
     # -- work --------------------------------------------------------------------------------------------
 
-    if TYPE_CHECKING:
+    def draw(
+        self, program: Program[P], mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
+    ) -> None:
+        """Draw `mesh` with `program`; a value for each of the program's bindings by name.
 
-        def draw(
-            self,
-            program: Program[P],
-            mesh: Drawable,
-            instances: int = 1,
-            /,
-            *args: P.args,
-            **bindings: P.kwargs,
-        ) -> None:
-            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
-
-            Raises:
-                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
-                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
-            """
+        Raises:
+            ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
+                `lock-open`, `pass-feedback`; nothing was drawn or bound then.
+        """
+        raise NotImplementedError
 
     def draw_many(
         self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
