@@ -62,9 +62,9 @@ from rhi.errors.rules import (
 
 __rhi_internal__ = True
 
-Call = tuple[Callable[..., object], tuple[Any, ...]]
+PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
-_EMPTY, _RECORDING, _READY, _SPOILED = "not recorded", "being recorded", "recorded", "cut off by an error"
+_EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "cut off by an error"
 _DEFAULTS: Final = StateVector(default_values())
 _CLOSES: Final = {
     Op.BEGIN_PASS: Op.END_PASS,
@@ -91,8 +91,8 @@ class CommandBuffer(Encoder):
         self.label = label
         self._state = _EMPTY
         self._programs: dict[Program[Any], RecordedProgram] = {}
-        self._calls: list[Call] | None = None
-        self._dead: dict[Id, str] = {}
+        self._calls: list[PreparedCall] | None = None
+        self._destroyed_uses: dict[Id, str] = {}
         self._draws = self._dispatches = self._queries = 0
         self._owned: list[Id] = []
         weakref.finalize(self, _retire, device.timeline, self._owned).atexit = False
@@ -127,7 +127,7 @@ class CommandBuffer(Encoder):
     ) -> None:
         core = self._recorder
         core.recording = False
-        self._state = _SPOILED
+        self._state = _INVALID
         left = self._find_open()
         self._programs.clear()  # with what they know of meshes
         if kind is not None:
@@ -159,17 +159,17 @@ class CommandBuffer(Encoder):
         try:
             own: Program[Any] = self._programs[program]
         except (KeyError, TypeError):
-            own = self._own(program, "commands.draw")
+            own = self._resolve_program(program, "commands.draw")
         check_drawable(self._recorder, mesh, "commands.draw")
         own.draw_with(mesh, instances, bindings)
 
     if not TYPE_CHECKING:
         draw = _draw  # typed by `Encoder.draw`, whose *args (always empty) would cost 80 ns a call
 
-    def query(self, query: OcclusionQuery) -> QueryUse:
+    def query(self, query: OcclusionQuery) -> RecordedQuery:
         """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is
         that of the latest submission."""
-        return QueryUse(self._recorder, query)
+        return RecordedQuery(self._recorder, query)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         super()._check_query_set(queries, call)
@@ -178,8 +178,8 @@ class CommandBuffer(Encoder):
                 QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
             )
 
-    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
-        self._recorder.queries[queries.id] = partial(queries.take_recorded, asked)
+    def _mark_rows_drawn(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
+        self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, asked)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
         """`with commands.conditional(query):` draws that the GPU drops if the query counted nothing.
@@ -216,7 +216,7 @@ class CommandBuffer(Encoder):
         """As `Texture.generate_mipmaps`."""
         texture._generate_mipmaps(self._recorder)
 
-    def _own(self, program: object, call: str) -> Program[Any]:
+    def _resolve_program(self, program: object, call: str) -> Program[Any]:
         core = self._recorder
         core.check_open()
         if not isinstance(program, Program):
@@ -232,15 +232,17 @@ class CommandBuffer(Encoder):
 
     def note_retired(self, resource: Id) -> None:
         """A resource of the device is gone; for `Timeline`."""
-        if resource in self._recorder.uses and resource not in self._dead:
+        if resource in self._recorder.uses and resource not in self._destroyed_uses:
             frame = find_user_frame()
-            self._dead[resource] = str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            self._destroyed_uses[resource] = (
+                str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            )
 
     def execute(self) -> None:
         """Do what was recorded; for `Device.submit`, which has checked that it can be."""
         core, device = self._recorder, self._recorder.device
         if self._calls is None:
-            self._make_resources()
+            self._create_resources()
             self._calls = self._prepare()
         device.program = None
         device.send_states(_DEFAULTS)
@@ -259,10 +261,10 @@ class CommandBuffer(Encoder):
         device.counters.queries += self._queries
         if core.queries:
             fence = device.signal()
-            for take_submission in core.queries.values():
-                take_submission(fence)
+            for mark_submitted in core.queries.values():
+                mark_submitted(fence)
 
-    def _make_resources(self) -> None:
+    def _create_resources(self) -> None:
         """What the commands need that could not be made while they were recorded. What can't be made now is tried
         again at the next submission."""
         core, device, arena = self._recorder, self._recorder.device, self._arena
@@ -284,14 +286,14 @@ class CommandBuffer(Encoder):
             data.vertex_arrays[vertex_array if program in data.vertex_arrays else program] = vertex_array
             del core.vertex_arrays[key]
 
-    def _prepare(self) -> list[Call]:
+    def _prepare(self) -> list[PreparedCall]:
         """The commands as calls."""
         device, data = self._recorder.device, self.stream.data
         backend = device.backend
         if isinstance(backend, Recorder):
             stream = self.stream
             return [(backend.pass_on, stream.entry(index)) for index in range(len(stream))]
-        calls: list[Call] = []
+        calls: list[PreparedCall] = []
         tests_alpha, program = False, 0
         methods: list[Callable[..., object]] = [getattr(backend, op.method) for op in Op]
         draws: dict[tuple[Any, ...], Callable[[int], object]] = {}
@@ -341,7 +343,7 @@ class CommandBuffer(Encoder):
         device.adopt_states(tuple(stream.context(done).states.values()))
 
 
-class QueryUse:
+class RecordedQuery:
     """`with commands.query(query):`; see there."""
 
     __slots__ = ("_core", "_query")
@@ -375,7 +377,7 @@ class QueryUse:
             core.open_query = None
             self._query.write_end(core)
             core.counters.queries += 1
-            core.queries[self._query.id] = self._query.take_submission
+            core.queries[self._query.id] = self._query.mark_submitted
 
     def abandon(self) -> None:
         """End it, as its pass ends."""
@@ -415,7 +417,7 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
                 f"a command buffer that is {buffer._state}",
                 "one whose block has ended well",
             )
-        for resource, site in buffer._dead.items():
+        for resource, site in buffer._destroyed_uses.items():
             use = core.uses[resource]
             given = f"{use.name}, destroyed at {site}, used by what was recorded at {find_site(use.code, use.offset)}"
             core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")

@@ -48,7 +48,7 @@ from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
-from rhi.device.resources.lifetime import kept_if_filled
+from rhi.device.resources.lifetime import destroy_on_error
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Sampler, Texture, full_levels
@@ -190,7 +190,7 @@ class Device(Encoder):
         if dtype is not None and array.dtype != np.dtype(dtype):
             self._core.refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
         buffer = Buffer(self._core, array.size, array.dtype, usage, label)
-        with kept_if_filled(buffer):
+        with destroy_on_error(buffer):
             buffer.write(array)
         return buffer
 
@@ -230,7 +230,7 @@ class Device(Encoder):
             Buffer(self._core, count, dtype, label=name), element, dtype
         )
         if not isinstance(source, (int, np.integer)):
-            with kept_if_filled(storage):
+            with destroy_on_error(storage):
                 storage.write(array)
         return storage
 
@@ -278,7 +278,7 @@ class Device(Encoder):
         )
         texture = Texture(self._core, descriptor)
         if data is not None:
-            with kept_if_filled(texture):
+            with destroy_on_error(texture):
                 texture.write(data)
                 if levels > 1 and not format.is_integer:
                     texture.generate_mipmaps()
@@ -340,7 +340,7 @@ class Device(Encoder):
     def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""
         if program.__class__ is not Program or program.core is not self._core:
-            self._own(program, "device.draw")
+            self._resolve_program(program, "device.draw")
         program.draw_with(mesh, instances, bindings)
 
     if not TYPE_CHECKING:

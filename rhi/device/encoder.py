@@ -19,10 +19,10 @@ from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope
 from rhi.device.immediate import Immediate
-from rhi.device.passes import Clear, RenderPass, Target
+from rhi.device.passes import Clear, RenderPass, RenderTarget
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
-from rhi.device.queries.timers import Event, Timers
+from rhi.device.queries.timers import EventScope, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer
 from rhi.device.resources.meshes import Drawable, Mesh, check_draws
 from rhi.device.resources.programs import Program
@@ -74,8 +74,8 @@ class Encoder:
 
     def render_pass(
         self,
-        color: Target | Sequence[Target] | None = None,
-        depth: Target | None = None,
+        color: RenderTarget | Sequence[RenderTarget] | None = None,
+        depth: RenderTarget | None = None,
         *,
         clear: Clear = None,
         clear_depth: float | None = None,
@@ -97,9 +97,9 @@ class Encoder:
         """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
         return self._scope(states)
 
-    def event(self, label: str) -> Event:
+    def event(self, label: str) -> EventScope:
         """`with device.event("shadows"):` a label on the commands inside and, on a device with timing on, a timer."""
-        return Event(self._core, self._timers, label)
+        return EventScope(self._core, self._timers, label)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
         """`with device.conditional(query):` draws that the GPU drops if the query counted nothing. One at a time."""
@@ -127,7 +127,7 @@ class Encoder:
         counts from `base_instance`) or `draw_index()`.
         """
         call = f"{self.NAME}.draw_many"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
         if mesh.primitive is Primitive.QUADS:
@@ -169,7 +169,7 @@ class Encoder:
                 raise; nothing was drawn, bound or forgotten then.
         """
         call = f"{self.NAME}.draw_counted"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
         if not isinstance(queries, QuerySet):
@@ -182,15 +182,15 @@ class Encoder:
         core = self._core
         asked = queries.draw(core, vertex_array, mesh.primitive, array, each)
         core.draws += len(array)
-        self._note_asked(queries, asked)
+        self._mark_rows_drawn(queries, asked)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)
         if self._core.open_query is not None:
             self._core.refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
 
-    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
-        queries.take_draws(asked)
+    def _mark_rows_drawn(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
+        queries.mark_rows_drawn(asked)
 
     def draw_indirect(
         self,
@@ -203,7 +203,7 @@ class Encoder:
     ) -> None:
         """Draw with arguments that the GPU reads from a buffer when it gets there."""
         call = f"{self.NAME}.draw_indirect"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         check_drawable(self._core, mesh, call)
         core = self._core
         buffer = underlying_buffer(arguments.buffer)
@@ -257,13 +257,13 @@ class Encoder:
         What it writes is visible to everything after it; no barrier is needed.
         """
         call = f"{self.NAME}.dispatch"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
         sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
         most = self._core.capabilities.max_dispatch
         if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
             self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
-        own.bind(own.ready_to_dispatch, None, bindings)
+        own.bind(own.check_can_dispatch, None, bindings)
         if 0 not in sizes:
             self._core.backend.dispatch(*sizes)
             self._core.dispatches += 1
@@ -279,14 +279,14 @@ class Encoder:
     ) -> None:
         """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
         call = f"{self.NAME}.dispatch_indirect"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         source = underlying_buffer(buffer)
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
             self._core.refuse(
                 INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}"
             )
-        own.bind(own.ready_to_dispatch, None, bindings)
+        own.bind(own.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1
 
@@ -295,7 +295,7 @@ class Encoder:
     ) -> Immediate[Any]:
         """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
         return Immediate(
-            self._transient, self._own(program, f"{self.NAME}.immediate"), primitive, bindings
+            self._transient, self._resolve_program(program, f"{self.NAME}.immediate"), primitive, bindings
         )  # fmt: skip
 
     @property
@@ -305,7 +305,7 @@ class Encoder:
 
     # -- inside ------------------------------------------------------------------------------------------
 
-    def _own(self, program: object, call: str) -> Program[Any]:
+    def _resolve_program(self, program: object, call: str) -> Program[Any]:
         """The program as this encoder uses it.
 
         Raises:
@@ -321,14 +321,14 @@ class Encoder:
 
     def _bind_draws(self, program: Program[Any], mesh: Drawable, bindings: dict[str, Any]) -> int:
         """Everything a draw needs but the draw itself; returns the vertex array."""
-        program.ready_to_draw(mesh)
+        program.check_can_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
-        program.bind(_is_ready, mesh, bindings)
+        program.bind(_already_checked, mesh, bindings)
         self._core.flush_states()
         return vertex_array
 
 
-def _is_ready(mesh: object) -> None:
+def _already_checked(mesh: object) -> None:
     """In place of a check that was done before."""
 
 

@@ -96,7 +96,7 @@ class Immediate(Generic[S]):
             return
         # Everything is checked before the vertices go into the ring.
         program, core = self._program, self._program.core
-        program.bind(program.ready_to_draw, EMPTY_MESH, self._bindings)
+        program.bind(program.check_can_draw, EMPTY_MESH, self._bindings)
         mesh = self._memory.place_mesh(program, array, None, self._primitive)
         core.flush_states()
         program.draw_unprepared(mesh, 1)

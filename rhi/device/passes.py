@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
-from rhi.device.core.core import Core, describe
+from rhi.device.core.core import Core, describe_object
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
 from rhi.errors.rules import (
@@ -31,7 +31,7 @@ from rhi.errors.rules import (
 __rhi_internal__ = True
 
 T = TypeVar("T")
-Target: TypeAlias = Texture | TextureTarget
+RenderTarget: TypeAlias = Texture | TextureTarget
 Color: TypeAlias = "Sequence[float] | NDArray[Any]"
 Clear: TypeAlias = "Color | Sequence[Color | None] | None"
 
@@ -46,8 +46,8 @@ class RenderPass:
     def __init__(
         self,
         core: Core,
-        color: Target | Sequence[Target] | None,
-        depth: Target | None,
+        color: RenderTarget | Sequence[RenderTarget] | None,
+        depth: RenderTarget | None,
         clear: Clear,
         clear_depth: float | None,
         clear_stencil: int | None,
@@ -55,12 +55,12 @@ class RenderPass:
         label: str,
     ) -> None:
         self._core = core
-        colors = [_target(core, t) for t in _listed(color)]
-        resolves: list[Texture | None] = list(_listed(resolve)) or [None] * len(colors)
-        depth_target = None if depth is None else _target(core, depth)
+        colors = [_as_render_target(core, t) for t in _as_list(color)]
+        resolves: list[Texture | None] = list(_as_list(resolve)) or [None] * len(colors)
+        depth_target = None if depth is None else _as_render_target(core, depth)
         self._textures = [t.texture for t in colors] + ([depth_target.texture] if depth_target else [])
         self._resolves = [texture for texture in resolves if texture is not None]
-        clears = _clears(core, clear, len(colors))
+        clears = _clear_values(core, clear, len(colors))
         self._check(colors, depth_target, resolves, clear_depth, clear_stencil)
         first = colors[0] if colors else depth_target
         assert first is not None
@@ -195,13 +195,13 @@ class RenderPass:
                        "from several samples to 1, equal size and format, no integers")  # fmt: skip
 
 
-def _listed(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:
+def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:
     if value is None:
         return []
     return list(value) if isinstance(value, (list, tuple)) else [cast("T", value)]
 
 
-def _target(core: Core, value: object) -> TextureTarget:
+def _as_render_target(core: Core, value: object) -> TextureTarget:
     if isinstance(value, TextureTarget):
         return value
     if isinstance(value, Texture):
@@ -209,12 +209,12 @@ def _target(core: Core, value: object) -> TextureTarget:
     core.refuse(
         PASS_TARGET,
         "device.render_pass",
-        f"{describe(value)} as target",
+        f"{describe_object(value)} as target",
         "a Texture or texture.at(level, layer)",
     )
 
 
-def _clears(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
+def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
     """One clear value per target from one for all, one per target, or none."""
     if clear is None:
         return [None] * count

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 
 from rhi.commands.recorder import CommandWriter
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
-from rhi.device.core.core import Core, Owner, describe
+from rhi.device.core.core import Core, Owner, describe_object
 from rhi.device.queries.occlusion import OcclusionQuery
-from rhi.device.resources.draw_code import write
+from rhi.device.resources.draw_code import compile_draw_code
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData
 from rhi.device.resources.programs import Program
 from rhi.device.transient import TransientOwner
@@ -26,7 +26,7 @@ from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
 __rhi_internal__ = True
 
 
-class Use(NamedTuple):
+class ResourceUse(NamedTuple):
     """A resource that a command buffer uses: what it is, and where it was used first."""
 
     owner: Owner
@@ -62,7 +62,7 @@ class RecordingCore(Core):
         self.sampler_descriptors = device.sampler_descriptors
         self.recording = False
         self.stream = writer.stream
-        self.uses: dict[Id, Use] = {}
+        self.uses: dict[Id, ResourceUse] = {}
         self.vertex_arrays: dict[tuple[Program[Any], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
@@ -83,7 +83,7 @@ class RecordingCore(Core):
         """As for the device, and keep in mind that it is used."""
         if isinstance(owner, TransientOwner):
             if owner.core is not self:
-                self.refuse(RECORD_TRANSIENT, call, describe(owner))
+                self.refuse(RECORD_TRANSIENT, call, describe_object(owner))
             return
         used = owner.origin if isinstance(owner, RecordedProgram) else owner
         self.device.check_usable(used, call)
@@ -94,7 +94,7 @@ class RecordingCore(Core):
         if resource not in self.uses:
             frame = find_user_frame()
             site = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
-            self.uses[resource] = Use(owner, name or describe(owner), *site)
+            self.uses[resource] = ResourceUse(owner, name or describe_object(owner), *site)
             descriptor = getattr(owner, "descriptor", None)
             if descriptor is not None and not name:
                 self.stream.assume(resource, descriptor)
@@ -119,8 +119,8 @@ class RecordedProgram(Program[Any]):
         self.destroyed = False
         self.prepared_draws: dict[Drawable, Callable[[int], object]] = {}
         if origin.recorded_code is None:
-            origin.recorded_code = write(origin.name, origin.descriptor.bindings, recorded=True)
-        self._take_code(origin.recorded_code)
+            origin.recorded_code = compile_draw_code(origin.name, origin.descriptor.bindings, recorded=True)
+        self._install_code(origin.recorded_code)
 
     def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
         draw = self.prepared_draws[mesh] = self._make_draw(mesh)

@@ -170,11 +170,13 @@ class Core:
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked or another device's."""
         if owner.core is not self:
-            self.refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe(owner))
+            self.refuse(
+                RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe_object(owner)
+            )
         if owner.destroyed:
-            self.refuse(RESOURCE_DESTROYED, call, describe(owner))
+            self.refuse(RESOURCE_DESTROYED, call, describe_object(owner))
         if owner in self.locked:
-            self.refuse(LOCK_OPEN, call, f"{describe(owner)}, which has an open lock")
+            self.refuse(LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
     def abandon_query(self) -> bool:
         """End the query that is still open as its pass ends; return whether there was one."""
@@ -283,7 +285,7 @@ class Core:
         self.states.reset_counters()
 
 
-def describe(owner: object) -> str:
+def describe_object(owner: object) -> str:
     """A resource in a message: its kind and, where it has one, its label."""
     label = getattr(owner, "label", "")
     return f"{type(owner).__name__}({label!r})" if label else f"a {type(owner).__name__}"

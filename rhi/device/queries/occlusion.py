@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
-from rhi.device.core.core import Core, describe
+from rhi.device.core.core import Core, describe_object
 from rhi.errors import DeviceError
 from rhi.errors.rules import (
     CONDITION_NESTED,
@@ -142,7 +142,7 @@ class PendingQuery(Generic[T]):
         self._answer = None
         self._state = _IDLE
 
-    def take_submission(self, fence: int) -> None:
+    def mark_submitted(self, fence: int) -> None:
         """It was asked, all before `fence`."""
         self._answer = None
         self._state = _ENDED
@@ -238,7 +238,7 @@ class OcclusionQuery(PendingQuery[int]):
     def check_usable(self, core: Core, call: str) -> None:
         """Refuse another device's query, and a destroyed one."""
         if self._core is not core:
-            core.refuse(RESOURCE_FOREIGN, call, describe(self))
+            core.refuse(RESOURCE_FOREIGN, call, describe_object(self))
         if self.destroyed:
             core.refuse(RESOURCE_DESTROYED, call, "a destroyed query")
 

@@ -1,7 +1,7 @@
 """Query sets: many occlusion queries that are asked in one call and answered as one array.
 
 - A set is a number of rows. `draw_counted` draws an array of draws, counts each into a row, and forgets what the set
-  was asked before. So a set holds the answers of one call, and a row that this call didn't ask for holds `NOT_ASKED`.
+  was asked before. So a set holds the answers of one call, and a row that this call didn't ask for holds `NOT_COUNTED`.
 - Rows are queries like any others. A backend may take them all at once (`PreparesQueries`); elsewhere, in command
   buffers and in front of a recorder, they are begun and ended one by one (`PlainQueries`), which is also what
   `PreparesQueries` has to be like.
@@ -26,7 +26,7 @@ from rhi.errors.rules import DEVICE_ARGUMENT, QUERY_ROWS
 
 __rhi_internal__ = True
 
-NOT_ASKED: Final = -1
+NOT_COUNTED: Final = -1
 """In place of the samples of a row that wasn't asked for."""
 
 
@@ -127,15 +127,15 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         core.counters.queries += len(asked)
         return asked
 
-    def take_draws(self, asked: NDArray[np.int64]) -> None:
+    def mark_rows_drawn(self, asked: NDArray[np.int64]) -> None:
         """The device was commanded to ask for these rows."""
         self._asked, self._reader = asked, self._prepared
-        self.take_submission(self._core.signal() if self.emulated and len(asked) else 0)
+        self.mark_submitted(self._core.signal() if self.emulated and len(asked) else 0)
 
-    def take_recorded(self, asked: NDArray[np.int64], fence: int) -> None:
+    def mark_rows_submitted(self, asked: NDArray[np.int64], fence: int) -> None:
         """A command buffer was carried out that asked for them, all before `fence`."""
         self._asked, self._reader = asked, self._plain(self._core)
-        self.take_submission(fence)
+        self.mark_submitted(fence)
 
     def _plain(self, core: Core) -> PlainQueries | EmulatedQueries:
         return (EmulatedQueries if self.emulated else PlainQueries)(core.backend, self._ids)
@@ -148,7 +148,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         if asked.base is self._in_order and len(asked) == len(self):
             answer = samples
         else:
-            answer = np.full(len(self), NOT_ASKED, np.int64)
+            answer = np.full(len(self), NOT_COUNTED, np.int64)
             answer[asked] = samples
         answer.flags.writeable = False
         return answer

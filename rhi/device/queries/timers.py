@@ -36,7 +36,7 @@ class TimerNode:
 
 
 @dataclass(slots=True)
-class _Running:
+class _PendingEvent:
     """An event whose time isn't known yet."""
 
     node: TimerNode
@@ -58,18 +58,18 @@ class Timers:
         self._core = core
         self.enabled = enabled
         self.latest: list[TimerNode] = []
-        self._open: list[_Running] = []
+        self._open: list[_PendingEvent] = []
         self._roots: list[TimerNode] = []
-        self._running: list[_Running] = []
-        self._frames: deque[tuple[list[TimerNode], list[_Running]]] = deque()
+        self._running: list[_PendingEvent] = []
+        self._frames: deque[tuple[list[TimerNode], list[_PendingEvent]]] = deque()
         self._free: list[Id] = []
 
     @property
     def depth(self) -> int:
         return len(self._open)
 
-    def begin(self, label: str) -> _Running:
-        event = _Running(TimerNode(label), time.perf_counter())
+    def begin(self, label: str) -> _PendingEvent:
+        event = _PendingEvent(TimerNode(label), time.perf_counter())
         if self.enabled:  # both now: what can fail comes before anything is begun
             event.begin = self._take()
             try:
@@ -84,7 +84,7 @@ class Timers:
         self._open.append(event)
         return event
 
-    def end(self, event: _Running) -> None:
+    def end(self, event: _PendingEvent) -> None:
         if not self._open or self._open[-1] is not event:
             given = f"the end of {event.node.name!r}"
             self._core.refuse(SCOPE_ORDER, "device.event", given, "the innermost open event")
@@ -130,11 +130,11 @@ class Timers:
     def _read(self, query: Id) -> int | None:
         return self._core.backend.read_query(query) if query else 0
 
-    def _release(self, running: list[_Running]) -> None:
+    def _release(self, running: list[_PendingEvent]) -> None:
         self._free.extend(query for event in running for query in (event.begin, event.end) if query)
 
 
-class Event:
+class EventScope:
     """`with device.event(label):` a label on the commands inside and, with timing on, a timer."""
 
     __slots__ = ("_core", "_label", "_running", "_timers")
@@ -143,7 +143,7 @@ class Event:
         self._core = core
         self._timers = timers
         self._label = label
-        self._running: list[_Running] = []
+        self._running: list[_PendingEvent] = []
 
     def __enter__(self) -> None:
         self._core.check_open()

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import accepts, compare_layouts
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource, kept_if_filled
+from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
@@ -207,7 +207,7 @@ class UniformBuffer(UniformRange[T], Resource):
             data, dtype = value.to_bytes(), layout.uniform_dtype
         owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
-        with kept_if_filled(owner):
+        with destroy_on_error(owner):
             owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:

@@ -46,35 +46,37 @@ class DrawCode(NamedTuple):
 
     `draw(mesh, instances=1, /, **bindings)`, `draw_with(mesh, instances, bindings)`,
     `bind(ready, mesh, bindings)` (which calls `ready(mesh)` when everything must be checked), and
-    `take_draws()`: how many draws there were since it was last asked.
+    `collect_draw_count()`: how many draws there were since it was last asked.
     """
 
     draw: Callable[..., None]
     draw_with: Callable[[Any, int, dict[str, Any]], None]
     bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
-    take_draws: Callable[[], int]
+    collect_draw_count: Callable[[], int]
 
 
-def write(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
+def compile_draw_code(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
     """The code of the functions of a program; `recorded`: of those that a command buffer uses."""
     return compile("\n".join(_source(bindings, recorded)), f"<draw of {name}>", "exec")
 
 
-def make(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
+def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
     """The functions for one `Program`."""
     scope: dict[str, Any] = {"__rhi_internal__": True, "__name__": __name__}
     exec(code, scope)
     core = program.core
     types = tuple(binding.type for binding in bindings)
-    return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object()))
+    return DrawCode(
+        *scope["make_draw_code"](core, core.backend, core.states, program, types, MISSING, object())
+    )
 
 
 def _source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
-    """The text of a function `make` that returns the fields of `DrawCode`. Names of its own start with an
+    """The text of a function `make_draw_code` that returns the fields of `DrawCode`. Names of its own start with an
     underscore and a letter, those of bindings with a letter."""
     cells = [f"_{what}_{i}" for what in ("bound", "owner") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
-    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound):"
+    yield "def make_draw_code(_core, _backend, _states, _program, _types, _missing, _unbound):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len = len  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the price of an attribute"
@@ -89,11 +91,11 @@ def _source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
     yield from _nonlocal(cells)
     yield from _unpack(bindings)
     yield from _bind(bindings, cells, ready="_ready(_mesh)", find=(), recorded=recorded)
-    yield "    def take_draws():"
+    yield "    def collect_draw_count():"
     yield "        nonlocal _draws"
     yield "        taken, _draws = _draws, 0"
     yield "        return taken"
-    yield "    return draw, draw_with, bind, take_draws"
+    yield "    return draw, draw_with, bind, collect_draw_count"
 
 
 def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool) -> Iterator[str]:
@@ -108,7 +110,7 @@ def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorde
         "if _instances != 1:",
         "    _instances = _program.check_instances(_instances)",
     )
-    yield from _bind(bindings, cells, "_program.ready_to_draw(_mesh)", find, recorded)
+    yield from _bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded)
     yield "        if _states.wanted is not _states.hardware:"
     yield "            _core.flush_states()"
     yield "        if _core.tests_alpha:"

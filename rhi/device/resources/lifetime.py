@@ -27,7 +27,7 @@ class Resource:
 
 
 @contextmanager
-def kept_if_filled(resource: Resource) -> Iterator[None]:
+def destroy_on_error(resource: Resource) -> Iterator[None]:
     """What is filled inside stays; if that fails, nobody else has a name for it, and it is given back."""
     try:
         yield

@@ -15,7 +15,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Access
-from rhi.device.core.core import Owner, describe
+from rhi.device.core.core import Owner, describe_object
 from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
 
 __rhi_internal__ = True
@@ -45,9 +45,9 @@ class Lock:
         owner, core = self._owner, self._owner.core
         core.check_open()
         if owner.destroyed:
-            core.refuse(RESOURCE_DESTROYED, "lock", describe(owner))
+            core.refuse(RESOURCE_DESTROYED, "lock", describe_object(owner))
         if owner in core.locked:
-            core.refuse(LOCK_TWICE, "lock", describe(owner))
+            core.refuse(LOCK_TWICE, "lock", describe_object(owner))
         array = self._read() if self._access.reads else self._make()
         array.flags.writeable = self._access.writes
         core.locked.append(owner)

@@ -17,8 +17,8 @@ from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
-from rhi.device.core.core import Core, describe
-from rhi.device.resources.draw_code import MISSING, make, write
+from rhi.device.core.core import Core, describe_object
+from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
 from rhi.errors.rules import (
@@ -87,14 +87,14 @@ class Program(Generic[P]):
         self.recorded_code: CodeType | None = None
         self.id = core.create_id()
         core.backend.create_program(self.id, descriptor)
-        self._take_code(write(self.name, descriptor.bindings))
+        self._install_code(compile_draw_code(self.name, descriptor.bindings))
 
-    def _take_code(self, code: CodeType) -> None:
-        made = make(code, self, self.descriptor.bindings)
+    def _install_code(self, code: CodeType) -> None:
+        made = make_draw_code(code, self, self.descriptor.bindings)
         self.draw = made.draw  # type: ignore[method-assign]
         self.draw_with = made.draw_with
         self.bind = made.bind
-        self.core.draw_counters.append(made.take_draws)
+        self.core.draw_counters.append(made.collect_draw_count)
 
     @property
     def label(self) -> str:
@@ -113,7 +113,7 @@ class Program(Generic[P]):
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
-    def ready_to_draw(self, mesh: Drawable) -> None:
+    def check_can_draw(self, mesh: Drawable) -> None:
         """What must hold before any draw of this program."""
         core = self.core
         call = f"draw of program {self.name!r}"
@@ -134,7 +134,7 @@ class Program(Generic[P]):
                     f"{kind}, as target {output.location} is",
                 )
 
-    def ready_to_dispatch(self, subject: object = None) -> None:
+    def check_can_dispatch(self, subject: object = None) -> None:
         """What must hold before any dispatch of this program."""
         core = self.core
         call = f"dispatch of program {self.name!r}"
@@ -158,7 +158,7 @@ class Program(Generic[P]):
 
     def _make_draw(self, mesh: Drawable) -> Callable[[int], object]:
         """Return the draw of a mesh as a function of the number of instances."""
-        self.ready_to_draw(mesh)
+        self.check_can_draw(mesh)
         return self.core.prepare_draw(
             self.id,
             self.find_vertex_array(mesh),
@@ -301,7 +301,7 @@ def shader_kind(form: Format) -> str:
 def _given(value: object) -> str:
     element = getattr(value, "type", None)
     shown = getattr(element, "__name__", None)
-    return f"{describe(value)}{f' of {shown}' if shown else ''}"
+    return f"{describe_object(value)}{f' of {shown}' if shown else ''}"
 
 
 def _wanted(binding: Binding) -> str:
@@ -316,9 +316,9 @@ def _how_to_make(binding: Binding) -> str:
     """The call that makes what a uniform or storage binding takes."""
     made = _type_name(binding)
     if binding.kind is BindingKind.STORAGE:
-        return f"make it with device.storage({made}, …)"
+        return f"make_draw_code it with device.storage({made}, …)"
     value = f"{made}(…)" if isinstance(binding.type, type) and issubclass(binding.type, Struct) else "…"
-    return f"make it with device.uniform({value}), or for a frame device.transient.uniform({value})"
+    return f"make_draw_code it with device.uniform({value}), or for a frame device.transient.uniform({value})"
 
 
 def _stages(descriptor: ProgramDescriptor) -> str:

@@ -95,7 +95,7 @@ def test_a_log_of_answers_knows_those_of_sets() -> None:
         for row in (0, 2):
             log.begin_query(queries.ids[row])
             log.end_query(queries.ids[row])
-        queries.take_draws(np.array([0, 2]))
+        queries.mark_rows_drawn(np.array([0, 2]))
         backend.answer_queries({queries.ids[0]: 4, queries.ids[2]: 6})
         assert queries.wait().tolist() == [4, -1, 6]
         assert log.answers.samples == {(queries.ids[0], 0): 4, (queries.ids[2], 0): 6}
