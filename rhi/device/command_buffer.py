@@ -1,18 +1,18 @@
-"""Command buffers: commands that are recorded now and carried out later, again and again (thesis 3.7.2).
+"""Command buffers: commands that are recorded once and executed later, any number of times (thesis 3.7.2).
 
-- A `CommandBuffer` is an encoder with a core of its own: states, bindings and the open pass are its own, so several
-  can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
-- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). To
-  carry it out, the hardware is brought from what it has to the defaults; afterwards the device knows what it has. So
-  state scopes don't reach across, in either direction.
-- What it holds is what to read, not what is there: buffers and textures are read when it is carried out. Only what is
-  handed to the encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives
-  as long as the command buffer.
-- While it is recorded, `rhi.device.recording` stands for the device.
-- It is told of each of its resources that is destroyed (`Timeline.watch`), and refuses to be carried out then, with
-  the lines that recorded and destroyed it.
-- The first time it is carried out, its commands become a list of calls with their arguments, draws and bindings as
-  the backend prepares them. Replaying is going through that list.
+- A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so several can
+  be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
+- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). Before
+  it is executed, the hardware is set to the default states; afterwards the device's cache adopts the states it ends
+  with. So state scopes have no effect across its border, in either direction.
+- Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to the encoder
+  itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as long as the command
+  buffer.
+- During recording, `rhi.device.recording` takes the place of the device.
+- It is notified of each of its resources that is destroyed (`Timeline.watch`). Then a submission is refused, with the
+  lines that used and destroyed the resource.
+- At the first execution, its commands become a list of calls with their arguments, with draws and bindings as
+  the backend prepares them. Later executions only iterate over that list.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ __rhi_internal__ = True
 
 PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
-_EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "cut off by an error"
+_EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "invalid after an error"
 _DEFAULTS: Final = StateVector(default_values())
 _CLOSES: Final = {
     Op.BEGIN_PASS: Op.END_PASS,
@@ -75,10 +75,10 @@ _CLOSES: Final = {
 
 
 class CommandBuffer(Encoder):
-    """Commands to be carried out later; `device.record()` makes it, its `with` block fills it.
+    """Recorded commands; created by `device.record()`, recorded in its `with` block, executed by `device.submit`.
 
-    It is an encoder like the device, without what waits or orders (reads, locks, signals, `present`). It gives
-    its memory back when the last reference to it goes.
+    It has the commands of a device, except those that wait or synchronise (reads, locks, signals, `present`). Its
+    memory is released with the last reference to it.
     """
 
     NAME = "commands"
@@ -100,7 +100,7 @@ class CommandBuffer(Encoder):
 
     @property
     def stream(self) -> CommandStream:
-        """What was recorded; `rhi.testing` takes it as it takes a device's."""
+        """The recorded commands; `rhi.testing` accepts them like those of a device."""
         return self._writer.stream
 
     def __len__(self) -> int:
@@ -129,7 +129,7 @@ class CommandBuffer(Encoder):
         core.recording = False
         self._state = _INVALID
         left = self._find_open()
-        self._programs.clear()  # with what they know of meshes
+        self._programs.clear()  # with the draws that they have prepared
         if kind is not None:
             return
         if left:
@@ -142,6 +142,7 @@ class CommandBuffer(Encoder):
         self._state = _READY
 
     def _find_open(self) -> list[str]:
+        """Return what is still open, as texts."""
         core = self._recorder
         depth = core.states.depth
         return [
@@ -164,11 +165,13 @@ class CommandBuffer(Encoder):
         own.draw_with(mesh, instances, bindings)
 
     if not TYPE_CHECKING:
-        draw = _draw  # typed by `Encoder.draw`, whose *args (always empty) would cost 80 ns a call
+        draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
 
     def query(self, query: OcclusionQuery) -> RecordedQuery:
-        """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is
-        that of the latest submission."""
+        """Record a query: `with commands.query(query):` counts the visible samples of the draws inside.
+
+        Each submission counts anew; the answer is that of the latest one.
+        """
         return RecordedQuery(self._recorder, query)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
@@ -178,25 +181,25 @@ class CommandBuffer(Encoder):
                 QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
             )
 
-    def _mark_rows_drawn(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
-        self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, asked)
+    def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
+        self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """`with commands.conditional(query):` draws that the GPU drops if the query counted nothing.
+        """Create a condition: in `with commands.conditional(query):` the GPU skips draws if the query counted nothing.
 
-        The query must be ended before this place, in the buffer or before it is submitted (`query-state`).
+        The query must have ended before, earlier in this buffer or before the submission (`query-state`).
         """
         return _RecordedConditional(self._recorder, query, inverted)
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
-        """As `Buffer.clear`."""
+        """Record a `Buffer.clear`."""
         underlying_buffer(buffer)._clear(self._recorder, value)
 
     def copy_buffer(
         self, source: Buffer | StorageBuffer[Any], target: Buffer | StorageBuffer[Any], *, size: int | None = None,
         offset: int = 0, target_offset: int = 0,
     ) -> None:  # fmt: skip
-        """As `Buffer.copy_to`."""
+        """Record a `Buffer.copy_to`."""
         underlying_buffer(source)._copy(
             self._recorder, underlying_buffer(target), size, offset, target_offset
         )
@@ -205,22 +208,22 @@ class CommandBuffer(Encoder):
         self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
         target_level: int = 0, x: int = 0, y: int = 0, layer: int = 0,
     ) -> None:  # fmt: skip
-        """As `Texture.copy_to`."""
+        """Record a `Texture.copy_to`."""
         source._copy(self._recorder, target, level, region, target_level, x, y, layer)
 
     def resolve(self, source: Texture, target: Texture) -> None:
-        """As `Texture.resolve_to`."""
+        """Record a `Texture.resolve_to`."""
         source._resolve(self._recorder, target)
 
     def generate_mipmaps(self, texture: Texture) -> None:
-        """As `Texture.generate_mipmaps`."""
+        """Record a `Texture.generate_mipmaps`."""
         texture._generate_mipmaps(self._recorder)
 
     def _resolve_program(self, program: object, call: str) -> Program[Any]:
         core = self._recorder
         core.check_open()
         if not isinstance(program, Program):
-            core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+            core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not core.device:
             core.refuse(RESOURCE_FOREIGN, call, repr(program))
         own = self._programs.get(program)
@@ -228,10 +231,10 @@ class CommandBuffer(Encoder):
             own = self._programs[program] = RecordedProgram(core, program)
         return own
 
-    # -- carrying out ------------------------------------------------------------------------------------
+    # -- execution ---------------------------------------------------------------------------------------
 
     def note_retired(self, resource: Id) -> None:
-        """A resource of the device is gone; for `Timeline`."""
+        """Keep the line that destroyed a resource of this buffer; called by `Timeline`."""
         if resource in self._recorder.uses and resource not in self._destroyed_uses:
             frame = find_user_frame()
             self._destroyed_uses[resource] = (
@@ -239,11 +242,11 @@ class CommandBuffer(Encoder):
             )
 
     def execute(self) -> None:
-        """Do what was recorded; for `Device.submit`, which has checked that it can be."""
+        """Execute the recorded commands; called by `Device.submit`, which has checked them."""
         core, device = self._recorder, self._recorder.device
         if self._calls is None:
             self._create_resources()
-            self._calls = self._prepare()
+            self._calls = self._prepare_calls()
         device.program = None
         device.send_states(_DEFAULTS)
         calls = iter(self._calls)
@@ -265,8 +268,10 @@ class CommandBuffer(Encoder):
                 mark_submitted(fence)
 
     def _create_resources(self) -> None:
-        """What the commands need that could not be made while they were recorded. What can't be made now is tried
-        again at the next submission."""
+        """Create the arena's buffer and the vertex arrays, for which recording had no backend.
+
+        If a creation fails, the next submission tries it again.
+        """
         core, device, arena = self._recorder, self._recorder.device, self._arena
         if arena.data:
             if arena.buffer not in self._owned:
@@ -282,12 +287,12 @@ class CommandBuffer(Encoder):
         for key in list(core.vertex_arrays):
             (program, data), (vertex_array, vertices) = key, core.vertex_arrays[key]
             device.backend.create_vertex_array(vertex_array, vertices)
-            # Where another buffer, or the device, has made one meanwhile, this one is kept beside it.
+            # If another command buffer or the device has created one meanwhile, this one is kept beside it.
             data.vertex_arrays[vertex_array if program in data.vertex_arrays else program] = vertex_array
             del core.vertex_arrays[key]
 
-    def _prepare(self) -> list[PreparedCall]:
-        """The commands as calls."""
+    def _prepare_calls(self) -> list[PreparedCall]:
+        """Return the commands as calls with their arguments."""
         device, data = self._recorder.device, self.stream.data
         backend = device.backend
         if isinstance(backend, Recorder):
@@ -298,13 +303,13 @@ class CommandBuffer(Encoder):
         methods: list[Callable[..., object]] = [getattr(backend, op.method) for op in Op]
         draws: dict[tuple[Any, ...], Callable[[int], object]] = {}
         uniforms: dict[Id, Callable[[int, int, int], object]] = {}
-        place, end = 0, len(data)
-        while place < end:
-            op = data[place]
-            first, place = place + 1, place + WIDTHS[op]
+        position, end = 0, len(data)
+        while position < end:
+            op = data[position]
+            first, position = position + 1, position + WIDTHS[op]
             if op == Op.DRAW and not tests_alpha:
                 vertex_array, primitive, start, count, instances, base_vertex, base_instance = data[
-                    first : place - 2
+                    first : position - 2
                 ]
                 key = (program, vertex_array, primitive, start, count, base_vertex, base_instance)
                 draw = draws.get(key)
@@ -312,13 +317,13 @@ class CommandBuffer(Encoder):
                     draw = draws[key] = device.prepare_draw(*key)
                 calls.append((draw, (instances,)))
             elif op == Op.BIND_UNIFORM:
-                slot, buffer, offset, size = data[first : place - 2]
+                slot, buffer, offset, size = data[first : position - 2]
                 bind = uniforms.get(buffer)
                 if bind is None:
                     bind = uniforms[buffer] = device.prepare_uniform(buffer)
                 calls.append((bind, (slot, offset, size)))
             else:
-                arguments = tuple(data[first : place - 2])
+                arguments = tuple(data[first : position - 2])
                 calls.append((methods[op], arguments))
                 if op == Op.BIND_PROGRAM:
                     program = arguments[0]
@@ -329,7 +334,7 @@ class CommandBuffer(Encoder):
         return calls
 
     def _clean_up(self, done: int) -> None:
-        """After a call that failed: close what the `done` ones before it have opened."""
+        """Close whatever the first `done` commands have opened, after the next one has failed."""
         device, stream = self._recorder.device, self.stream
         opened: list[tuple[Op, tuple[Any, ...]]] = []
         for command in stream[:done]:
@@ -338,13 +343,13 @@ class CommandBuffer(Encoder):
             elif opened and command.op is opened[-1][0]:
                 opened.pop()
         for op, values in reversed(opened):
-            with suppress(RhiError):  # a lost device can't
+            with suppress(RhiError):  # fails again on a lost device
                 getattr(device.backend, op.method)(*(values if op is Op.END_QUERY else ()))
         device.adopt_states(tuple(stream.context(done).states.values()))
 
 
 class RecordedQuery:
-    """`with commands.query(query):`; see there."""
+    """A `with commands.query(query):` block."""
 
     __slots__ = ("_core", "_query")
 
@@ -380,12 +385,12 @@ class RecordedQuery:
             core.queries[self._query.id] = self._query.mark_submitted
 
     def abandon(self) -> None:
-        """End it, as its pass ends."""
+        """End the query, as its pass ends."""
         self._query.write_end(self._core)
 
 
 class _RecordedConditional(Conditional):
-    """A condition on what a query will have counted."""
+    """A condition on the answer that a query will have at execution."""
 
     __slots__ = ()
     _core: RecordingCore
@@ -404,9 +409,7 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
     ended: set[Id] = set()
     for buffer in buffers:
         if not isinstance(buffer, CommandBuffer):
-            device.refuse(
-                DEVICE_ARGUMENT, call, repr(buffer), "command buffers, as device.record() makes them"
-            )
+            device.refuse(DEVICE_ARGUMENT, call, repr(buffer), "command buffers from device.record()")
         core = buffer._recorder
         if core.device is not device:
             device.refuse(RESOURCE_FOREIGN, call, repr(buffer))
@@ -415,17 +418,17 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
                 RECORD_STATE,
                 call,
                 f"a command buffer that is {buffer._state}",
-                "one whose block has ended well",
+                "one whose `with` block has ended without an error",
             )
         for resource, site in buffer._destroyed_uses.items():
             use = core.uses[resource]
-            given = f"{use.name}, destroyed at {site}, used by what was recorded at {find_site(use.code, use.offset)}"
+            given = f"{use.name}, destroyed at {site}, used by a command recorded at {find_site(use.code, use.offset)}"
             core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
             if use.owner in device.locked:
                 core.refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
         if device.condition_open and core.condition_count:
-            given = f"{buffer!r} with a condition of its own, inside device.conditional"
+            given = f"{buffer!r}, which contains a condition, inside device.conditional"
             core.refuse(CONDITION_NESTED, call, given)
         for query in core.conditions:
             if query.id not in ended:

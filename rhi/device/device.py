@@ -1,9 +1,9 @@
-"""What users hold: the platform-independent half of the interface (the thesis's modified PIMPL, 3.6.3).
+"""The device: the platform-independent half of the interface (the thesis's modified PIMPL, 3.6.3).
 
-- `Device` makes resources, opens passes and scopes, draws, and keeps time. It is the only place with policy:
-  when resources are freed, how far the CPU may run ahead, how large rings are.
-- The other half is a `Backend`; commands are calls of its methods. Whatever is refused is refused here,
-  before the backend hears of it.
+- `Device` creates resources, opens passes and scopes, draws, and synchronises. It is the only module with policy:
+  when resources are destroyed, how many frames the CPU may be ahead, how large rings are.
+- The other half is a `Backend`; commands are calls of its methods. All checks are made here, before a call reaches
+  the backend.
 """
 
 from __future__ import annotations
@@ -75,10 +75,10 @@ B = TypeVar("B")
 
 
 class Device(Encoder):
-    """One device. `rhi.create_device` makes it; use it in a `with` block, or call `close`."""
+    """A device, created by `rhi.create_device`. Use it in a `with` block, or call `close`."""
 
     def __init__(self, backend: Backend, *, timing: bool = False, frames_in_flight: int = 2) -> None:
-        """`backend` may be a `Recorder` in front of another."""
+        """Create a device on `backend`, which may be a `Recorder` in front of another backend."""
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
@@ -100,11 +100,11 @@ class Device(Encoder):
         self.close(quiet=kind is not None)
 
     def close(self, *, quiet: bool = False) -> None:
-        """Let go of the device and of everything made with it; a second call does nothing.
+        """Release the device and all of its resources; a second call does nothing.
 
         Raises:
-            ValidationError: `lock-open` when a lock was never released (unless `quiet`); the device is
-                closed all the same.
+            ValidationError: `lock-open` if a lock was never released (unless `quiet`); the device is
+                closed nevertheless.
         """
         core = self._core
         if core.closed:
@@ -120,26 +120,26 @@ class Device(Encoder):
 
     @property
     def closed(self) -> bool:
-        """Whether `close` was called; nothing else can be, then."""
+        """Whether the device was closed; then every other call is refused."""
         return self._core.closed
 
     @property
     def capabilities(self) -> Capabilities:
-        """What the device can do, and its limits."""
+        """The device's features and limits."""
         return self._core.capabilities
 
     @property
     def backend_name(self) -> str:
-        """The backend's name: "gl", "null"…"""
+        """The name of the backend: "gl", "null", …"""
         return self._core.capabilities.backend
 
     @property
     def statistics(self) -> Statistics:
-        """Counters since creation or `reset_statistics`: a snapshot."""
+        """A snapshot of the counters since creation or the last `reset_statistics`."""
         return self._core.statistics()
 
     def reset_statistics(self) -> None:
-        """Count from zero again."""
+        """Set all counters to zero."""
         self._core.reset_statistics()
 
     @property
@@ -156,10 +156,10 @@ class Device(Encoder):
         )
 
     def backend_as(self, kind: type[B]) -> B:
-        """The backend itself, for what only it can do; also below a recorder or whatever else is in front of it.
+        """Return the backend itself, for features that only it has; a recorder or other wrapper is skipped.
 
         Raises:
-            ValidationError: `device-capability` if it is another backend.
+            ValidationError: `device-capability` if the backend is not a `kind`.
         """
         backend: object = self._backend
         while not isinstance(backend, kind) and hasattr(backend, "backend"):
@@ -183,7 +183,7 @@ class Device(Encoder):
         usage: BufferUsage = BufferUsage.STATIC,
         label: str = "",
     ) -> Buffer:
-        """Memory on the device: a number of elements of `dtype` (default: bytes), zeroed, or an array's copy."""
+        """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
         if isinstance(source, (int, np.integer)):
             return Buffer(self._core, int(source), np.dtype(dtype or np.uint8), usage, label)
         array = np.asarray(source)
@@ -195,25 +195,25 @@ class Device(Encoder):
         return buffer
 
     def uniform(self, value: S, *, label: str = "") -> UniformBuffer[S]:
-        """Constants: one struct, bound as `Uniform[S]`."""
+        """Create a buffer of constants: one struct, bound as `Uniform[S]`."""
         if not isinstance(value, Struct):
             self._core.refuse(
-                DEVICE_ARGUMENT, "device.uniform", repr(value), "a Struct's value, e.g. Tint(scale=(1, 1, 1))"
+                DEVICE_ARGUMENT, "device.uniform", repr(value), "a struct, e.g. Tint(scale=(1, 1, 1))"
             )
         return UniformBuffer(self._core, value, label)
 
     def uniform_array(self, struct: type[S], count: int, *, label: str = "") -> UniformArray[S]:
-        """Constants of `count` objects, written as one array, bound one by one as `array[i]`."""
+        """Create constants for `count` objects, written as one array and bound one by one as `array[i]`."""
         return UniformArray(self._core, struct, count, label)
 
     def storage(
         self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = ""
     ) -> StorageBuffer[T]:
-        """An array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, an array's copy, or a
+        """Create an array for `Storage[T]` and `StorageRW[T]`: a number of zeroed elements, a copy of an array, or a
         view of a buffer.
 
         Raises:
-            ValidationError: `layout-mismatch` when the array isn't of the element's std430 dtype.
+            ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
         """
         shading_type = value_type_of(element)
         dtype = element_dtype(shading_type, Layout.STD430)
@@ -245,11 +245,11 @@ class Device(Encoder):
         samples: int = 1,
         label: str = "",
     ) -> Texture:
-        """A texture of (width, height), zeroed, or of an array's texels.
+        """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype. `levels` None means all down to 1×1; they are
-        filled from an array's texels if the format can be filtered.
+        channels), top row first, of the format's dtype. `levels` None means all mip levels down to 1×1; they are
+        generated from an array's texels if the format can be filtered.
         """
         if not isinstance(format, Format):
             self._core.refuse(
@@ -285,7 +285,7 @@ class Device(Encoder):
         return texture
 
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
-        """How textures are read: `texture.sampled(sampler)`."""
+        """Create a sampler, to read textures through: `texture.sampled(sampler)`."""
         self._core.check_open()
         return Sampler(self._core.sampler(descriptor), descriptor)
 
@@ -298,13 +298,13 @@ class Device(Encoder):
         primitive: Primitive = Primitive.TRIANGLES,
         label: str = "",
     ) -> Mesh:
-        """Vertices, and optionally indices and per-instance data, that draws read.
+        """Create a mesh: vertices, and optionally indices and per-instance data.
 
         Args:
             vertices: a structured array, a dict of arrays by attribute name, a buffer with a structured
                 dtype, or a number of vertices without attributes.
             indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
-            instances: as `vertices`, one element per instance.
+            instances: as for `vertices`, with one element per instance.
 
         Raises:
             ValidationError: `mesh-data` (not structured, empty, NaN), `mesh-index` (out of range).
@@ -319,10 +319,10 @@ class Device(Encoder):
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
     def program(self, shader: Any) -> Program[Any]:
-        """A shader class (or a native program's descriptor) on the device; the same for the same class.
+        """Create the program of a shader class, or of a native program's descriptor; the same class gives the same one.
 
         Raises:
-            ShaderError: it doesn't type-check, or the driver refuses it.
+            ShaderError: the shader does not type-check, or the driver refuses it.
         """
         self._core.check_open()
         program = self._programs.get(shader)
@@ -344,27 +344,27 @@ class Device(Encoder):
         program.draw_with(mesh, instances, bindings)
 
     if not TYPE_CHECKING:
-        draw = _draw  # typed by `Encoder.draw`, whose *args (always empty) would cost 80 ns a call
+        draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
 
     def record(self, *, label: str = "") -> CommandBuffer:
-        """`with device.record() as commands:` commands that are written down now and carried out by `submit`.
+        """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes them.
 
-        It takes what a device takes (passes, states, draws, dispatches, …), on any thread, one thread a buffer.
-        `label` lies on all of its commands.
+        It records passes, states, draws, dispatches and so on with the methods of a device, on any thread, one thread
+        per buffer. `label` is put on all of its commands.
         """
         self._core.check_open()
         return CommandBuffer(self._core, label)
 
     def submit(self, *buffers: CommandBuffer) -> None:
-        """Carry out command buffers, in order, on the device's own thread; as often as you like.
+        """Execute command buffers, in order, on the device's own thread; they may be submitted any number of times.
 
-        What they read (buffers, textures) is what it is then. The device's state scopes don't reach into them,
-        nor theirs out.
+        Buffers and textures are read as they are at that time. The device's state scopes don't apply to the commands
+        inside, nor the other way round.
 
         Raises:
-            ValidationError: `record-state` for one that isn't whole, `resource-destroyed` for one that uses what
-                is gone, `lock-open`, `query-state`, `pass-open` inside a render pass, `condition-nested` for one with
-                a condition inside another; nothing was carried out.
+            ValidationError: `record-state` for an incomplete command buffer, `resource-destroyed` for one that uses a
+                destroyed resource, `lock-open`, `query-state`, `pass-open` inside a render pass, `condition-nested`
+                for a condition inside another; nothing was executed then.
         """
         core = self._core
         core.check_open()
@@ -377,34 +377,34 @@ class Device(Encoder):
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self) -> int:
-        """Mark this point of the command stream; the value to compare `completed` with or to `wait` for."""
+        """Signal the fence at this point of the command stream; return the value to `wait` for."""
         self._core.check_open()
         return self._core.signal()
 
     @property
     def completed(self) -> int:
-        """The last signalled value that the GPU has reached; never waits."""
+        """The last signalled value that the GPU has reached; never blocks."""
         self._core.check_open()
         return self._core.timeline.completed
 
     def wait(self, value: int, seconds: float | None = None) -> bool:
-        """Block until the GPU has reached `value`, at most `seconds`; whether it has."""
+        """Block until the GPU has reached `value`, for at most `seconds`; return whether it has."""
         self._core.check_open()
         reached = self._core.timeline.wait(value, seconds)
         self._core.timeline.collect()
         return reached
 
     def finish(self) -> None:
-        """Block until everything submitted is done."""
+        """Block until the GPU has executed everything submitted."""
         self.wait(self.signal())
         self._timers.collect()
 
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
-        """A counter of visible samples; `emulated` asks for the thesis's emulation (4.4.2) where it can be had."""
+        """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
         return OcclusionQuery(self._core, emulated)
 
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
-        """So many counters of visible samples, to be asked in one call: `device.draw_counted(…, queries)`."""
+        """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…, queries)`."""
         return QuerySet(self._core, size, emulated)
 
     @property
@@ -420,16 +420,16 @@ class Device(Encoder):
 
     @property
     def timers(self) -> list[TimerNode]:
-        """The events of the latest frame whose times are known."""
+        """The event tree of the latest frame whose timestamps are available."""
         if not self._core.closed:
             self._timers.collect()
         return self._timers.latest
 
     def present(self, image: Texture | None = None) -> None:
-        """End the frame; `image` is what it shows.
+        """End the frame and show `image`.
 
-        Waits only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame
-        is free once the GPU is done with it.
+        Blocks only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame
+        is reused once the GPU has executed the frame.
         """
         core = self._core
         core.check_open()
@@ -446,6 +446,7 @@ class Device(Encoder):
 
 
 def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
+    """Return the state types that a device lacks, each with the name of the missing capability."""
     lacking: dict[type, str] = {}
     if not capabilities.alpha_test:
         lacking |= dict.fromkeys((AlphaTest, AlphaFunction, AlphaReference), "alpha_test")

@@ -1,7 +1,7 @@
-"""What can be commanded, whoever takes the commands: passes, states, draws, dispatches, labels, conditions.
+"""The commands that devices and command buffers share: passes, states, draws, dispatches, labels, conditions.
 
-A `Device` carries them out; a `CommandBuffer` writes them down for later. Both are encoders, so code that renders
-takes either. Whatever is refused is refused here, before a backend hears of it.
+A `Device` executes them, a `CommandBuffer` records them for later. Both are encoders, so rendering code accepts either.
+All checks are made here, before a call reaches a backend.
 """
 
 from __future__ import annotations
@@ -46,8 +46,9 @@ P = ParamSpec("P")
 class IndirectDraws:
     """Draws whose arguments the GPU reads from a buffer when it executes them.
 
-    Each is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`), `stride` bytes apart from `offset`.
-    With `count`, their number is the uint32 at `count_offset` of that buffer, at most `draws`.
+    Each record is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`); the first lies at `offset`, the next ones
+    `stride` bytes apart. With `count`, the number of draws is the uint32 at `count_offset` of that buffer, at most
+    `draws`.
     """
 
     buffer: Buffer | StorageBuffer[Any]
@@ -59,10 +60,10 @@ class IndirectDraws:
 
 
 class Encoder:
-    """Takes commands; a `Device` or a `CommandBuffer`."""
+    """Common base of `Device` and `CommandBuffer`: the commands that both accept."""
 
     NAME = "device"
-    """In messages."""
+    """The encoder's name in error messages."""
 
     def __init__(self, core: Core, timers: Timers, transient: TransientMemory) -> None:
         self._core = core
@@ -83,26 +84,29 @@ class Encoder:
         resolve: Texture | Sequence[Texture | None] | None = None,
         label: str = "",
     ) -> RenderPass:
-        """`with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):` draws go to these.
+        """Create a render pass: `with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):`
 
         Args:
-            color, depth: textures, or `texture.at(level, layer)`, all of one size and number of samples.
-            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps it).
-            clear_depth: 0 is far and 1 near under reversed depth; None keeps what is there.
-            resolve: single-sampled textures that get the averaged samples at the end.
+            color, depth: textures, or `texture.at(level, layer)`, all of the same size and number of samples.
+            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps the contents).
+            clear_depth: 0 is far and 1 near under reversed depth; None keeps the contents.
+            resolve: single-sampled textures that receive the averaged samples at the end.
         """
         return RenderPass(self._core, color, depth, clear, clear_depth, clear_stencil, resolve, label)
 
     def states(self, *states: State) -> StateScope:
-        """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
+        """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its end."""
         return self._scope(states)
 
     def event(self, label: str) -> EventScope:
-        """`with device.event("shadows"):` a label on the commands inside and, on a device with timing on, a timer."""
+        """Create an event: `with device.event("shadows"):` labels and, with timing on, times the commands inside."""
         return EventScope(self._core, self._timers, label)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing. One at a time."""
+        """Create a condition: in `with device.conditional(query):` the GPU skips draws if the query counted nothing.
+
+        Only one condition can be open at a time. `inverted` skips draws if the query counted something.
+        """
         return Conditional(self._core, query, inverted)
 
     # -- work --------------------------------------------------------------------------------------------
@@ -110,20 +114,20 @@ class Encoder:
     def draw(
         self, program: Program[P], mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
     ) -> None:
-        """Draw `mesh` with `program`; a value for each of the program's bindings by name.
+        """Draw `mesh` with `program`, with a value for each of the program's bindings by name.
 
         Raises:
             ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
-                `lock-open`, `pass-feedback`; nothing was drawn or bound then.
+                `lock-open`, `pass-feedback`; nothing is drawn or bound then.
         """
         raise NotImplementedError
 
     def draw_many(
         self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
     ) -> None:
-        """Draw parts of `mesh`, an array of `rhi.DRAW` (see `mesh.draws`), in one call.
+        """Draw parts of `mesh`, given as an array of `rhi.DRAW` (see `mesh.draws`), in one call.
 
-        The array is copied into transient memory; shaders tell the draws apart by `instance_index()` (which
+        The array is copied into transient memory. Shaders tell the draws apart by `instance_index()` (which
         counts from `base_instance`) or `draw_index()`.
         """
         call = f"{self.NAME}.draw_many"
@@ -160,37 +164,35 @@ class Encoder:
         Args:
             draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
                 `draw_index()` is 0.
-            queries: what they are counted by; it forgets all that it was asked before.
-            rows: (n,) integers, the row of `queries` that each draw is counted by: by default the first for the
-                first, and so on. A row may have several draws, one after the other.
+            queries: the query set that counts the draws; all of its earlier answers are discarded.
+            rows: (n,) integers, the row of `queries` that counts each draw; by default row i counts draw i. A row may
+                count several consecutive draws.
 
         Raises:
-            ValidationError: `query-rows`, `query-nested` inside another query, and what `draw` and `draw_many`
-                raise; nothing was drawn, bound or forgotten then.
+            ValidationError: `query-rows`, `query-nested` inside another query, and the errors of `draw` and
+                `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
         own = self._resolve_program(program, call)
         check_mesh(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
         if not isinstance(queries, QuerySet):
-            self._core.refuse(
-                DEVICE_ARGUMENT, call, repr(queries), "a QuerySet, as device.query_set(…) makes it"
-            )
+            self._core.refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
         each = queries.check_rows(rows, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         core = self._core
-        asked = queries.draw(core, vertex_array, mesh.primitive, array, each)
+        counted = queries.draw(core, vertex_array, mesh.primitive, array, each)
         core.draws += len(array)
-        self._mark_rows_drawn(queries, asked)
+        self._mark_rows_drawn(queries, counted)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)
         if self._core.open_query is not None:
             self._core.refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
 
-    def _mark_rows_drawn(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
-        queries.mark_rows_drawn(asked)
+    def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
+        queries.mark_rows_drawn(rows)
 
     def draw_indirect(
         self,
@@ -201,7 +203,7 @@ class Encoder:
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Draw with arguments that the GPU reads from a buffer when it gets there."""
+        """Draw with arguments that the GPU reads from a buffer when it executes the command."""
         call = f"{self.NAME}.draw_indirect"
         own = self._resolve_program(program, call)
         check_drawable(self._core, mesh, call)
@@ -252,9 +254,9 @@ class Encoder:
     def dispatch(
         self, program: Program[P], groups: int | Sequence[int], /, *args: P.args, **bindings: P.kwargs
     ) -> None:
-        """Run `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
+        """Dispatch `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
 
-        What it writes is visible to everything after it; no barrier is needed.
+        Its writes are visible to all later commands; no barrier is needed.
         """
         call = f"{self.NAME}.dispatch"
         own = self._resolve_program(program, call)
@@ -277,7 +279,7 @@ class Encoder:
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
+        """Dispatch as many work-groups as the GPU then reads from three uint32 at byte `offset` of `buffer`."""
         call = f"{self.NAME}.dispatch_indirect"
         own = self._resolve_program(program, call)
         source = underlying_buffer(buffer)
@@ -293,34 +295,35 @@ class Encoder:
     def immediate(
         self, program: Program[P], primitive: Primitive, /, *args: P.args, **bindings: P.kwargs
     ) -> Immediate[Any]:
-        """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
+        """Create an immediate-mode block: `with device.immediate(program, Primitive.QUADS, …) as quads:`
+
+        The vertices that are added inside are drawn at its end.
+        """
         return Immediate(
             self._transient, self._resolve_program(program, f"{self.NAME}.immediate"), primitive, bindings
         )  # fmt: skip
 
     @property
     def transient(self) -> TransientMemory:
-        """Memory for constants and vertices of this frame, or of this command buffer."""
+        """Memory for constants and vertices that live for this frame, or as long as this command buffer."""
         return self._transient
 
     # -- inside ------------------------------------------------------------------------------------------
 
     def _resolve_program(self, program: object, call: str) -> Program[Any]:
-        """The program as this encoder uses it.
+        """Return the program as this encoder uses it.
 
         Raises:
-            ValidationError: `device-argument` if it is none, `resource-foreign` if another device's.
+            ValidationError: `device-argument` if it is not a program, `resource-foreign` if it is of another device.
         """
         if not isinstance(program, Program):
-            self._core.refuse(
-                DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it"
-            )
+            self._core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not self._core:
             self._core.refuse(RESOURCE_FOREIGN, call, repr(program))
         return program
 
     def _bind_draws(self, program: Program[Any], mesh: Drawable, bindings: dict[str, Any]) -> int:
-        """Everything a draw needs but the draw itself; returns the vertex array."""
+        """Check and bind everything that a draw needs; return the vertex array."""
         program.check_can_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
         program.bind(_already_checked, mesh, bindings)
@@ -329,21 +332,21 @@ class Encoder:
 
 
 def _already_checked(mesh: object) -> None:
-    """In place of a check that was done before."""
+    """Do nothing: the check of a `Program.bind` that was done before."""
 
 
 def check_drawable(core: Core, mesh: object, call: str) -> None:
     """Refuse anything that no draw can read vertices from."""
     if not isinstance(mesh, Drawable):
-        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
 
 
 def check_mesh(core: Core, mesh: object, call: str) -> None:
-    """Refuse anything but a `Mesh`, also transient meshes, which have no parts to draw."""
+    """Refuse anything but a `Mesh`; a transient mesh has no parts to draw."""
     if not isinstance(mesh, Mesh):
-        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
 
 
 def underlying_buffer(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
-    """The buffer itself."""
+    """Return the buffer behind a storage buffer, or the buffer itself."""
     return buffer.owner if isinstance(buffer, StorageBuffer) else buffer

@@ -1,7 +1,7 @@
-"""Immediate mode: geometry that is given ad hoc and drawn once (thesis 4.3).
+"""Immediate mode: geometry that is specified vertex by vertex and drawn once (thesis 4.3).
 
-`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at once at the end of its `with`
-block: one upload into transient memory, one draw (Listing 4.9 without the counts in advance).
+`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at the end of its `with` block,
+with one upload to transient memory and one draw (Listing 4.9, but without counts in advance).
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ S = TypeVar("S", bound="Struct")
 
 
 class Immediate(Generic[S]):
-    """`with device.immediate(program, Primitive.QUADS, …) as quads: quads.vertex(position=…, color=…)`"""
+    """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block, filled by `quads.vertex(position=…)`."""
 
     __slots__ = ("_arrays", "_bindings", "_dtype", "_memory", "_open", "_primitive", "_program", "_rows")
 
@@ -48,7 +48,7 @@ class Immediate(Generic[S]):
         self._open = False
 
     def vertex(self, **fields: Any) -> None:
-        """One vertex; a value per attribute of the program's vertex stage.
+        """Add one vertex, with a value for each attribute of the program's vertex stage.
 
         Raises:
             ValidationError: `immediate-vertex` for a missing or unknown attribute.
@@ -65,7 +65,7 @@ class Immediate(Generic[S]):
         self._rows.append(row)
 
     def vertices(self, array: NDArray[Any]) -> None:
-        """Many vertices: a structured array with the program's vertex fields."""
+        """Add many vertices: a structured array with the program's vertex fields."""
         program = self._program
         if not self._open:
             program.core.refuse(
@@ -94,7 +94,7 @@ class Immediate(Generic[S]):
             self._arrays.clear()
         if not len(array):
             return
-        # Everything is checked before the vertices go into the ring.
+        # Everything is checked before the vertices are uploaded.
         program, core = self._program, self._program.core
         program.bind(program.check_can_draw, EMPTY_MESH, self._bindings)
         mesh = self._memory.place_mesh(program, array, None, self._primitive)
@@ -103,7 +103,7 @@ class Immediate(Generic[S]):
         core.draws += 1
 
     def _collect(self) -> NDArray[Any]:
-        """The single vertices since the latest array; they stay where they are if one is refused."""
+        """Return the single vertices added since the latest array; they are kept if one of them is refused."""
         core = self._program.core
         try:
             array = np.array(self._rows, self._dtype)

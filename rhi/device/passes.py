@@ -1,7 +1,7 @@
-"""Render passes: what is drawn to, what is cleared, what is resolved at the end.
+"""Render passes: their targets, clears, and resolves.
 
-A pass is a `with` block. Its targets are checked when it is made; it is opened on entry, and on exit it is
-ended whatever happened inside.
+A pass is a `with` block. Its targets are checked when it is created. It begins on entry and always ends on exit,
+also after an exception.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
 
 class RenderPass:
-    """`with device.render_pass(...)`; see there."""
+    """A `with device.render_pass(...)` block."""
 
     __slots__ = ("_core", "_descriptor", "_kinds", "_resolves", "_textures")
 
@@ -109,7 +109,7 @@ class RenderPass:
                 QUERY_STATE,
                 "end of the render pass",
                 "an open occlusion query",
-                "queries that end in their pass",
+                "a query that ends in its pass",
             )
 
     def _check(
@@ -215,7 +215,7 @@ def _as_render_target(core: Core, value: object) -> TextureTarget:
 
 
 def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
-    """One clear value per target from one for all, one per target, or none."""
+    """Return one clear value per target; `clear` is one value for all targets, one for each, or None."""
     if clear is None:
         return [None] * count
     if not isinstance(clear, Iterable):

@@ -1,9 +1,9 @@
-"""What stands for the device while a command buffer is recorded: a core and programs whose commands are written down.
+"""The core and the programs of a command buffer, which take the place of the device's during recording.
 
-- A `RecordingCore` has states, bindings and a pass of its own, and the device's resources. It keeps in mind which of
+- A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It keeps which of
   them are used, and where.
-- A `RecordedProgram` is one of the device's programs with draw functions of its own (`draw_code`).
-- Nothing here calls the device's backend, so it may run on any thread.
+- A `RecordedProgram` is a program of the device with draw functions of its own (`draw_code`).
+- Nothing here calls the device's backend, so recording may run on any thread.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __rhi_internal__ = True
 
 
 class ResourceUse(NamedTuple):
-    """A resource that a command buffer uses: what it is, and where it was used first."""
+    """A resource that a command buffer uses, with its name and the line of its first use."""
 
     owner: Owner
     name: str
@@ -36,17 +36,18 @@ class ResourceUse(NamedTuple):
 
 
 class RecordingCore(Core):
-    """What a command buffer's resources and programs ask in place of the device's core.
+    """The core of a command buffer, used in place of the device's core.
 
     Attributes:
-        device: the device's own.
-        recording: whether commands can be given now.
-        uses: by id, the resources in use.
-        stream: what is written.
-        vertex_arrays: those of meshes that haven't any for a program yet, to be made before the first submission.
-        own_arrays: those on the arena.
-        conditions: queries that must have been ended when the buffer is carried out.
-        queries: those that it begins and ends, and query sets that it asks: what to tell the fence to, by id.
+        device: the core of the device.
+        recording: whether commands can be recorded now.
+        uses: the resources in use, by id.
+        stream: the recorded commands.
+        vertex_arrays: vertex arrays that meshes lack for a program, to be created before the first submission.
+        own_arrays: vertex arrays whose vertices lie in the arena.
+        conditions: queries that must have ended before the buffer is submitted.
+        queries: for each query and query set that the buffer uses, by id, the function that receives the fence of a
+            submission.
     """
 
     __slots__ = (
@@ -80,7 +81,7 @@ class RecordingCore(Core):
             )
 
     def check_usable(self, owner: Owner, call: str) -> None:
-        """As for the device, and keep in mind that it is used."""
+        """Refuse a resource that is destroyed, locked, or of another device; otherwise note its use."""
         if isinstance(owner, TransientOwner):
             if owner.core is not self:
                 self.refuse(RECORD_TRANSIENT, call, describe_object(owner))
@@ -90,7 +91,7 @@ class RecordingCore(Core):
         self.note_use(used.id, used)  # type: ignore[attr-defined]
 
     def note_use(self, resource: Id, owner: Owner, name: str = "") -> None:
-        """Keep in mind that a resource is used, and where; `name` stands for it in messages."""
+        """Keep that a resource is used, and where; `name` is its text in messages."""
         if resource not in self.uses:
             frame = find_user_frame()
             site = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
@@ -101,7 +102,7 @@ class RecordingCore(Core):
 
 
 class RecordedProgram(Program[Any]):
-    """A program as one command buffer uses it: with draws and bindings that are written down.
+    """A program of the device as one command buffer uses it: its draws and bindings are recorded.
 
     Attributes:
         origin: the device's program.

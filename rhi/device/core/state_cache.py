@@ -1,15 +1,15 @@
-"""State vectors and scopes: what is wanted, what the hardware has, and the difference (thesis 4.2).
+"""State vectors and scopes: wanted states, hardware states, and the difference between them (thesis 4.2).
 
-- Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. A scope
-  finds the vector it leads to in a memo (`vector.after[scope]`), pushes the current one on the fixed stack and
-  pops it at its end, always.
+- Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. On entry, a scope
+  looks up the vector it leads to in a memo (`vector.after[scope]`) and pushes the current one onto a fixed-size stack.
+  On exit it pops that vector, whatever happened inside.
 - A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
-  per scope.
-- The pool of vectors is bounded: scissors and viewports may take any value. When it is full all memos are
-  dropped; vectors on the stack stay valid, since equality of values is what counts in a difference.
-- Two counters as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
-  values sent.
+  once per scope.
+- The pool of vectors is bounded, since scissors and viewports may take any value. When it is full, all memos are
+  dropped. Vectors on the stack stay valid, because differences compare values, not identities.
+- There are two counters, as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
+  are values sent to the backend.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ POOL_ENTRIES: Final = 16_384
 class StateVector:
     """One combination of all states; equal combinations are the same object (within one pool generation).
 
-    `values` follows `STATE_TYPES`. It is the key under which a port to an API of pipeline objects finds
-    its pipeline.
+    `values` is in the order of `STATE_TYPES`. A port to an API with pipeline objects uses it as the key of its
+    pipelines.
     """
 
     __slots__ = ("after", "changes", "values")
@@ -55,7 +55,7 @@ class StateVector:
         self.changes: dict[StateVector, tuple[StateChange, ...]] = {}
 
     def __getitem__(self, state_type: type) -> object:
-        """The value of a state type; a tuple of 8 for the types that exist per target."""
+        """Return the value of a state type; a tuple of 8 for types that exist per render target."""
         return self.values[_INDEX[state_type]]
 
     def __repr__(self) -> str:
@@ -67,14 +67,14 @@ _INDEX: Final = {state_type: index for index, state_type in enumerate(STATE_TYPE
 
 
 class StateCache:
-    """Wanted and hardware states of one device.
+    """The wanted states and the hardware states of one device.
 
     Attributes:
-        wanted: the vector that scopes ask for.
-        hardware: the vector the backend has been told.
+        wanted: the vector that the open scopes set.
+        hardware: the vector that was last sent to the backend.
         refusals: raises and keeps the errors of refused scopes.
-        unsupported: state types that the device lacks, with the names of the missing capabilities.
-        software_changes, hardware_changes: the two counters, in states.
+        unsupported: state types that the device lacks, each with the name of the missing capability.
+        software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
     __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
@@ -86,7 +86,6 @@ class StateCache:
         pool_entries: int = POOL_ENTRIES,
         refusals: RefusalLog = NO_LOG,
     ) -> None:
-        """`unsupported` maps state types the device lacks to the name of the missing capability."""
         self.unsupported = unsupported or {}
         self.refusals = refusals
         self._limit = pool_entries
@@ -99,24 +98,24 @@ class StateCache:
         self.hardware_changes = 0
 
     def fresh(self) -> StateCache:
-        """An empty cache with the same rules."""
+        """Return an empty cache with the same limits, missing capabilities and log."""
         return StateCache(self.unsupported, self._limit, self.refusals)
 
     @property
     def depth(self) -> int:
-        """How many scopes are open."""
+        """Number of open scopes."""
         return len(self._stack)
 
     @property
     def vector_count(self) -> int:
-        """How many distinct combinations are kept."""
+        """Number of distinct combinations in the pool."""
         return len(self._pool)
 
     def scope(self, states: tuple[State, ...]) -> StateScope:
-        """The scope of these states; they are checked when it is first entered from a combination."""
+        """Return the scope of these states; they are checked when it is first entered from a combination."""
         try:
             scope = self._scopes.get(states)
-        except TypeError:  # something unhashable, so surely not a state
+        except TypeError:  # an unhashable object, which can't be a state; entering the scope refuses it
             return StateScope(self, states)
         if scope is None:
             scope = StateScope(self, states)
@@ -125,15 +124,15 @@ class StateCache:
         return scope
 
     def flush(self) -> tuple[StateChange, ...]:
-        """The changes that bring the hardware to what is wanted; it counts as told afterwards."""
+        """Return the changes from the hardware states to the wanted ones, which then count as sent."""
         return self._change(self.wanted)
 
     def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
-        """The same for a vector that nobody here wants, of this cache or another."""
+        """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
         return self._change(self._intern(vector.values))
 
     def adopt(self, values: tuple[object, ...]) -> None:
-        """The hardware was told these values by somebody else."""
+        """Record values that were sent to the backend without this cache."""
         self._reserve()
         self.hardware = self._intern(values)
 
@@ -155,14 +154,15 @@ class StateCache:
         return changes
 
     def check_always(self) -> None:
-        """Check each scope every time that it is entered, at any price."""
+        """Check each scope every time it is entered, without memos."""
         self._limit = 0
 
     def reset_counters(self) -> None:
+        """Set both counters to zero."""
         self.software_changes = self.hardware_changes = 0
 
     def _derive(self, scope: StateScope) -> StateVector:
-        """The vector after a scope on top of what is wanted; checks it and remembers the answer."""
+        """Check a scope, and return and memoise the vector that it makes of the wanted one."""
         states = scope.states
         self._validate(states)
         values = list(self.wanted.values)
@@ -211,7 +211,7 @@ class StateCache:
         return vector
 
     def _reserve(self) -> None:
-        """Count one more memo entry; drop them all when there are too many."""
+        """Count one more memo entry, dropping all of them when the limit is reached."""
         self._entries += 1
         if self._entries <= self._limit:
             return
@@ -224,7 +224,7 @@ class StateCache:
 
 
 def _needs_capability(state: State) -> bool:
-    """Whether a state of a type that some devices lack, or have in part, is more than all devices have."""
+    """Return whether a state of an optional type needs its capability: not a default, nor what every device has."""
     if isinstance(state, BlendFunction):
         return state.target is not None
     if isinstance(state, PolygonOffset):
@@ -237,9 +237,9 @@ def _without_target(state: State) -> State:
 
 
 class StateScope:
-    """`with device.states(...)`: sets states on entry and restores what was before on exit, always.
+    """A `with device.states(...)` block: sets states on entry and always restores the earlier ones on exit.
 
-    A scope holds no per-entry data, so one object may be kept and entered again, also inside itself.
+    A scope holds no data of an entry, so one object may be kept and entered again, also inside itself.
     """
 
     __slots__ = ("_cache", "states")

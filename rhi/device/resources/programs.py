@@ -268,7 +268,7 @@ class Program(Generic[P]):
                 DEVICE_ARGUMENT,
                 f"draw of program {self.name!r}",
                 repr(mesh),
-                "a Mesh, as device.mesh(…) makes it",
+                "a Mesh from device.mesh(…)",
             )
         for index, value in enumerate(values):
             self.check(index, value)
