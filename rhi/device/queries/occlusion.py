@@ -193,7 +193,7 @@ class OcclusionQuery(PendingQuery[int]):
         core.counters.queries += 1
 
     def end(self) -> None:
-        """Stop counting."""
+        """End counting and flush submitted work to the GPU, so that the answer becomes available."""
         if self._state is not _OPEN:
             self._core.refuse(
                 QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"

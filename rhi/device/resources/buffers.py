@@ -1,8 +1,8 @@
-"""Buffers: untyped memory on the device, seen as arrays of a NumPy dtype, and what shaders call it.
+"""Buffers: memory on the device as arrays of a NumPy dtype, and typed buffers for shader bindings.
 
-- A lock gives a NumPy array for a range of elements (`rhi.device.resources.locks`).
-- `UniformBuffer`, `UniformArray` and `StorageBuffer` give buffers the type that a shader declares; they are
-  the ranges that typed bindings take.
+- A lock provides a NumPy array for a range of elements (`rhi.device.resources.locks`).
+- `UniformBuffer`, `UniformArray` and `StorageBuffer` add the type that a shader declares; they are the ranges that
+  typed bindings accept.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ class Buffer(Resource):
     """Memory on the device: `count` elements of `dtype`.
 
     Attributes:
-        id: its name in the command stream.
-        size: bytes.
-        bind_uniform: what binds a range of it, as a function of slot, offset and size.
-        dependents: what to call when it is destroyed.
+        id: the buffer's id in the command stream.
+        size: size in bytes.
+        bind_uniform: a function of slot, offset and size that binds a range of the buffer.
+        dependents: functions to call when the buffer is destroyed.
     """
 
     __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
@@ -82,22 +82,22 @@ class Buffer(Resource):
         return f"Buffer({self.label!r}, {self.count} × {self.dtype})"
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it. A second call does nothing."""
+        """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
-            for forget in self.dependents:  # what was built on it can't be drawn any more
-                forget()
+            for invalidate in self.dependents:
+                invalidate()
             self.dependents.clear()
             self.core.timeline.retire(self.id)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """A copy of `count` elements from `first`; waits for the work that may write them."""
+        """Return a copy of `count` elements from `first` on; waits for work that may write them."""
         first, count = self._range("Buffer.read", first, count)
         return self._download(first, count)
 
     def write(self, data: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; ordered after the work submitted before.
+        """Replace elements from `first` on, ordered after the work submitted before.
 
         Raises:
             ValidationError: `buffer-dtype` for another dtype, `buffer-range` beyond the end.
@@ -107,7 +107,7 @@ class Buffer(Resource):
         self._upload(array, first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """`with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
+        """Create a lock: `with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
         first, count = self._range("Buffer.lock", first, count)
         return Lock(
             self,
@@ -118,17 +118,17 @@ class Buffer(Resource):
         )
 
     def clear(self, value: int = 0) -> None:
-        """Fill with a 32-bit pattern; the size must be a multiple of 4 bytes."""
+        """Fill the buffer with a 32-bit pattern; the size must be a multiple of 4 bytes."""
         self._clear(self.core, value)
 
     def copy_to(
         self, target: Buffer, *, size: int | None = None, offset: int = 0, target_offset: int = 0
     ) -> None:
-        """Copy `size` bytes (None: all from `offset`) on the device; offsets in bytes."""
+        """Copy `size` bytes (None: all from `offset` on) on the device; offsets in bytes."""
         self._copy(self.core, target, size, offset, target_offset)
 
     def _clear(self, core: Core, value: int) -> None:
-        """`clear`, commanded to `core`: the buffer's own, or a command buffer's."""
+        """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
         core.check_open()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
@@ -136,7 +136,7 @@ class Buffer(Resource):
         core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
 
     def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
-        """`copy_to`, commanded to `core`."""
+        """Send a `copy_to` to `core`."""
         call = "Buffer.copy_to"
         core.check_open()
         core.check_usable(self, call)
@@ -188,7 +188,7 @@ class Buffer(Resource):
         return self._array(data, count)
 
     def _array(self, data: bytes | None, count: int) -> NDArray[Any]:
-        """`count` elements as an array of the dtype, or of its base type with its shape behind."""
+        """Return `count` elements as an array of the dtype; a subarray dtype adds its shape as trailing dimensions."""
         base, shape = self.dtype.subdtype or (self.dtype, ())
         if data is None:
             return np.zeros((count, *shape), base)
@@ -196,7 +196,7 @@ class Buffer(Resource):
 
 
 class UniformBuffer(UniformRange[T], Resource):
-    """One struct of constants, bound as `Uniform[T]`."""
+    """A buffer of one struct of constants, bound as `Uniform[T]`."""
 
     __slots__ = ()
     owner: Buffer
@@ -211,21 +211,21 @@ class UniformBuffer(UniformRange[T], Resource):
             owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
-        """Replace the constants; ordered after the draws before."""
+        """Replace the constants, ordered after the draws before."""
         check_struct(self.owner.core, value, self.type, "UniformBuffer.write")
         self.owner._check("UniformBuffer.write")
         self.owner._upload_bytes(value.to_bytes(), 0)  # type: ignore[attr-defined]
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it."""
+        """Destroy the buffer once the GPU no longer uses it."""
         self.owner.destroy()
 
 
 class UniformArray(Resource, Generic[T]):
-    """Constants of many objects in one buffer: written as one array, bound one by one.
+    """Constants of many objects in one buffer, written as one array and bound one by one.
 
-    `array[i]` is the range of element i, made once. `dtype` has the struct's std140 fields and the device's
-    offset alignment as item size, so columns can be written at once:
+    `array[i]` is the range of element i, created once. `dtype` has the struct's std140 fields and an item size aligned
+    for the device, so columns can be written at once:
     `rows = np.zeros(len(objects), objects.dtype); rows["model"] = models; objects.write(rows)`.
     """
 
@@ -253,21 +253,21 @@ class UniformArray(Resource, Generic[T]):
         """Replace elements from `first` on.
 
         Raises:
-            ValidationError: `layout-mismatch` with both layouts when the dtype is not `dtype`.
+            ValidationError: `layout-mismatch` with both layouts if the dtype is not `dtype`.
         """
         self.buffer.write(match_layout(self.buffer.core, rows, self.dtype, "UniformArray.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
+        """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self.buffer.lock(access, first, count)
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it."""
+        """Destroy the buffer once the GPU no longer uses it."""
         self.buffer.destroy()
 
 
 class StorageBuffer(StorageRange[T], Resource):
-    """An array of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
+    """A buffer of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
 
     __slots__ = ("dtype",)
     owner: Buffer
@@ -281,23 +281,23 @@ class StorageBuffer(StorageRange[T], Resource):
         return self.count
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """A copy of elements; waits for the work that may write them."""
+        """Return a copy of elements; waits for work that may write them."""
         return self._typed().read(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; `layout-mismatch` when the dtype is not `dtype`."""
+        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`."""
         self._typed().write(match_layout(self.owner.core, rows, self.dtype, "StorageBuffer.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
+        """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self._typed().lock(access, first, count)
 
     def clear(self, value: int = 0) -> None:
-        """Fill with a 32-bit pattern."""
+        """Fill the buffer with a 32-bit pattern."""
         self.owner.clear(value)
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it."""
+        """Destroy the buffer once the GPU no longer uses it."""
         self.owner.destroy()
 
     def _typed(self) -> Buffer:
@@ -312,7 +312,7 @@ class StorageBuffer(StorageRange[T], Resource):
 
 
 def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
-    """The same fields with an item size rounded up to `alignment` bytes."""
+    """Return a dtype with the same fields and its item size rounded up to `alignment` bytes."""
     fields: Any = dtype.fields or {}
     names = list(dtype.names or ())
     return np.dtype(
@@ -326,7 +326,7 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
 
 
 def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
-    """The array as one of the layout's dtype; refuses another layout, with both side by side."""
+    """Return an array as one of the expected dtype; refuse another layout, showing both side by side."""
     given = np.asarray(array)
     base, shape = expected.subdtype or (expected, ())
     if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
@@ -336,6 +336,7 @@ def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call:
 
 
 def check_struct(core: Core, value: object, expected: object, call: str) -> None:
+    """Refuse a value that is not of the struct class `expected`."""
     if type(value) is not expected:
         name = getattr(expected, "__name__", str(expected))
         core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")

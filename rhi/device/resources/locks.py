@@ -1,9 +1,9 @@
-"""Locks: a NumPy array for part of a resource, for as long as a `with` block (thesis 4.1, Listing 4.1).
+"""Locks: a NumPy array for part of a resource, for the duration of a `with` block (thesis 4.1, Listing 4.1).
 
-- READ copies from the device and waits for the work that may write there; WRITE copies to it when the block ends
-  and waits for nothing; READ_WRITE does both. An exception in the block writes nothing.
-- While a resource is locked nothing may use it; every draw checks everything as long as there is a lock.
-- How the array is read, made and written is the resource's business.
+- READ copies from the device and waits for the work that may write there. WRITE copies to the device when the block
+  ends and never waits. READ_WRITE does both. If the block raises, nothing is written.
+- A locked resource can't be used by the device; every draw checks everything as long as there is a lock.
+- The resource provides the functions that read, create and write the array.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __rhi_internal__ = True
 
 
 class Lock:
-    """`with buffer.lock(Access.WRITE) as array:`; the array can't be written after the block, nor if only read."""
+    """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is read-only."""
 
     __slots__ = ("_access", "_array", "_make", "_owner", "_read", "_write")
 
@@ -51,7 +51,7 @@ class Lock:
         array = self._read() if self._access.reads else self._make()
         array.flags.writeable = self._access.writes
         core.locked.append(owner)
-        core.program = None  # from now on every draw checks whether it uses what is locked
+        core.program = None  # from now on every draw checks whether it uses a locked resource
         self._array = array
         return array
 

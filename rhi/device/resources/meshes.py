@@ -1,10 +1,10 @@
-"""Meshes: vertex, instance and index arrays, matched by field name to what a program's vertex stage reads.
+"""Meshes: vertex, instance and index arrays, matched by field name to the inputs of a program's vertex stage.
 
-- A mesh's arrays are structured: one field per attribute. A program takes the fields that it names, in
-  whatever order, type width and padding they lie; a missing one is refused with both lists.
-- `view` gives a part of a mesh (first, count, base vertex, base instance) that shares everything else.
-- What a program reads from a mesh is resolved once per pair, and views share that; each view keeps its own
-  draw per program (`calls`). So a view isn't changed: another part is another view.
+- A mesh's arrays are structured: one field per attribute. A program reads the fields that it names, in
+  any order, width and padding; a missing field is refused with both lists.
+- `view` returns a part of a mesh (first, count, base vertex, base instance) that shares everything else.
+- The vertex array is created once per mesh and program, and shared by views; each view keeps its own prepared draw
+  per program (`prepared_draws`). So views are immutable: another part is another view.
 """
 
 from __future__ import annotations
@@ -39,13 +39,13 @@ __rhi_internal__ = True
 
 VertexSource: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer"
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
-(`device.mesh` also takes a number: so many vertices without attributes.)"""
+(`device.mesh` also accepts a number of vertices without attributes.)"""
 
 _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat}
 
 
 class MeshData:
-    """The buffers of a mesh; shared by its views."""
+    """The buffers of a mesh, shared by its views."""
 
     __slots__ = ("buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
                  "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
@@ -56,7 +56,7 @@ class MeshData:
     ) -> None:  # fmt: skip
         call = "device.mesh"
         core.check_open()
-        # Everything is checked before the first buffer is made, so that a refusal leaves nothing behind.
+        # Everything is checked before the first buffer is created, so that a refused call leaves nothing behind.
         if isinstance(vertices, np.integer):
             vertices = int(vertices)
         vertex_array = None if isinstance(vertices, int) else _structured(core, vertices, call)
@@ -75,7 +75,7 @@ class MeshData:
             )
             self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
         except BaseException:
-            for buffer in self.owned:  # out of memory half-way
+            for buffer in self.owned:  # a later buffer did not fit into memory
                 buffer.destroy()
             raise
         self.index_format = IndexFormat.UINT32
@@ -105,10 +105,10 @@ class MeshData:
     ) -> Id:
         """Create the vertex array of this mesh for a program's inputs; called at the first draw of the pair.
 
-        It is kept under `key`, the `Program`: ids of two devices may be the same, programs can't.
+        It is kept under `key`, the `Program`, since ids of two devices may be equal.
 
         Raises:
-            ValidationError: `mesh-attribute` when a field is missing or of a type the stage can't read.
+            ValidationError: `mesh-attribute` if a field is missing or has a type that the stage can't read.
         """
         descriptor = self.describe_vertex_array(program, name, attributes)
         vertex_array = self.core.new_id()
@@ -119,7 +119,7 @@ class MeshData:
     def describe_vertex_array(
         self, program: Id, name: str, attributes: tuple[Attribute, ...]
     ) -> VertexArrayDescriptor:
-        """How a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
+        """Return how a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
         streams = []
         remaining = {attribute.name: attribute for attribute in attributes}
         for buffer, per_instance in ((self.vertices, False), (self.instances, True)):
@@ -157,19 +157,20 @@ class MeshData:
         given = int(np.prod(shape)) if shape else 1
         code = base.str[1:]
         normalized = scalar == "float" and base.kind in "iu"
-        # A vector may be fed with more components than it reads, never with fewer.
+        # A field may have more components than the input reads, never fewer.
         form = _FORMATS.get((code, given, normalized))
         if form is None or form.components < components or (form.kind != scalar):
             self.core.refuse(
                 MESH_ATTRIBUTE,
                 f"draw of program {program!r}",
                 f"{attribute.name} as {given}×{code}",
-                f"{attribute.name} as {wanted}: " + ", ".join(_shown(f) for f in VertexFormat
+                f"{attribute.name} as {wanted}: " + ", ".join(_format_text(f) for f in VertexFormat
                                                              if f.kind == scalar and f.components >= components),
             )  # fmt: skip
         return form
 
     def _forget(self) -> None:
+        """Drop all prepared draws and vertex arrays."""
         for view in self.views:
             view.prepared_draws.clear()
         for vertex_array in self.vertex_arrays.values():
@@ -177,12 +178,13 @@ class MeshData:
         self.vertex_arrays.clear()
 
     def destroy(self) -> None:
+        """Destroy the buffers that were created for this mesh."""
         self._forget()
         for buffer in self.owned:
             buffer.destroy()
 
 
-def _shown(form: VertexFormat) -> str:
+def _format_text(form: VertexFormat) -> str:
     return f"{form.components}×{form.code}{' normalised' if form.normalized else ''}"
 
 
@@ -262,17 +264,17 @@ class Mesh(Drawable, Resource):
 
     @property
     def vertex_count(self) -> int:
-        """Vertices of the whole mesh."""
+        """Number of vertices of the whole mesh."""
         return self.data.vertex_count
 
     @property
     def index_count(self) -> int | None:
-        """How many indices there are, None without indices."""
+        """Number of indices, None for a mesh without indices."""
         return self.data.index_count
 
     @property
     def is_indexed(self) -> bool:
-        """Whether draws go through indices."""
+        """Whether the mesh has indices."""
         return self.data.index_count is not None
 
     @property
@@ -287,12 +289,12 @@ class Mesh(Drawable, Resource):
 
     @property
     def instances(self) -> Buffer | None:
-        """The buffer of per-instance data, None without."""
+        """The buffer of per-instance data, None if there is none."""
         return self.data.instances
 
     @property
     def element_count(self) -> int:
-        """Indices or, without them, vertices."""
+        """Number of indices or, without indices, of vertices."""
         return self.data.vertex_count if self.data.index_count is None else self.data.index_count
 
     def __repr__(self) -> str:
@@ -307,10 +309,10 @@ class Mesh(Drawable, Resource):
         base_instance: int = 0,
         primitive: Primitive | None = None,
     ) -> Mesh:
-        """A part of the mesh; shares its buffers.
+        """Return a part of the mesh that shares its buffers.
 
         Raises:
-            ValidationError: `mesh-range` when it reaches beyond the indices or vertices.
+            ValidationError: `mesh-range` if the part reaches beyond the indices or vertices.
         """
         core, total = self.data.core, self.element_count
         count = total - first if count is None else count
@@ -330,7 +332,7 @@ class Mesh(Drawable, Resource):
         base_vertex: Any = 0,
         base_instance: Any = 0,
     ) -> NDArray[Any]:
-        """An array of draws for `draw_many`: each argument is a number or an array, as for `view`.
+        """Return an array of draws for `draw_many`; each argument is a number or an array, as for `view`.
 
         Returns:
             (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
@@ -356,13 +358,13 @@ class Mesh(Drawable, Resource):
         return draws
 
     def destroy(self) -> None:
-        """Give back the buffers that were made for this mesh (not those passed in)."""
+        """Destroy the buffers that were created for this mesh (not those passed in)."""
         self.data.destroy()
         self.data.core.program = None
 
 
 def check_draws(core: Core, mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
-    """The draws as a contiguous array of the mesh's kind; refuses another dtype or one out of range."""
+    """Return draws as a contiguous array; refuse a dtype that is not the mesh's, and draws beyond the mesh."""
     expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
     array = np.asarray(draws)
     if array.dtype != expected or array.ndim != 1:
@@ -396,7 +398,7 @@ def _structured(core: Core, source: VertexSource, call: str) -> NDArray[Any] | B
 
 
 def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> None:
-    """Refuse a structured array with a NaN or infinity in it."""
+    """Refuse a structured array that contains NaN or infinity."""
     for name in vertices.dtype.names or ():
         values = vertices[name]
         if values.dtype.kind == "f" and not np.isfinite(values).all():
@@ -410,7 +412,7 @@ def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], call: str) -> ND
     if len(lengths) != 1:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
         core.refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
-    # Doubles are what NumPy makes by default and no vertex stage reads: they become float32.
+    # NumPy makes float64 arrays by default, which no vertex stage reads: they become float32.
     types = [
         (name, np.float32 if values.dtype == np.float64 else values.dtype, values.shape[1:])
         for name, values in columns.items()
@@ -440,10 +442,10 @@ def _index_source(
 
 
 def match_indices(core: Core, source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
-    """Indices of any integer dtype as (n,) uint16 or uint32.
+    """Return indices of any integer dtype as (n,) uint16 or uint32.
 
     Raises:
-        ValidationError: `mesh-index` for one that names none of so many vertices and doesn't restart a strip.
+        ValidationError: `mesh-index` for an index that is neither below `vertices` nor restarts a strip.
     """
     array = np.asarray(source)
     if array.dtype.kind not in "iu" or not array.size:

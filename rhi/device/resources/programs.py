@@ -1,7 +1,7 @@
-"""Programs: what a draw or dispatch runs, and what must hold before it does.
+"""Programs: compiled shaders, and the checks before each draw or dispatch.
 
-- A draw checks everything first and applies after: what is refused leaves no trace. The functions that do so are
-  generated per program (`rhi.device.resources.draw_code`) and compare by identity what is bound with what is given.
+- A draw checks everything first and binds afterwards, so that a refused draw has no effect. The functions that do this
+  are generated per program (`rhi.device.resources.draw_code`) and compare bound and given values by identity.
 - The checks themselves, which say what is wrong and what is allowed, are here, off the fast path.
 """
 
@@ -46,13 +46,13 @@ _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
 class Program(Generic[P]):
-    """A shader on the device; made by `device.program`.
+    """A shader on the device; created by `device.program`.
 
     Attributes:
-        id: its name in the command stream.
+        id: the program's id in the command stream.
         descriptor: stages, bindings, vertex inputs and outputs.
-        name: the shader class's name.
-        recorded_code: the code of its functions in command buffers, once there is one.
+        name: the name of the shader class.
+        recorded_code: the code of its functions in command buffers, None before the first use in one.
     """
 
     __slots__ = (
@@ -68,15 +68,15 @@ class Program(Generic[P]):
     )
 
     draw_with: Callable[[Drawable, int, dict[str, Any]], None]
-    """`draw` with the bindings in a dictionary: `draw_with(mesh, instances, bindings)`."""
+    """The draw with the bindings in a dictionary: `draw_with(mesh, instances, bindings)`."""
 
     bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
-    """Check and apply bindings for anything but a plain draw: `bind(ready, mesh, bindings)`."""
+    """Check and bind values for any call but a plain draw: `bind(check, mesh, bindings)`."""
 
     if TYPE_CHECKING:
 
         def draw(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
-            """Draw `mesh`; the same as `device.draw(program, mesh, …)` with one call less."""
+            """Draw `mesh`, like `device.draw(program, mesh, …)` but with one Python call less."""
 
     def __init__(self, core: Core, descriptor: ProgramDescriptor) -> None:
         _check_limits(core, descriptor)
@@ -98,14 +98,14 @@ class Program(Generic[P]):
 
     @property
     def label(self) -> str:
-        """Its name, as resources have labels."""
+        """The program's name, in the role of a resource's label."""
         return self.name
 
     def __repr__(self) -> str:
         return f"Program({self.name!r})"
 
     def destroy(self) -> None:
-        """Give the program back once the GPU is done with it."""
+        """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
@@ -114,7 +114,7 @@ class Program(Generic[P]):
     # -- checks, off the fast path -----------------------------------------------------------------------
 
     def check_can_draw(self, mesh: Drawable) -> None:
-        """What must hold before any draw of this program."""
+        """Refuse a draw of `mesh` that is not possible now, whatever its bindings."""
         core = self.core
         call = f"draw of program {self.name!r}"
         core.check_open()
@@ -135,7 +135,7 @@ class Program(Generic[P]):
                 )
 
     def check_can_dispatch(self, subject: object = None) -> None:
-        """What must hold before any dispatch of this program."""
+        """Refuse a dispatch that is not possible now, whatever its bindings."""
         core = self.core
         call = f"dispatch of program {self.name!r}"
         core.check_open()
@@ -146,7 +146,7 @@ class Program(Generic[P]):
             self.core.refuse(PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
-        """Make this program the current one; while something is locked none is, so that all is checked."""
+        """Bind this program and make it the current one; while a resource is locked, none is current."""
         core = self.core
         core.backend.bind_program(self.id)
         core.program = None if core.locked else self
@@ -175,7 +175,7 @@ class Program(Generic[P]):
         return known or mesh.create_vertex_array(self, self.id, self.name, self.descriptor.attributes)
 
     def draw_unprepared(self, mesh: Drawable, instances: int) -> None:
-        """The draw itself, all of its arguments given now."""
+        """Draw through the backend's `draw`, without a prepared draw."""
         self.core.backend.draw(
             self.find_vertex_array(mesh),
             mesh.primitive,
@@ -187,7 +187,7 @@ class Program(Generic[P]):
         )
 
     def check(self, index: int, value: Any) -> None:
-        """Refuse `value` for the binding at `index` unless it is of the right kind, alive and unlocked."""
+        """Refuse `value` for the binding at `index` unless its type fits and its resource can be used."""
         binding = self.descriptor.bindings[index]
         call = f"{binding.name}= of program {self.name!r}"
         if value is MISSING or value is None:
@@ -262,7 +262,7 @@ class Program(Generic[P]):
             self.core.refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
     def raise_for(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
-        """Turn a Python error of the generated functions into the rule that was broken."""
+        """Refuse the argument that caused a Python error in a generated function, or else raise that error again."""
         if mesh is not None and not isinstance(mesh, Drawable):
             self.core.refuse(
                 DEVICE_ARGUMENT,
@@ -275,7 +275,7 @@ class Program(Generic[P]):
         raise error
 
     def check_names(self, given: Iterable[str]) -> None:
-        """Refuse bindings that the program doesn't have or that are missing."""
+        """Refuse unknown and missing names of bindings."""
         names = set(given)
         wanted = {binding.name for binding in self.descriptor.bindings}
         call = f"draw of program {self.name!r}"
@@ -286,7 +286,7 @@ class Program(Generic[P]):
             self.core.refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
     def check_instances(self, instances: Any) -> int:
-        """Instances as an int; refuse what is no number of them."""
+        """Return the number of instances as an int; refuse an invalid one."""
         if not isinstance(instances, (int, np.integer)) or not 0 <= instances < 1 << 31:
             given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
             self.core.refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
@@ -294,7 +294,7 @@ class Program(Generic[P]):
 
 
 def shader_kind(form: Format) -> str:
-    """How a shader sees a format's channels: "float", "int" or "uint"."""
+    """Return the scalar type as which a shader sees a format's channels: "float", "int" or "uint"."""
     return {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}.get(form.kind, "float")
 
 
@@ -313,7 +313,7 @@ def _type_name(binding: Binding) -> str:
 
 
 def _how_to_make(binding: Binding) -> str:
-    """The call that makes what a uniform or storage binding takes."""
+    """Return the call that creates a value for a uniform or storage binding, as a tip."""
     made = _type_name(binding)
     if binding.kind is BindingKind.STORAGE:
         return f"make_draw_code it with device.storage({made}, …)"
@@ -363,4 +363,4 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
             core.refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
     for binding in descriptor.bindings:
         if binding.name == "self" or keyword.iskeyword(binding.name):
-            core.refuse(BINDING_NAME, call, binding.name, "what can be the keyword of a draw")
+            core.refuse(BINDING_NAME, call, binding.name, "a name that can be a keyword argument")

@@ -2,9 +2,8 @@
 
 - Row 0 of every array is the top row. `read` and `write` use the format's own dtype; nothing is converted
   silently.
-- A `Texture` is itself what a shader's texture binding takes, with a sampler that suits its format;
-  `sampled(...)` gives it another one, `image(...)` one level for loads and stores, `at(...)` one level and
-  layer as a target.
+- A `Texture` can be bound directly, with a default sampler for its format. `sampled(...)` binds it with another
+  sampler, `image(...)` binds one level for loads and stores, and `at(...)` is one level and layer as a render target.
 """
 
 from __future__ import annotations
@@ -47,7 +46,7 @@ _NEAREST = SamplerDescriptor(minify=Filter.NEAREST, magnify=Filter.NEAREST, mip=
 
 @dataclass(frozen=True, slots=True)
 class Sampler:
-    """How a texture is read; equal descriptors are one sampler."""
+    """A sampler: filtering, wrapping and comparison of texture reads. Equal descriptors share one id."""
 
     id: Id
     descriptor: SamplerDescriptor
@@ -55,7 +54,7 @@ class Sampler:
 
 @dataclass(frozen=True, slots=True)
 class TextureTarget:
-    """One level and layer of a texture as a render pass's target."""
+    """One mip level and layer of a texture as the target of a render pass."""
 
     texture: Texture
     level: int = 0
@@ -68,11 +67,11 @@ class TextureTarget:
 
 
 class Texture(TextureBinding, Resource):
-    """Texels on the device.
+    """A texture on the device.
 
     Attributes:
-        id: its name in the command stream.
-        descriptor: size, format, kind, layers, levels and samples; also attributes of the texture.
+        id: the texture's id in the command stream.
+        descriptor: size, format, kind, layers, levels and samples; these are also attributes of the texture.
     """
 
     __slots__ = ("core", "descriptor", "destroyed", "id")
@@ -100,27 +99,27 @@ class Texture(TextureBinding, Resource):
 
     @property
     def kind(self) -> TextureKind:
-        """2D, array, 3D or cube."""
+        """The texture's kind: 2D, 2D array, 3D or cube."""
         return self.descriptor.kind
 
     @property
     def layers(self) -> int:
-        """Array layers, 6 for a cube, the depth of a 3D texture."""
+        """Number of array layers, 6 for a cube, the depth of a 3D texture."""
         return self.descriptor.layers
 
     @property
     def levels(self) -> int:
-        """Mip levels."""
+        """Number of mip levels."""
         return self.descriptor.levels
 
     @property
     def samples(self) -> int:
-        """Samples a texel; 1 unless it is multi-sampled."""
+        """Number of samples per texel; 1 unless the texture is multi-sampled."""
         return self.descriptor.samples
 
     @property
     def label(self) -> str:
-        """Its name in messages and tools."""
+        """The texture's name in messages and tools."""
         return self.descriptor.label
 
     def __repr__(self) -> str:
@@ -128,7 +127,7 @@ class Texture(TextureBinding, Resource):
         return f"Texture({self.label!r}, {width}×{height}, {self.format.name})"
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it. A second call does nothing."""
+        """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
@@ -137,39 +136,39 @@ class Texture(TextureBinding, Resource):
     # -- parts -------------------------------------------------------------------------------------------
 
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
-        """One level and layer, as a target of a render pass."""
+        """Return one level and layer as a render target."""
         self._check("Texture.at", level, layer)
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
-        """This texture read through another sampler."""
+        """Return a binding that reads this texture through another sampler."""
         self._check("Texture.sampled")
         identity = sampler.id if isinstance(sampler, Sampler) else self.core.sampler(sampler)
         return TextureBinding(self.id, identity, self)
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
-        """One level, all layers or one, for a shader's loads and stores."""
+        """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
         self._check("Texture.image", level, layer or 0)
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
 
     def read(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[Any]:
-        """One layer: (height, width, channels), or (height, width) for one channel; top row first. Waits.
+        """Return one layer: (height, width, channels), or (height, width) for one channel; top row first.
 
-        Depth reads as float32.
+        Waits for the device. Depth is read as float32.
         """
         texels = self._read("Texture.read", level, self._region("Texture.read", level, layer, region), False)
         return texels[0, :, :, 0] if self.format.channels == 1 else texels[0]
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
-        """All layers: (layers, height, width, channels). Waits."""
+        """Return all layers: (layers, height, width, channels). Waits for the device."""
         width, height = self.descriptor.level_size(level)
         region = Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
         return self._read("Texture.read_layers", level, region, False)
 
     def read_stencil(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[np.uint8]:
-        """One layer's stencil values: (height, width) uint8. Waits."""
+        """Return the stencil values of one layer: (height, width) uint8. Waits for the device."""
         call = "Texture.read_stencil"
         if not self.format.has_stencil:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
@@ -177,8 +176,10 @@ class Texture(TextureBinding, Resource):
         return stencil[0, :, :, 0]
 
     def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
-        """Replace texels from (x, y) on: (height, width, channels), (height, width) for one channel, or
-        (layers, height, width, channels) for several layers from `layer` on.
+        """Replace texels from (x, y) on.
+
+        `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width, channels)
+        for several layers from `layer` on.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -209,11 +210,11 @@ class Texture(TextureBinding, Resource):
         )
 
     def generate_mipmaps(self) -> None:
-        """Fill levels 1… from level 0 (a 2×2 box, sRGB in linear light)."""
+        """Generate mip levels 1… from level 0 (2×2 box filter, sRGB in linear light)."""
         self._generate_mipmaps(self.core)
 
     def _generate_mipmaps(self, core: Core) -> None:
-        """`generate_mipmaps`, commanded to `core`: the texture's own, or a command buffer's."""
+        """Send a `generate_mipmaps` to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
         if self.format.is_depth or self.format.is_integer:
@@ -232,14 +233,14 @@ class Texture(TextureBinding, Resource):
         y: int = 0,
         layer: int = 0,
     ) -> None:
-        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; equal formats."""
+        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; the formats must be equal."""
         self._copy(self.core, target, level, region, target_level, x, y, layer)
 
     def _copy(
         self, core: Core, target: Texture, level: int, region: Region | None, target_level: int, x: int, y: int,
         layer: int,
     ) -> None:  # fmt: skip
-        """`copy_to`, commanded to `core`."""
+        """Send a `copy_to` to `core`."""
         call = "Texture.copy_to"
         source_region = region or self._whole(level, core)
         self._check_region(call, level, source_region, core)
@@ -259,11 +260,11 @@ class Texture(TextureBinding, Resource):
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def resolve_to(self, target: Texture) -> None:
-        """Average this multi-sampled texture's samples into `target`, of equal size and format."""
+        """Resolve this multi-sampled texture to `target`: average the samples; size and format must be equal."""
         self._resolve(self.core, target)
 
     def _resolve(self, core: Core, target: Texture) -> None:
-        """`resolve_to`, commanded to `core`."""
+        """Send a `resolve_to` to `core`."""
         call = "Texture.resolve_to"
         self._check(call, core=core)
         target._check(call, core=core)
@@ -273,12 +274,12 @@ class Texture(TextureBinding, Resource):
             )
         has_average = not (self.format.is_depth or self.format.is_integer)
         if self.format is not target.format or self.size != target.size or not has_average:
-            allowed = "a color format that is no integer, equal in both, and equal sizes"
+            allowed = "equal sizes and equal color formats, not of integers"
             self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
-        """`with texture.lock(Access.WRITE) as texels:` gives (height, width, channels), top row first."""
+        """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
         if self.format.is_depth and access.writes:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
@@ -348,7 +349,7 @@ class Texture(TextureBinding, Resource):
 
 
 def full_levels(width: int, height: int, depth: int = 1) -> int:
-    """How many mip levels there are down to 1×1."""
+    """Return the number of mip levels down to 1×1."""
     return max(width, height, depth).bit_length()
 
 
