@@ -66,17 +66,17 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     exec(code, scope)
     core = program.core
     types = tuple(binding.type for binding in bindings)
-    return DrawCode(
-        *scope["make_draw_code"](core, core.backend, core.states, program, types, MISSING, object())
-    )
+    return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object()))
 
 
 def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
-    """The text of a function `make_draw_code` that returns the fields of `DrawCode`. Names of its own start with an
-    underscore and a letter, those of bindings with a letter."""
+    """Yield the source of a function `make` that returns the fields of `DrawCode`.
+
+    Its own names start with an underscore and a letter, those of bindings with a letter.
+    """
     cells = [f"_{kind}_{i}" for kind in ("bound", "owner") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
-    yield "def make_draw_code(_core, _backend, _states, _program, _types, _missing, _unbound):"
+    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len = len  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"

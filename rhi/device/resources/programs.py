@@ -316,9 +316,9 @@ def _how_to_make(binding: Binding) -> str:
     """Return the call that creates a value for a uniform or storage binding, as a tip."""
     made = _type_name(binding)
     if binding.kind is BindingKind.STORAGE:
-        return f"make_draw_code it with device.storage({made}, …)"
+        return f"make it with device.storage({made}, …)"
     value = f"{made}(…)" if isinstance(binding.type, type) and issubclass(binding.type, Struct) else "…"
-    return f"make_draw_code it with device.uniform({value}), or for a frame device.transient.uniform({value})"
+    return f"make it with device.uniform({value}), or for a frame device.transient.uniform({value})"
 
 
 def _stages(descriptor: ProgramDescriptor) -> str:
