@@ -142,7 +142,7 @@ class CommandBuffer(Encoder):
         self._state = _READY
 
     def _find_open(self) -> list[str]:
-        """Return what is still open, as texts."""
+        """Return the names of everything that is still open."""
         core = self._recorder
         depth = core.states.depth
         return [
