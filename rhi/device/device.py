@@ -114,9 +114,7 @@ class Device(Encoder):
         self._backend.close()
         if core.locked and not quiet:
             shown = ", ".join(repr(owner) for owner in core.locked)
-            self._core.refuse(
-                LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block"
-            )
+            core.refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
 
     @property
     def closed(self) -> bool:
@@ -369,7 +367,7 @@ class Device(Encoder):
         core = self._core
         core.check_open()
         if core.render_pass is not None:
-            self._core.refuse(PASS_OPEN, "device.submit", "an open render pass")
+            core.refuse(PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
             buffer.execute()
@@ -434,7 +432,7 @@ class Device(Encoder):
         core = self._core
         core.check_open()
         if core.render_pass is not None:
-            self._core.refuse(PASS_OPEN, "device.present", "an open render pass")
+            core.refuse(PASS_OPEN, "device.present", "an open render pass")
         if image is not None:
             core.check_usable(image, "device.present")
         core.backend.present(image.id if image is not None else 0)

@@ -214,25 +214,25 @@ class Encoder:
         end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
         if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
             given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
-            self._core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
+            core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
         if (
             arguments.stride < 20
             or arguments.stride % 4
             or arguments.offset % 4
             or arguments.count_offset % 4
         ):
-            self._core.refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
-                   "a stride of 20 or more and offsets, all multiples of 4")  # fmt: skip
+            given = f"stride {arguments.stride}, offset {arguments.offset}"
+            core.refuse(INDIRECT_RANGE, call, given, "a stride of 20 or more and offsets, all multiples of 4")
         if mesh.primitive is Primitive.QUADS:
-            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         if count is not None:
             if not core.capabilities.indirect_count:
-                self._core.refuse(
+                core.refuse(
                     DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count"
                 )
             core.check_usable(count, call)
             if not 0 <= arguments.count_offset <= count.size - 4:
-                self._core.refuse(
+                core.refuse(
                     INDIRECT_RANGE,
                     call,
                     f"count at byte {arguments.count_offset}",

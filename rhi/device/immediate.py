@@ -36,8 +36,8 @@ class Immediate(Generic[S]):
     ) -> None:
         program.check_names(bindings)
         if not program.descriptor.attributes:
-            program.core.refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
-                                "a program with vertex inputs")  # fmt: skip
+            given = f"{program!r}, which reads no vertices"
+            program.core.refuse(IMMEDIATE_VERTEX, "device.immediate", given, "a program with vertex inputs")
         self._memory = memory
         self._program = program
         self._primitive = primitive

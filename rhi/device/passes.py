@@ -191,8 +191,8 @@ class RenderPass:
                 and not source.format.is_integer  # integers have no average
             )
             if not fits:
-                core.refuse(PASS_TARGET, call, f"{source!r} resolved to {resolve!r}",
-                       "from several samples to 1, equal size and format, no integers")  # fmt: skip
+                allowed = "from several samples to 1, equal size and format, no integers"
+                core.refuse(PASS_TARGET, call, f"{source!r} resolved to {resolve!r}", allowed)
 
 
 def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:

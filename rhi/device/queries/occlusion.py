@@ -179,11 +179,11 @@ class OcclusionQuery(PendingQuery[int]):
         core = self._core
         core.check_open()
         if self.destroyed:
-            self._core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
+            core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
         if core.open_query is not None:
-            self._core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
+            core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
-            self._core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+            core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
         self.write_begin(core)
         if self.emulated:
             core.signal()

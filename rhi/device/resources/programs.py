@@ -120,14 +120,14 @@ class Program(Generic[P]):
         core.check_open()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
-            self.core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
+            core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
         if core.render_pass is None:
-            self.core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+            core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
         for buffer in mesh.buffers:
             core.check_usable(buffer, call)
         for output, kind in zip(self.descriptor.outputs, core.target_kinds, strict=False):
             if output.kind != kind:
-                self.core.refuse(
+                core.refuse(
                     PROGRAM_OUTPUT,
                     call,
                     f"{output.name}: {output.kind}",
@@ -141,9 +141,9 @@ class Program(Generic[P]):
         core.check_open()
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
-            self.core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
+            core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
         if core.render_pass is not None:
-            self.core.refuse(PASS_OPEN, call, "an open render pass")
+            core.refuse(PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
         """Bind this program and make it the current one; while a resource is locked, none is current."""
