@@ -1,1 +1,1 @@
-"""The platform-independent half of the interface: what users hold, and every policy that a platform must not decide."""
+"""The platform-independent front end: the device, its resources and its commands, with all checks and policies."""

@@ -1,18 +1,18 @@
-"""Command buffers: commands that are recorded now and carried out later, again and again (thesis 3.7.2).
+"""Command buffers: commands that are recorded once and executed later, any number of times (thesis 3.7.2).
 
-- A `CommandBuffer` is an encoder with a core of its own: states, bindings and the open pass are its own, so several
-  can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
-- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). To
-  carry it out, the hardware is brought from what it has to the defaults; afterwards the device knows what it has. So
-  state scopes don't reach across, in either direction.
-- What it holds is what to read, not what is there: buffers and textures are read when it is carried out. Only what is
-  handed to the encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives
-  as long as the command buffer.
-- While it is recorded, `rhi.device.recording` stands for the device.
-- It is told of each of its resources that is destroyed (`Timeline.watch`), and refuses to be carried out then, with
-  the lines that recorded and destroyed it.
-- The first time it is carried out, its commands become a list of calls with their arguments, draws and bindings as
-  the backend prepares them. Replaying is going through that list.
+- A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so several can
+  be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
+- It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). Before
+  it is executed, the hardware is set to the default states; afterwards the device's cache adopts the states it ends
+  with. So state scopes have no effect across its border, in either direction.
+- Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to the encoder
+  itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as long as the command
+  buffer.
+- During recording, `rhi.device.recording` takes the place of the device.
+- It is notified of each of its resources that is destroyed (`Timeline.watch`). Then a submission is refused, with the
+  lines that used and destroyed the resource.
+- At the first execution, its commands become a list of calls with their arguments, with draws and bindings as
+  the backend prepares them. Later executions only iterate over that list.
 """
 
 from __future__ import annotations
@@ -36,16 +36,17 @@ from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.device.encoder import Encoder, check_mesh, underlying_buffer
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
+from rhi.device.encoder import Encoder, check_drawable, underlying_buffer
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
 from rhi.device.resources.buffers import Buffer, StorageBuffer
+from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import Arena, TransientMemory
-from rhi.errors import RhiError, find_user_frame, refuse
+from rhi.errors import RhiError, find_user_frame
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ARGUMENT,
@@ -61,9 +62,9 @@ from rhi.errors.rules import (
 
 __rhi_internal__ = True
 
-Call = tuple[Callable[..., object], tuple[Any, ...]]
+PreparedCall = tuple[Callable[..., object], tuple[Any, ...]]
 
-_EMPTY, _RECORDING, _READY, _SPOILED = "not recorded", "being recorded", "recorded", "cut off by an error"
+_EMPTY, _RECORDING, _READY, _INVALID = "not recorded", "being recorded", "recorded", "invalid after an error"
 _DEFAULTS: Final = StateVector(default_values())
 _CLOSES: Final = {
     Op.BEGIN_PASS: Op.END_PASS,
@@ -74,10 +75,10 @@ _CLOSES: Final = {
 
 
 class CommandBuffer(Encoder):
-    """Commands to be carried out later; `device.record()` makes it, its `with` block fills it.
+    """Recorded commands; created by `device.record()`, recorded in its `with` block, executed by `device.submit`.
 
-    It is an encoder like the device, without what waits or orders (reads, locks, signals, `present`). It gives
-    its memory back when the last reference to it goes.
+    It has the commands of a device, except those that wait or synchronise (reads, locks, signals, `present`). Its
+    memory is released with the last reference to it.
     """
 
     NAME = "commands"
@@ -90,8 +91,8 @@ class CommandBuffer(Encoder):
         self.label = label
         self._state = _EMPTY
         self._programs: dict[Program[Any], RecordedProgram] = {}
-        self._calls: list[Call] | None = None
-        self._dead: dict[Id, str] = {}
+        self._calls: list[PreparedCall] | None = None
+        self._destroyed_uses: dict[Id, str] = {}
         self._draws = self._dispatches = self._queries = 0
         self._owned: list[Id] = []
         weakref.finalize(self, _retire, device.timeline, self._owned).atexit = False
@@ -99,7 +100,7 @@ class CommandBuffer(Encoder):
 
     @property
     def stream(self) -> CommandStream:
-        """What was recorded; `rhi.testing` takes it as it takes a device's."""
+        """The recorded commands; `rhi.testing` accepts them like those of a device."""
         return self._writer.stream
 
     def __len__(self) -> int:
@@ -112,7 +113,9 @@ class CommandBuffer(Encoder):
 
     def __enter__(self) -> Self:
         if self._state is not _EMPTY:
-            refuse(RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one")
+            self._recorder.refuse(
+                RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
+            )
         self._state = _RECORDING
         self._recorder.recording = True
         if self.label:
@@ -124,13 +127,13 @@ class CommandBuffer(Encoder):
     ) -> None:
         core = self._recorder
         core.recording = False
-        self._state = _SPOILED
+        self._state = _INVALID
         left = self._find_open()
-        self._programs.clear()  # with what they know of meshes
+        self._programs.clear()  # with the draws that they have prepared
         if kind is not None:
             return
         if left:
-            refuse(RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
+            core.refuse(RECORD_OPEN, "the end of device.record()", f"open: {', '.join(left)}", "nothing open")
         if self.label:
             self._writer.pop_label()
         statistics = core.statistics()
@@ -139,101 +142,111 @@ class CommandBuffer(Encoder):
         self._state = _READY
 
     def _find_open(self) -> list[str]:
+        """Return the names of everything that is still open."""
         core = self._recorder
         depth = core.states.depth
         return [
-            *(["a query"] if self._desk.open is not None else []),
+            *(["a query"] if core.open_query is not None else []),
             *(["a render pass"] if core.render_pass is not None else []),
             *([f"{depth} scopes of states"] if depth else []),
             *([f"{self._timers.depth} events"] if self._timers.depth else []),
-            *(["a condition"] if self._desk.conditional else []),
+            *(["a condition"] if core.condition_open else []),
         ]
 
+    def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
+        """Draw `mesh` with `program`; see `Encoder.draw`."""
+        if self._state is not _RECORDING:
+            self._recorder.check_open()
+        try:
+            own: Program[Any] = self._programs[program]
+        except (KeyError, TypeError):
+            own = self._resolve_program(program, "commands.draw")
+        check_drawable(self._recorder, mesh, "commands.draw")
+        own.draw_with(mesh, instances, bindings)
+
     if not TYPE_CHECKING:
+        draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
 
-        def draw(self, program, mesh, instances=1, /, **bindings):
-            """Draw `mesh` with `program`; see `Device.draw`."""
-            if self._state is not _RECORDING:
-                self._recorder.check_open()
-            try:
-                own = self._programs[program]
-            except (KeyError, TypeError):
-                own = self._own(program, "commands.draw")
-            check_mesh(mesh, "commands.draw")
-            own.draw_with(mesh, instances, bindings)
+    def query(self, query: OcclusionQuery) -> RecordedQuery:
+        """Record a query: `with commands.query(query):` counts the visible samples of the draws inside.
 
-    def query(self, query: OcclusionQuery) -> QueryUse:
-        """`with commands.query(query):` count the visible samples of the draws inside, each time anew: its answer is
-        that of the latest submission."""
-        return QueryUse(self._recorder, self._desk, query)
+        Each submission counts anew; the answer is that of the latest one.
+        """
+        return RecordedQuery(self._recorder, query)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         super()._check_query_set(queries, call)
         if queries.id in self._recorder.queries:
-            refuse(QUERY_STATE, call, "the same query set twice in a command buffer", "each set once")
+            self._recorder.refuse(
+                QUERY_STATE, call, "the same query set twice in a command buffer", "each set once"
+            )
 
-    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
-        self._recorder.queries[queries.id] = partial(queries.take_recorded, asked)
+    def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
+        self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """`with commands.conditional(query):` draws that the GPU drops if the query counted nothing.
+        """Create a condition: in `with commands.conditional(query):` the GPU skips draws if the query counted nothing.
 
-        The query must be ended before this place, in the buffer or before it is submitted (`query-state`).
+        The query must have ended before, earlier in this buffer or before the submission (`query-state`).
         """
-        return _RecordedConditional(self._recorder, self._desk, query, inverted)
+        return _RecordedConditional(self._recorder, query, inverted)
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
-        """As `Buffer.clear`."""
+        """Record a `Buffer.clear`."""
         underlying_buffer(buffer)._clear(self._recorder, value)
 
     def copy_buffer(
         self, source: Buffer | StorageBuffer[Any], target: Buffer | StorageBuffer[Any], *, size: int | None = None,
         offset: int = 0, target_offset: int = 0,
     ) -> None:  # fmt: skip
-        """As `Buffer.copy_to`."""
-        underlying_buffer(source)._copy(self._recorder, underlying_buffer(target), size, offset, target_offset)
+        """Record a `Buffer.copy_to`."""
+        underlying_buffer(source)._copy(
+            self._recorder, underlying_buffer(target), size, offset, target_offset
+        )
 
     def copy_texture(
         self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
         target_level: int = 0, x: int = 0, y: int = 0, layer: int = 0,
     ) -> None:  # fmt: skip
-        """As `Texture.copy_to`."""
+        """Record a `Texture.copy_to`."""
         source._copy(self._recorder, target, level, region, target_level, x, y, layer)
 
     def resolve(self, source: Texture, target: Texture) -> None:
-        """As `Texture.resolve_to`."""
+        """Record a `Texture.resolve_to`."""
         source._resolve(self._recorder, target)
 
     def generate_mipmaps(self, texture: Texture) -> None:
-        """As `Texture.generate_mipmaps`."""
+        """Record a `Texture.generate_mipmaps`."""
         texture._generate_mipmaps(self._recorder)
 
-    def _own(self, program: object, call: str) -> Program[Any]:
+    def _resolve_program(self, program: object, call: str) -> Program[Any]:
         core = self._recorder
         core.check_open()
         if not isinstance(program, Program):
-            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+            core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not core.device:
-            refuse(RESOURCE_FOREIGN, call, repr(program))
+            core.refuse(RESOURCE_FOREIGN, call, repr(program))
         own = self._programs.get(program)
         if own is None:
             own = self._programs[program] = RecordedProgram(core, program)
         return own
 
-    # -- carrying out ------------------------------------------------------------------------------------
+    # -- execution ---------------------------------------------------------------------------------------
 
     def note_retired(self, resource: Id) -> None:
-        """A resource of the device is gone; for `Timeline`."""
-        if resource in self._recorder.uses and resource not in self._dead:
+        """Keep the line that destroyed a resource of this buffer; called by `Timeline`."""
+        if resource in self._recorder.uses and resource not in self._destroyed_uses:
             frame = find_user_frame()
-            self._dead[resource] = str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            self._destroyed_uses[resource] = (
+                str(find_site(frame.f_code, frame.f_lasti)) if frame is not None else ""
+            )
 
     def execute(self) -> None:
-        """Do what was recorded; for `Device.submit`, which has checked that it can be."""
+        """Execute the recorded commands; called by `Device.submit`, which has checked them."""
         core, device = self._recorder, self._recorder.device
         if self._calls is None:
-            self._make_resources()
-            self._calls = self._prepare()
+            self._create_resources()
+            self._calls = self._prepare_calls()
         device.program = None
         device.send_states(_DEFAULTS)
         calls = iter(self._calls)
@@ -251,12 +264,14 @@ class CommandBuffer(Encoder):
         device.counters.queries += self._queries
         if core.queries:
             fence = device.signal()
-            for take_submission in core.queries.values():
-                take_submission(fence)
+            for mark_submitted in core.queries.values():
+                mark_submitted(fence)
 
-    def _make_resources(self) -> None:
-        """What the commands need that could not be made while they were recorded. What can't be made now is tried
-        again at the next submission."""
+    def _create_resources(self) -> None:
+        """Create the arena's buffer and the vertex arrays, for which recording had no backend.
+
+        If a creation fails, the next submission tries it again.
+        """
         core, device, arena = self._recorder, self._recorder.device, self._arena
         if arena.data:
             if arena.buffer not in self._owned:
@@ -272,29 +287,29 @@ class CommandBuffer(Encoder):
         for key in list(core.vertex_arrays):
             (program, data), (vertex_array, vertices) = key, core.vertex_arrays[key]
             device.backend.create_vertex_array(vertex_array, vertices)
-            # Where another buffer, or the device, has made one meanwhile, this one is kept beside it.
+            # If another command buffer or the device has created one meanwhile, this one is kept beside it.
             data.vertex_arrays[vertex_array if program in data.vertex_arrays else program] = vertex_array
             del core.vertex_arrays[key]
 
-    def _prepare(self) -> list[Call]:
-        """The commands as calls."""
+    def _prepare_calls(self) -> list[PreparedCall]:
+        """Return the commands as calls with their arguments."""
         device, data = self._recorder.device, self.stream.data
         backend = device.backend
         if isinstance(backend, Recorder):
             stream = self.stream
             return [(backend.pass_on, stream.entry(index)) for index in range(len(stream))]
-        calls: list[Call] = []
+        calls: list[PreparedCall] = []
         tests_alpha, program = False, 0
         methods: list[Callable[..., object]] = [getattr(backend, op.method) for op in Op]
         draws: dict[tuple[Any, ...], Callable[[int], object]] = {}
         uniforms: dict[Id, Callable[[int, int, int], object]] = {}
-        place, end = 0, len(data)
-        while place < end:
-            op = data[place]
-            first, place = place + 1, place + WIDTHS[op]
+        position, end = 0, len(data)
+        while position < end:
+            op = data[position]
+            first, position = position + 1, position + WIDTHS[op]
             if op == Op.DRAW and not tests_alpha:
                 vertex_array, primitive, start, count, instances, base_vertex, base_instance = data[
-                    first : place - 2
+                    first : position - 2
                 ]
                 key = (program, vertex_array, primitive, start, count, base_vertex, base_instance)
                 draw = draws.get(key)
@@ -302,13 +317,13 @@ class CommandBuffer(Encoder):
                     draw = draws[key] = device.prepare_draw(*key)
                 calls.append((draw, (instances,)))
             elif op == Op.BIND_UNIFORM:
-                slot, buffer, offset, size = data[first : place - 2]
+                slot, buffer, offset, size = data[first : position - 2]
                 bind = uniforms.get(buffer)
                 if bind is None:
                     bind = uniforms[buffer] = device.prepare_uniform(buffer)
                 calls.append((bind, (slot, offset, size)))
             else:
-                arguments = tuple(data[first : place - 2])
+                arguments = tuple(data[first : position - 2])
                 calls.append((methods[op], arguments))
                 if op == Op.BIND_PROGRAM:
                     program = arguments[0]
@@ -319,7 +334,7 @@ class CommandBuffer(Encoder):
         return calls
 
     def _clean_up(self, done: int) -> None:
-        """After a call that failed: close what the `done` ones before it have opened."""
+        """Close whatever the first `done` commands have opened, after the next one has failed."""
         device, stream = self._recorder.device, self.stream
         opened: list[tuple[Op, tuple[Any, ...]]] = []
         for command in stream[:done]:
@@ -328,54 +343,54 @@ class CommandBuffer(Encoder):
             elif opened and command.op is opened[-1][0]:
                 opened.pop()
         for op, values in reversed(opened):
-            with suppress(RhiError):  # a lost device can't
+            with suppress(RhiError):  # fails again on a lost device
                 getattr(device.backend, op.method)(*(values if op is Op.END_QUERY else ()))
         device.adopt_states(tuple(stream.context(done).states.values()))
 
 
-class QueryUse:
-    """`with commands.query(query):`; see there."""
+class RecordedQuery:
+    """A `with commands.query(query):` block."""
 
-    __slots__ = ("_core", "_desk", "_query")
+    __slots__ = ("_core", "_query")
 
-    def __init__(self, core: RecordingCore, desk: QueryDesk, query: OcclusionQuery) -> None:
+    def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:
         call = "commands.query"
         core.check_open()
         query.check_usable(core.device, call)
         self._core = core
-        self._desk = desk
         self._query = query
 
     def __enter__(self) -> None:
         core, query, call = self._core, self._query, "commands.query"
         core.check_open()
-        if self._desk.open is not None:
-            refuse(QUERY_NESTED, call, "a second open query")
+        if core.open_query is not None:
+            core.refuse(QUERY_NESTED, call, "a second open query")
         if core.render_pass is None:
-            refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+            core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
         if query.id in core.queries:
-            refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
+            core.refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
         for resource in query.ids:
             core.note_use(resource, query)
         query.write_begin(core)
-        self._desk.open = self
+        core.open_query = self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._desk.open is self:
-            self._desk.open = None
-            self._query.write_end(self._core)
-            self._core.counters.queries += 1
-            self._core.queries[self._query.id] = self._query.take_submission
+        core = self._core
+        if core.open_query is self:
+            core.open_query = None
+            self._query.write_end(core)
+            core.counters.queries += 1
+            core.queries[self._query.id] = self._query.mark_submitted
 
     def abandon(self) -> None:
-        """End it, as its pass ends."""
+        """End the query, as its pass ends."""
         self._query.write_end(self._core)
 
 
 class _RecordedConditional(Conditional):
-    """A condition on what a query will have counted."""
+    """A condition on the answer that a query will have at execution."""
 
     __slots__ = ()
     _core: RecordingCore
@@ -388,37 +403,36 @@ class _RecordedConditional(Conditional):
             self._core.conditions.append(self._query)
 
 
-def check_submissions(buffers: Iterable[CommandBuffer], device: Core, conditional: bool) -> None:
-    """Refuse command buffers that can't be carried out one after the other, where a condition holds or none does;
-    see `Device.submit`."""
+def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
+    """Refuse command buffers that can't be executed one after the other; see `Device.submit`."""
     call = "device.submit"
     ended: set[Id] = set()
     for buffer in buffers:
         if not isinstance(buffer, CommandBuffer):
-            refuse(DEVICE_ARGUMENT, call, repr(buffer), "command buffers, as device.record() makes them")
+            device.refuse(DEVICE_ARGUMENT, call, repr(buffer), "command buffers from device.record()")
         core = buffer._recorder
         if core.device is not device:
-            refuse(RESOURCE_FOREIGN, call, repr(buffer))
+            device.refuse(RESOURCE_FOREIGN, call, repr(buffer))
         if buffer._state is not _READY:
-            refuse(
+            core.refuse(
                 RECORD_STATE,
                 call,
                 f"a command buffer that is {buffer._state}",
-                "one whose block has ended well",
+                "one whose `with` block has ended without an error",
             )
-        for resource, site in buffer._dead.items():
+        for resource, site in buffer._destroyed_uses.items():
             use = core.uses[resource]
-            given = f"{use.name}, destroyed at {site}, used by what was recorded at {find_site(use.code, use.offset)}"
-            refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
+            given = f"{use.name}, destroyed at {site}, used by a command recorded at {find_site(use.code, use.offset)}"
+            core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
             if use.owner in device.locked:
-                refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
-        if conditional and buffer._desk.conditions:
-            given = f"{buffer!r} with a condition of its own, inside device.conditional"
-            refuse(CONDITION_NESTED, call, given)
+                core.refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
+        if device.condition_open and core.condition_count:
+            given = f"{buffer!r}, which contains a condition, inside device.conditional"
+            core.refuse(CONDITION_NESTED, call, given)
         for query in core.conditions:
             if query.id not in ended:
-                query._check_ended(call)
+                query.check_ended(device, call)
         ended.update(core.queries)
 
 

@@ -1,14 +1,14 @@
-"""What can be commanded, whoever takes the commands: passes, states, draws, dispatches, labels, conditions.
+"""The commands that devices and command buffers share: passes, states, draws, dispatches, labels, conditions.
 
-A `Device` carries them out; a `CommandBuffer` writes them down for later. Both are encoders, so code that renders
-takes either. Whatever is refused is refused here, before a backend hears of it.
+A `Device` executes them, a `CommandBuffer` records them for later. Both are encoders, so rendering code accepts either.
+All checks are made here, before a call reaches a backend.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,16 +19,15 @@ from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope
 from rhi.device.immediate import Immediate
-from rhi.device.passes import Clear, RenderPass, Target
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery, QueryDesk
+from rhi.device.passes import Clear, RenderPass, RenderTarget
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
-from rhi.device.queries.timers import Event, Timers
+from rhi.device.queries.timers import EventScope, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer
-from rhi.device.resources.meshes import Mesh, check_draws
+from rhi.device.resources.meshes import Drawable, Mesh, check_draws
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
-from rhi.errors import refuse
 from rhi.errors.rules import (
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
@@ -47,8 +46,9 @@ P = ParamSpec("P")
 class IndirectDraws:
     """Draws whose arguments the GPU reads from a buffer when it executes them.
 
-    Each is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`), `stride` bytes apart from `offset`.
-    With `count`, their number is the uint32 at `count_offset` of that buffer, at most `draws`.
+    Each record is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`); the first lies at `offset`, the next ones
+    `stride` bytes apart. With `count`, the number of draws is the uint32 at `count_offset` of that buffer, at most
+    `draws`.
     """
 
     buffer: Buffer | StorageBuffer[Any]
@@ -60,15 +60,14 @@ class IndirectDraws:
 
 
 class Encoder:
-    """Takes commands; a `Device` or a `CommandBuffer`."""
+    """Common base of `Device` and `CommandBuffer`: the commands that both accept."""
 
     NAME = "device"
-    """In messages."""
+    """The encoder's name in error messages."""
 
     def __init__(self, core: Core, timers: Timers, transient: TransientMemory) -> None:
         self._core = core
         self._scope = core.states.scope
-        self._desk = QueryDesk()
         self._timers = timers
         self._transient = transient
 
@@ -76,8 +75,8 @@ class Encoder:
 
     def render_pass(
         self,
-        color: Target | Sequence[Target] | None = None,
-        depth: Target | None = None,
+        color: RenderTarget | Sequence[RenderTarget] | None = None,
+        depth: RenderTarget | None = None,
         *,
         clear: Clear = None,
         clear_depth: float | None = None,
@@ -85,58 +84,58 @@ class Encoder:
         resolve: Texture | Sequence[Texture | None] | None = None,
         label: str = "",
     ) -> RenderPass:
-        """`with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):` draws go to these.
+        """Create a render pass: `with device.render_pass(color, depth, clear=(0, 0, 0, 1), clear_depth=0):`
 
         Args:
-            color, depth: textures, or `texture.at(level, layer)`, all of one size and number of samples.
-            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps it).
-            clear_depth: 0 is far and 1 near under reversed depth; None keeps what is there.
-            resolve: single-sampled textures that get the averaged samples at the end.
+            color, depth: textures, or `texture.at(level, layer)`, all of the same size and number of samples.
+            clear: (red, green, blue, alpha) for all color targets, or one per target (None keeps the contents).
+            clear_depth: 0 is far and 1 near under reversed depth; None keeps the contents.
+            resolve: single-sampled textures that receive the averaged samples at the end.
         """
-        return RenderPass(
-            self._core, self._desk, color, depth, clear, clear_depth, clear_stencil, resolve, label
-        )  # fmt: skip
+        return RenderPass(self._core, color, depth, clear, clear_depth, clear_stencil, resolve, label)
 
     def states(self, *states: State) -> StateScope:
-        """`with device.states(CullMode.NONE, DepthWrite.OFF):` what holds inside; restored at the end."""
+        """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its end."""
         return self._scope(states)
 
-    def event(self, label: str) -> Event:
-        """`with device.event("shadows"):` a label on the commands inside and, on a device with timing on, a timer."""
-        return Event(self._core, self._timers, label)
+    def event(self, label: str) -> EventScope:
+        """Create an event: `with device.event("shadows"):` labels and, with timing on, times the commands inside."""
+        return EventScope(self._core, self._timers, label)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """`with device.conditional(query):` draws that the GPU drops if the query counted nothing. One at a time."""
-        return Conditional(self._core, self._desk, query, inverted)
+        """Create a condition: in `with device.conditional(query):` the GPU skips draws if the query counted nothing.
+
+        Only one condition can be open at a time. `inverted` skips draws if the query counted something.
+        """
+        return Conditional(self._core, query, inverted)
 
     # -- work --------------------------------------------------------------------------------------------
 
-    if TYPE_CHECKING:
+    def draw(
+        self, program: Program[P], mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
+    ) -> None:
+        """Draw `mesh` with `program`, with a value for each of the program's bindings by name.
 
-        def draw(
-            self, program: Program[P], mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs
-        ) -> None:
-            """Draw `mesh` with `program`; a value for each of the program's bindings by name.
-
-            Raises:
-                ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
-                    `lock-open`, `pass-feedback`; nothing was drawn or bound then.
-            """
+        Raises:
+            ValidationError: `draw-outside-pass`, `binding-*`, `mesh-attribute`, `resource-destroyed`,
+                `lock-open`, `pass-feedback`; nothing is drawn or bound then.
+        """
+        raise NotImplementedError
 
     def draw_many(
         self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
     ) -> None:
-        """Draw parts of `mesh`, an array of `rhi.DRAW` (see `mesh.draws`), in one call.
+        """Draw parts of `mesh`, given as an array of `rhi.DRAW` (see `mesh.draws`), in one call.
 
-        The array is copied into transient memory; shaders tell the draws apart by `instance_index()` (which
+        The array is copied into transient memory. Shaders tell the draws apart by `instance_index()` (which
         counts from `base_instance`) or `draw_index()`.
         """
         call = f"{self.NAME}.draw_many"
-        own = self._own(program, call)
-        check_mesh(mesh, call)
-        array = check_draws(mesh, draws, call)
+        own = self._resolve_program(program, call)
+        check_mesh(self._core, mesh, call)
+        array = check_draws(self._core, mesh, draws, call)
         if mesh.primitive is Primitive.QUADS:
-            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         vertex_array = self._bind_draws(own, mesh, bindings)
         if not len(array):
             return
@@ -165,49 +164,49 @@ class Encoder:
         Args:
             draws: (n,) as for `draw_many`, of any primitive. Shaders tell them apart by `instance_index()`; their
                 `draw_index()` is 0.
-            queries: what they are counted by; it forgets all that it was asked before.
-            rows: (n,) integers, the row of `queries` that each draw is counted by: by default the first for the
-                first, and so on. A row may have several draws, one after the other.
+            queries: the query set that counts the draws; all of its earlier answers are discarded.
+            rows: (n,) integers, the row of `queries` that counts each draw; by default row i counts draw i. A row may
+                count several consecutive draws.
 
         Raises:
-            ValidationError: `query-rows`, `query-nested` inside another query, and what `draw` and `draw_many`
-                raise; nothing was drawn, bound or forgotten then.
+            ValidationError: `query-rows`, `query-nested` inside another query, and the errors of `draw` and
+                `draw_many`; nothing is drawn, bound or discarded then.
         """
         call = f"{self.NAME}.draw_counted"
-        own = self._own(program, call)
-        check_mesh(mesh, call)
-        array = check_draws(mesh, draws, call)
+        own = self._resolve_program(program, call)
+        check_mesh(self._core, mesh, call)
+        array = check_draws(self._core, mesh, draws, call)
         if not isinstance(queries, QuerySet):
-            refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet, as device.query_set(…) makes it")
+            self._core.refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
         each = queries.check_rows(rows, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
         core = self._core
-        asked = queries.draw(core, vertex_array, mesh.primitive, array, each)
+        counted = queries.draw(core, vertex_array, mesh.primitive, array, each)
         core.draws += len(array)
-        self._note_asked(queries, asked)
+        self._mark_rows_drawn(queries, counted)
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)
-        if self._desk.open is not None:
-            refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
+        if self._core.open_query is not None:
+            self._core.refuse(QUERY_NESTED, call, "draws that are counted inside an open query")
 
-    def _note_asked(self, queries: QuerySet, asked: NDArray[np.int64]) -> None:
-        queries.take_draws(asked)
+    def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
+        queries.mark_rows_drawn(rows)
 
     def draw_indirect(
         self,
         program: Program[P],
-        mesh: Mesh,
+        mesh: Drawable,
         arguments: IndirectDraws,
         /,
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Draw with arguments that the GPU reads from a buffer when it gets there."""
+        """Draw with arguments that the GPU reads from a buffer when it executes the command."""
         call = f"{self.NAME}.draw_indirect"
-        own = self._own(program, call)
-        check_mesh(mesh, call)
+        own = self._resolve_program(program, call)
+        check_drawable(self._core, mesh, call)
         core = self._core
         buffer = underlying_buffer(arguments.buffer)
         count = None if arguments.count is None else underlying_buffer(arguments.count)
@@ -215,23 +214,25 @@ class Encoder:
         end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
         if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
             given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
-            refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
+            core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
         if (
             arguments.stride < 20
             or arguments.stride % 4
             or arguments.offset % 4
             or arguments.count_offset % 4
         ):
-            refuse(INDIRECT_RANGE, call, f"stride {arguments.stride}, offset {arguments.offset}",
-                   "a stride of 20 or more and offsets, all multiples of 4")  # fmt: skip
+            given = f"stride {arguments.stride}, offset {arguments.offset}"
+            core.refuse(INDIRECT_RANGE, call, given, "a stride of 20 or more and offsets, all multiples of 4")
         if mesh.primitive is Primitive.QUADS:
-            refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         if count is not None:
             if not core.capabilities.indirect_count:
-                refuse(DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count")
+                core.refuse(
+                    DEVICE_CAPABILITY, call, "a count from a buffer", "needs capabilities.indirect_count"
+                )
             core.check_usable(count, call)
             if not 0 <= arguments.count_offset <= count.size - 4:
-                refuse(
+                core.refuse(
                     INDIRECT_RANGE,
                     call,
                     f"count at byte {arguments.count_offset}",
@@ -253,18 +254,18 @@ class Encoder:
     def dispatch(
         self, program: Program[P], groups: int | Sequence[int], /, *args: P.args, **bindings: P.kwargs
     ) -> None:
-        """Run `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
+        """Dispatch `groups` = x, (x, y) or (x, y, z) work-groups of a compute program, outside render passes.
 
-        What it writes is visible to everything after it; no barrier is needed.
+        Its writes are visible to all later commands; no barrier is needed.
         """
         call = f"{self.NAME}.dispatch"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
         sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
         most = self._core.capabilities.max_dispatch
         if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
-            refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
-        own.bind(own.ready_to_dispatch, None, bindings)
+            self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
+        own.bind(own.check_can_dispatch, None, bindings)
         if 0 not in sizes:
             self._core.backend.dispatch(*sizes)
             self._core.dispatches += 1
@@ -278,63 +279,74 @@ class Encoder:
         *args: P.args,
         **bindings: P.kwargs,
     ) -> None:
-        """Run as many work-groups as the three uint32 at `offset` of `buffer` say when the GPU gets there."""
+        """Dispatch as many work-groups as the GPU then reads from three uint32 at byte `offset` of `buffer`."""
         call = f"{self.NAME}.dispatch_indirect"
-        own = self._own(program, call)
+        own = self._resolve_program(program, call)
         source = underlying_buffer(buffer)
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
-            refuse(INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}")
-        own.bind(own.ready_to_dispatch, None, bindings)
+            self._core.refuse(
+                INDIRECT_RANGE, call, f"byte {offset}", f"a multiple of 4 up to {source.size - 12}"
+            )
+        own.bind(own.check_can_dispatch, None, bindings)
         self._core.backend.dispatch_indirect(source.id, offset)
         self._core.dispatches += 1
 
     def immediate(
         self, program: Program[P], primitive: Primitive, /, *args: P.args, **bindings: P.kwargs
     ) -> Immediate[Any]:
-        """`with device.immediate(program, Primitive.QUADS, …) as quads:` ad-hoc vertices, drawn at the end."""
+        """Create an immediate-mode block: `with device.immediate(program, Primitive.QUADS, …) as quads:`
+
+        The vertices that are added inside are drawn at its end.
+        """
         return Immediate(
-            self._transient, self._own(program, f"{self.NAME}.immediate"), primitive, bindings
+            self._transient, self._resolve_program(program, f"{self.NAME}.immediate"), primitive, bindings
         )  # fmt: skip
 
     @property
     def transient(self) -> TransientMemory:
-        """Memory for constants and vertices of this frame, or of this command buffer."""
+        """Memory for constants and vertices that live for this frame, or as long as this command buffer."""
         return self._transient
 
     # -- inside ------------------------------------------------------------------------------------------
 
-    def _own(self, program: object, call: str) -> Program[Any]:
-        """The program as this encoder uses it.
+    def _resolve_program(self, program: object, call: str) -> Program[Any]:
+        """Return the program as this encoder uses it.
 
         Raises:
-            ValidationError: `device-argument` if it is none, `resource-foreign` if another device's.
+            ValidationError: `device-argument` if it is not a program, `resource-foreign` if it is of another device.
         """
         if not isinstance(program, Program):
-            refuse(DEVICE_ARGUMENT, call, repr(program), "a Program, as device.program(…) makes it")
+            self._core.refuse(DEVICE_ARGUMENT, call, repr(program), "a Program from device.program(…)")
         if program.core is not self._core:
-            refuse(RESOURCE_FOREIGN, call, repr(program))
+            self._core.refuse(RESOURCE_FOREIGN, call, repr(program))
         return program
 
-    def _bind_draws(self, program: Program[Any], mesh: Mesh, bindings: dict[str, Any]) -> int:
-        """Everything a draw needs but the draw itself; returns the vertex array."""
-        program.ready_to_draw(mesh)
+    def _bind_draws(self, program: Program[Any], mesh: Drawable, bindings: dict[str, Any]) -> int:
+        """Check and bind everything that a draw needs; return the vertex array."""
+        program.check_can_draw(mesh)
         vertex_array = program.find_vertex_array(mesh)
-        program.bind(_is_ready, mesh, bindings)
+        program.bind(_already_checked, mesh, bindings)
         self._core.flush_states()
         return vertex_array
 
 
-def _is_ready(mesh: object) -> None:
-    """In place of a check that was done before."""
+def _already_checked(mesh: object) -> None:
+    """Do nothing: the check of a `Program.bind` that was done before."""
 
 
-def check_mesh(mesh: object, call: str) -> None:
-    """Refuse what is no mesh."""
+def check_drawable(core: Core, mesh: object, call: str) -> None:
+    """Refuse anything that no draw can read vertices from."""
+    if not isinstance(mesh, Drawable):
+        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
+
+
+def check_mesh(core: Core, mesh: object, call: str) -> None:
+    """Refuse anything but a `Mesh`; a transient mesh has no parts to draw."""
     if not isinstance(mesh, Mesh):
-        refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh, as device.mesh(…) makes it")
+        core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
 
 
 def underlying_buffer(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
-    """The buffer itself."""
+    """Return the buffer behind a storage buffer, or the buffer itself."""
     return buffer.owner if isinstance(buffer, StorageBuffer) else buffer

@@ -1,7 +1,7 @@
-"""Immediate mode: geometry that is given ad hoc and drawn once (thesis 4.3).
+"""Immediate mode: geometry that is specified vertex by vertex and drawn once (thesis 4.3).
 
-`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at once at the end of its `with`
-block: one upload into transient memory, one draw (Listing 4.9 without the counts in advance).
+`Immediate` collects vertices, one at a time or as whole arrays, and draws them all at the end of its `with` block,
+with one upload to transient memory and one draw (Listing 4.9, but without counts in advance).
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ from rhi.contract.descriptors import Primitive
 from rhi.device.resources.meshes import check_finite
 from rhi.device.resources.programs import Program
 from rhi.device.transient import EMPTY_MESH, TransientMemory, match_vertices, vertex_dtype
-from rhi.errors import refuse
 from rhi.errors.rules import IMMEDIATE_VERTEX
 
 if TYPE_CHECKING:
@@ -28,7 +27,7 @@ S = TypeVar("S", bound="Struct")
 
 
 class Immediate(Generic[S]):
-    """`with device.immediate(program, Primitive.QUADS, …) as quads: quads.vertex(position=…, color=…)`"""
+    """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block, filled by `quads.vertex(position=…)`."""
 
     __slots__ = ("_arrays", "_bindings", "_dtype", "_memory", "_open", "_primitive", "_program", "_rows")
 
@@ -37,8 +36,8 @@ class Immediate(Generic[S]):
     ) -> None:
         program.check_names(bindings)
         if not program.descriptor.attributes:
-            refuse(IMMEDIATE_VERTEX, "device.immediate", f"{program!r}, which reads no vertices",
-                   "a program with vertex inputs")  # fmt: skip
+            given = f"{program!r}, which reads no vertices"
+            program.core.refuse(IMMEDIATE_VERTEX, "device.immediate", given, "a program with vertex inputs")
         self._memory = memory
         self._program = program
         self._primitive = primitive
@@ -49,7 +48,7 @@ class Immediate(Generic[S]):
         self._open = False
 
     def vertex(self, **fields: Any) -> None:
-        """One vertex; a value per attribute of the program's vertex stage.
+        """Add one vertex, with a value for each attribute of the program's vertex stage.
 
         Raises:
             ValidationError: `immediate-vertex` for a missing or unknown attribute.
@@ -60,15 +59,21 @@ class Immediate(Generic[S]):
         except KeyError:
             row = ()
         if len(row) != len(fields) or not self._open:
-            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", ", ".join(fields) if self._open else "a closed block",
-                   ", ".join(names) + " inside the `with` block")  # fmt: skip
+            given = ", ".join(fields) if self._open else "a closed block"
+            allowed = ", ".join(names) + " inside the `with` block"
+            self._program.core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", given, allowed)
         self._rows.append(row)
 
     def vertices(self, array: NDArray[Any]) -> None:
-        """Many vertices: a structured array with the program's vertex fields."""
+        """Add many vertices: a structured array with the program's vertex fields."""
+        program = self._program
         if not self._open:
-            refuse(IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block")
-        matched = np.array(match_vertices(self._program, array))  # what is done to the caller's afterwards is not drawn
+            program.core.refuse(
+                IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block"
+            )
+        matched = np.array(
+            match_vertices(program.core, program, array)
+        )  # a copy: the caller may change its array
         self._arrays += [self._collect(), matched]
 
     def __enter__(self) -> Self:
@@ -89,20 +94,21 @@ class Immediate(Generic[S]):
             self._arrays.clear()
         if not len(array):
             return
-        # Everything is checked before the vertices go into the ring.
+        # Everything is checked before the vertices are uploaded.
         program, core = self._program, self._program.core
-        program.bind(program.ready_to_draw, EMPTY_MESH, self._bindings)
+        program.bind(program.check_can_draw, EMPTY_MESH, self._bindings)
         mesh = self._memory.place_mesh(program, array, None, self._primitive)
         core.flush_states()
         program.draw_unprepared(mesh, 1)
         core.draws += 1
 
     def _collect(self) -> NDArray[Any]:
-        """The single vertices since the latest array; they stay where they are if one is refused."""
+        """Return the single vertices added since the latest array; they are kept if one of them is refused."""
+        core = self._program.core
         try:
             array = np.array(self._rows, self._dtype)
         except (TypeError, ValueError) as error:
-            refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
-        check_finite(array, IMMEDIATE_VERTEX, "Immediate.vertex")
+            core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
+        check_finite(core, array, IMMEDIATE_VERTEX, "Immediate.vertex")
         self._rows.clear()
         return array

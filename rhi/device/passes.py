@@ -1,23 +1,22 @@
-"""Render passes: what is drawn to, what is cleared, what is resolved at the end.
+"""Render passes: their targets, clears, and resolves.
 
-A pass is a `with` block. Its targets are checked when it is made; it is opened on entry, and on exit it is
-ended whatever happened inside.
+A pass is a `with` block. Its targets are checked when it is created. It begins on entry and always ends on exit,
+also after an exception.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Final, TypeAlias, TypeVar, cast
+from typing import Any, Final, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
-from rhi.device.core.core import Core, describe
+from rhi.device.core.core import Core, describe_object
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
-from rhi.errors import refuse
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     PASS_CLEAR,
@@ -29,13 +28,10 @@ from rhi.errors.rules import (
     QUERY_STATE,
 )
 
-if TYPE_CHECKING:
-    from rhi.device.queries.occlusion import QueryDesk
-
 __rhi_internal__ = True
 
 T = TypeVar("T")
-Target: TypeAlias = Texture | TextureTarget
+RenderTarget: TypeAlias = Texture | TextureTarget
 Color: TypeAlias = "Sequence[float] | NDArray[Any]"
 Clear: TypeAlias = "Color | Sequence[Color | None] | None"
 
@@ -43,16 +39,15 @@ _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
 
 class RenderPass:
-    """`with device.render_pass(...)`; see there."""
+    """A `with device.render_pass(...)` block."""
 
-    __slots__ = ("_core", "_descriptor", "_desk", "_kinds", "_resolves", "_textures")
+    __slots__ = ("_core", "_descriptor", "_kinds", "_resolves", "_textures")
 
     def __init__(
         self,
         core: Core,
-        desk: QueryDesk,
-        color: Target | Sequence[Target] | None,
-        depth: Target | None,
+        color: RenderTarget | Sequence[RenderTarget] | None,
+        depth: RenderTarget | None,
         clear: Clear,
         clear_depth: float | None,
         clear_stencil: int | None,
@@ -60,13 +55,12 @@ class RenderPass:
         label: str,
     ) -> None:
         self._core = core
-        self._desk = desk
-        colors = [_target(t) for t in _listed(color)]
-        resolves: list[Texture | None] = list(_listed(resolve)) or [None] * len(colors)
-        depth_target = None if depth is None else _target(depth)
+        colors = [_as_render_target(core, t) for t in _as_list(color)]
+        resolves: list[Texture | None] = list(_as_list(resolve)) or [None] * len(colors)
+        depth_target = None if depth is None else _as_render_target(core, depth)
         self._textures = [t.texture for t in colors] + ([depth_target.texture] if depth_target else [])
         self._resolves = [texture for texture in resolves if texture is not None]
-        clears = _clears(clear, len(colors))
+        clears = _clear_values(core, clear, len(colors))
         self._check(colors, depth_target, resolves, clear_depth, clear_stencil)
         first = colors[0] if colors else depth_target
         assert first is not None
@@ -90,7 +84,7 @@ class RenderPass:
         core = self._core
         core.check_open()
         if core.render_pass is not None:
-            refuse(PASS_NESTED, "device.render_pass", "a second pass")
+            core.refuse(PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
             core.check_usable(texture, "device.render_pass")
         core.backend.begin_pass(self._descriptor)
@@ -107,15 +101,15 @@ class RenderPass:
         core.targets = frozenset()
         core.target_kinds = ()
         core.program = None
-        abandoned = self._desk.abandon()
+        abandoned = core.abandon_query()
         if not core.closed:
             core.backend.end_pass()
         if abandoned and kind is None:
-            refuse(
+            core.refuse(
                 QUERY_STATE,
                 "end of the render pass",
                 "an open occlusion query",
-                "queries that end in their pass",
+                "a query that ends in its pass",
             )
 
     def _check(
@@ -131,63 +125,63 @@ class RenderPass:
         core.check_open()
         targets = colors + ([depth] if depth is not None else [])
         if not targets:
-            refuse(PASS_EMPTY, call, "no color and no depth", "a texture, or several")
+            core.refuse(PASS_EMPTY, call, "no color and no depth", "a texture, or several")
         for target in targets:
             core.check_usable(target.texture, call)
         if len(colors) > core.capabilities.max_color_targets:
-            refuse(
+            core.refuse(
                 DEVICE_CAPABILITY,
                 call,
                 f"{len(colors)} color targets",
                 f"{core.capabilities.max_color_targets}",
             )
         if len({(t.texture.id, t.level, t.layer) for t in targets}) < len(targets):
-            refuse(PASS_TARGET, call, "the same texture twice", "each level and layer once")
+            core.refuse(PASS_TARGET, call, "the same texture twice", "each level and layer once")
         for target in colors:
             form = target.texture.format
             if form.is_depth or form in core.capabilities.unrenderable_formats:
-                refuse(
+                core.refuse(
                     PASS_TARGET,
                     call,
                     f"{form.name} as color target",
                     "a color format the device can render to",
                 )
         if depth is not None and not depth.texture.format.is_depth:
-            refuse(PASS_TARGET, call, f"{depth.texture.format.name} as depth target", "a depth format")
+            core.refuse(PASS_TARGET, call, f"{depth.texture.format.name} as depth target", "a depth format")
         if any(target.texture.kind is TextureKind.D3 and target.texture.samples > 1 for target in targets):
-            refuse(PASS_TARGET, call, "a multi-sampled 3D texture")
+            core.refuse(PASS_TARGET, call, "a multi-sampled 3D texture")
         sizes = {target.size for target in targets}
         if len(sizes) > 1:
-            refuse(PASS_SIZE, call, ", ".join(f"{w}×{h}" for w, h in sorted(sizes)), "one size")
+            core.refuse(PASS_SIZE, call, ", ".join(f"{w}×{h}" for w, h in sorted(sizes)), "one size")
         samples = {target.texture.samples for target in targets}
         if len(samples) > 1:
-            refuse(PASS_SAMPLES, call, f"samples {sorted(samples)}", "one number of samples")
+            core.refuse(PASS_SAMPLES, call, f"samples {sorted(samples)}", "one number of samples")
         self._check_clears(depth, clear_depth, clear_stencil)
         self._check_resolves(colors, resolves)
 
     def _check_clears(
         self, depth: TextureTarget | None, clear_depth: float | None, clear_stencil: int | None
     ) -> None:
-        call = "device.render_pass"
+        core, call = self._core, "device.render_pass"
         if clear_depth is not None and (depth is None or not 0.0 <= clear_depth <= 1.0):
-            refuse(PASS_CLEAR, call, f"clear_depth={clear_depth}", "0 to 1, with a depth target")
+            core.refuse(PASS_CLEAR, call, f"clear_depth={clear_depth}", "0 to 1, with a depth target")
         if clear_stencil is not None and (
             depth is None or not depth.texture.format.has_stencil or not 0 <= clear_stencil <= 255
         ):
-            refuse(
+            core.refuse(
                 PASS_CLEAR, call, f"clear_stencil={clear_stencil}", "0 to 255, with a target that has stencil"
             )
 
     def _check_resolves(self, colors: list[TextureTarget], resolves: list[Texture | None]) -> None:
-        call = "device.render_pass"
+        core, call = self._core, "device.render_pass"
         if len(resolves) != len(colors):
-            refuse(
+            core.refuse(
                 PASS_TARGET, call, f"{len(resolves)} resolve textures", f"{len(colors)}, one per color target"
             )
         for target, resolve in zip(colors, resolves, strict=True):
             if resolve is None:
                 continue
-            self._core.check_usable(resolve, call)
+            core.check_usable(resolve, call)
             source = target.texture
             fits = (
                 source.samples > 1
@@ -197,41 +191,41 @@ class RenderPass:
                 and not source.format.is_integer  # integers have no average
             )
             if not fits:
-                refuse(PASS_TARGET, call, f"{source!r} resolved to {resolve!r}",
-                       "from several samples to 1, equal size and format, no integers")  # fmt: skip
+                allowed = "from several samples to 1, equal size and format, no integers"
+                core.refuse(PASS_TARGET, call, f"{source!r} resolved to {resolve!r}", allowed)
 
 
-def _listed(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:
+def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | None]:
     if value is None:
         return []
     return list(value) if isinstance(value, (list, tuple)) else [cast("T", value)]
 
 
-def _target(value: object) -> TextureTarget:
+def _as_render_target(core: Core, value: object) -> TextureTarget:
     if isinstance(value, TextureTarget):
         return value
     if isinstance(value, Texture):
         return TextureTarget(value)
-    refuse(
+    core.refuse(
         PASS_TARGET,
         "device.render_pass",
-        f"{describe(value)} as target",
+        f"{describe_object(value)} as target",
         "a Texture or texture.at(level, layer)",
     )
 
 
-def _clears(clear: Clear, count: int) -> list[Vec4 | None]:
-    """One clear value per target from one for all, one per target, or none."""
+def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
+    """Return one clear value per target; `clear` is one value for all targets, one for each, or None."""
     if clear is None:
         return [None] * count
     if not isinstance(clear, Iterable):
-        refuse(PASS_CLEAR, "device.render_pass", f"clear={clear!r}", _CLEAR)
+        core.refuse(PASS_CLEAR, "device.render_pass", f"clear={clear!r}", _CLEAR)
     parts: list[Any] = list(clear)
     several = any(part is None or isinstance(part, (list, tuple, np.ndarray)) for part in parts)
     each = parts if several else [parts] * count
     call = "device.render_pass"
     if len(each) != count:
-        refuse(PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
+        core.refuse(PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
     values: list[Vec4 | None] = []
     for part in each:
         if part is None:
@@ -239,6 +233,6 @@ def _clears(clear: Clear, count: int) -> list[Vec4 | None]:
             continue
         numbers = tuple(n.item() if isinstance(n, np.generic) else n for n in part)
         if len(numbers) != 4 or not all(isinstance(n, (int, float)) and abs(n) < 1e39 for n in numbers):
-            refuse(PASS_CLEAR, call, f"clear={clear!r}", _CLEAR)
+            core.refuse(PASS_CLEAR, call, f"clear={clear!r}", _CLEAR)
         values.append(cast(Vec4, numbers))
     return values

@@ -1,9 +1,9 @@
-"""What stands for the device while a command buffer is recorded: a core and programs whose commands are written down.
+"""The core and the programs of a command buffer, which take the place of the device's during recording.
 
-- A `RecordingCore` has states, bindings and a pass of its own, and the device's resources. It keeps in mind which of
+- A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It keeps which of
   them are used, and where.
-- A `RecordedProgram` is one of the device's programs with draw functions of its own (`draw_code`).
-- Nothing here calls the device's backend, so it may run on any thread.
+- A `RecordedProgram` is a program of the device with draw functions of its own (`draw_code`).
+- Nothing here calls the device's backend, so recording may run on any thread.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from typing import Any, NamedTuple
 
 from rhi.commands.recorder import CommandWriter
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
-from rhi.device.core.core import Core, Owner, describe
+from rhi.device.core.core import Core, Owner, describe_object
 from rhi.device.queries.occlusion import OcclusionQuery
-from rhi.device.resources.draw_code import write
-from rhi.device.resources.meshes import Mesh, MeshData
+from rhi.device.resources.draw_code import compile_draw_code
+from rhi.device.resources.meshes import Drawable, Mesh, MeshData
 from rhi.device.resources.programs import Program
 from rhi.device.transient import TransientOwner
-from rhi.errors import find_user_frame, refuse
+from rhi.errors import find_user_frame
 from rhi.errors.rules import DEVICE_CLOSED, RECORD_STATE, RECORD_TRANSIENT
 
 __rhi_internal__ = True
 
 
-class Use(NamedTuple):
-    """A resource that a command buffer uses: what it is, and where it was used first."""
+class ResourceUse(NamedTuple):
+    """A resource that a command buffer uses, with its name and the line of its first use."""
 
     owner: Owner
     name: str
@@ -36,17 +36,18 @@ class Use(NamedTuple):
 
 
 class RecordingCore(Core):
-    """What a command buffer's resources and programs ask in place of the device's core.
+    """The core of a command buffer, used in place of the device's core.
 
     Attributes:
-        device: the device's own.
-        recording: whether commands can be given now.
-        uses: by id, the resources in use.
-        stream: what is written.
-        vertex_arrays: those of meshes that haven't any for a program yet, to be made before the first submission.
-        own_arrays: those on the arena.
-        conditions: queries that must have been ended when the buffer is carried out.
-        queries: those that it begins and ends, and query sets that it asks: what to tell the fence to, by id.
+        device: the core of the device.
+        recording: whether commands can be recorded now.
+        uses: the resources in use, by id.
+        stream: the recorded commands.
+        vertex_arrays: vertex arrays that meshes lack for a program, to be created before the first submission.
+        own_arrays: vertex arrays whose vertices lie in the arena.
+        conditions: queries that must have ended before the buffer is submitted.
+        queries: for each query and query set that the buffer uses, by id, the function that receives the fence of a
+            submission.
     """
 
     __slots__ = (
@@ -55,14 +56,14 @@ class RecordingCore(Core):
     records = True
 
     def __init__(self, device: Core, writer: CommandWriter) -> None:
-        super().__init__(writer, device.states.fresh())
+        super().__init__(writer, device.states.fresh(), device.refusals)
         self.device = device
         self.timeline = device.timeline
         self.locked = device.locked
         self.sampler_descriptors = device.sampler_descriptors
         self.recording = False
         self.stream = writer.stream
-        self.uses: dict[Id, Use] = {}
+        self.uses: dict[Id, ResourceUse] = {}
         self.vertex_arrays: dict[tuple[Program[Any], MeshData], tuple[Id, VertexArrayDescriptor]] = {}
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
@@ -73,42 +74,42 @@ class RecordingCore(Core):
 
     def check_open(self) -> None:
         if self.device.closed:
-            refuse(DEVICE_CLOSED, "device", "a closed device")
+            self.refuse(DEVICE_CLOSED, "device", "a closed device")
         if not self.recording:
-            refuse(
+            self.refuse(
                 RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it"
             )
 
     def check_usable(self, owner: Owner, call: str) -> None:
-        """As for the device, and keep in mind that it is used."""
+        """Refuse a resource that is destroyed, locked, or of another device; otherwise note its use."""
         if isinstance(owner, TransientOwner):
             if owner.core is not self:
-                refuse(RECORD_TRANSIENT, call, describe(owner))
+                self.refuse(RECORD_TRANSIENT, call, describe_object(owner))
             return
         used = owner.origin if isinstance(owner, RecordedProgram) else owner
         self.device.check_usable(used, call)
         self.note_use(used.id, used)  # type: ignore[attr-defined]
 
     def note_use(self, resource: Id, owner: Owner, name: str = "") -> None:
-        """Keep in mind that a resource is used, and where; `name` stands for it in messages."""
+        """Keep that a resource is used, and where; `name` is its text in messages."""
         if resource not in self.uses:
             frame = find_user_frame()
             site = (None, -1) if frame is None else (frame.f_code, frame.f_lasti)
-            self.uses[resource] = Use(owner, name or describe(owner), *site)
+            self.uses[resource] = ResourceUse(owner, name or describe_object(owner), *site)
             descriptor = getattr(owner, "descriptor", None)
             if descriptor is not None and not name:
                 self.stream.assume(resource, descriptor)
 
 
 class RecordedProgram(Program[Any]):
-    """A program as one command buffer uses it: with draws and bindings that are written down.
+    """A program of the device as one command buffer uses it: its draws and bindings are recorded.
 
     Attributes:
         origin: the device's program.
-        calls: the draws of meshes, as functions of the number of instances.
+        prepared_draws: by mesh, the prepared draw as a function of the number of instances.
     """
 
-    __slots__ = ("calls", "origin")
+    __slots__ = ("origin", "prepared_draws")
 
     def __init__(self, core: RecordingCore, origin: Program[Any]) -> None:
         self.core = core
@@ -117,25 +118,30 @@ class RecordedProgram(Program[Any]):
         self.descriptor = origin.descriptor
         self.name = origin.name
         self.destroyed = False
-        self.calls: dict[Mesh, Callable[[int], object]] = {}
+        self.prepared_draws: dict[Drawable, Callable[[int], object]] = {}
         if origin.recorded_code is None:
-            origin.recorded_code = write(origin.name, origin.descriptor.bindings, recorded=True)
-        self._take_code(origin.recorded_code)
+            origin.recorded_code = compile_draw_code(origin.name, origin.descriptor.bindings, recorded=True)
+        self._install_code(origin.recorded_code)
 
-    def attach(self, mesh: Mesh) -> Callable[[int], object]:
-        call = self.calls[mesh] = self.prepare(mesh)
-        return call
+    def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
+        draw = self.prepared_draws[mesh] = self._make_draw(mesh)
+        return draw
 
-    def find_vertex_array(self, mesh: Mesh) -> Id:
-        core, data = self.core, mesh.data
+    def find_vertex_array(self, mesh: Drawable) -> Id:
+        core = self.core
         assert isinstance(core, RecordingCore)
-        known = data.vertex_arrays.get(self.origin) or data.vertex_arrays.get(self)
+        known = mesh.vertex_arrays.get(self.origin) or mesh.vertex_arrays.get(self)
+        if not isinstance(mesh, Mesh):
+            return known or mesh.create_vertex_array(
+                self.origin, self.id, self.name, self.descriptor.attributes
+            )
+        data = mesh.data
         if known is None:
             key = (self.origin, data)
             if key not in core.vertex_arrays:
-                descriptor = data.describe(self.id, self.name, self.descriptor.attributes)
+                descriptor = data.describe_vertex_array(self.id, self.name, self.descriptor.attributes)
                 core.vertex_arrays[key] = core.new_id(), descriptor
             known = core.vertex_arrays[key][0]
-        if isinstance(data, MeshData):  # given back with the mesh, even if its buffers stay
-            core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
+        # The vertex array is destroyed with the mesh, even if the mesh's buffers stay.
+        core.note_use(known, data.buffers[0] if data.buffers else self.origin, f"Mesh({data.label!r})")
         return known

@@ -1,11 +1,11 @@
-"""Which backends there are, and the way to a device.
+"""The registry of backends, and the creation of devices.
 
 - A backend is an entry point of the group `rhi.backends`: a name and a function
-  `create(*, validation: bool, …) -> Backend`. A port registers itself by its own package's entry point;
-  nothing here knows it. Further keyword parameters of the function are options that only this backend has;
+  `create(*, validation: bool, …) -> Backend`. A port registers itself by an entry point of its own package;
+  nothing here depends on it. Further keyword parameters of the function are options that only this backend has;
   `create_device` passes them on.
-- A backend that isn't installed is named by its function, `package.module:function`, as an entry point would.
-- This is the one place that may treat backends differently: the order in which they are tried, and that
+- A backend that is not installed is named by its function, `package.module:function`, as in an entry point.
+- This is the only module that may treat backends differently: it decides the order in which they are tried, and that
   the null device records.
 """
 
@@ -30,7 +30,7 @@ __rhi_internal__ = True
 
 GROUP: Final = "rhi.backends"
 PREFERENCE: Final = ("gl",)
-"""Tried in this order when no name is given, then any other; a backend that doesn't render must be asked for."""
+"""Backends that are tried first, in this order, if no name is given; one that doesn't render must be named."""
 
 
 @cache
@@ -39,7 +39,7 @@ def _entry_points() -> dict[str, EntryPoint]:
 
 
 def backend_names() -> list[str]:
-    """The names of the installed backends, in the order in which they are tried."""
+    """Return the names of the installed backends, in the order in which they are tried."""
     names = list(_entry_points())
     first = [name for name in PREFERENCE if name in names]
     return first + sorted(set(names) - set(first) - {"null"}) + [name for name in names if name == "null"]
@@ -54,21 +54,21 @@ def create_device(
     frames_in_flight: int = 2,
     **options: object,
 ) -> Device:
-    """A device on the backend `name`.
+    """Create a device on the backend `name`.
 
     Args:
-        name: a backend's name, or `module:function` for one that isn't installed; None takes `RHI_BACKEND`
-            from the environment, else the first that works.
+        name: a backend's name, or `module:function` for one that is not installed; None uses `RHI_BACKEND`
+            from the environment, or else the first backend that works.
         validation: also turn the driver's own error messages into exceptions (slower).
-        record: keep every command with the line it came from (`device.stream`); None: the null device does.
+        record: keep every command with the line it came from (`device.stream`); None: only on the null device.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
-        options: what only the named backend takes, by the keyword parameters of its `create_backend`.
+        options: options of the named backend, which are the keyword parameters of its `create_backend`.
 
     Raises:
         ValidationError: `device-argument` for an option that the backend doesn't have.
-        DeviceError: `device-unknown` for a name there is no backend of, `device-driver` if its driver
-            can't be used, with what to install.
+        DeviceError: `device-unknown` if no backend has this name, `device-driver` if its driver
+            can't be used, with a tip about what to install.
     """
     name = name or os.environ.get("RHI_BACKEND") or None
     backend = _create_named(name, validation, options) if name else _create_first(validation, options)
@@ -80,16 +80,16 @@ def create_device(
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
     create = _find_function(name)
     if options:
-        taken = list(inspect.signature(create).parameters.keys() - {"validation"})
-        unknown = sorted(options.keys() - taken)
+        accepted = list(inspect.signature(create).parameters.keys() - {"validation"})
+        unknown = sorted(options.keys() - accepted)
         if unknown:
-            given, allowed = ", ".join(unknown), ", ".join(sorted(taken)) or "no options"
+            given, allowed = ", ".join(unknown), ", ".join(sorted(accepted)) or "no options"
             refuse(DEVICE_ARGUMENT, f"rhi.create_device({name!r}, {unknown[0]}=…)", given, allowed)
     return create(validation=validation, **options)
 
 
 def _find_function(name: str) -> Callable[..., Backend]:
-    """What makes the backend of this name."""
+    """Return the function that creates the backend of this name."""
     point = _entry_points().get(name)
     if ":" in name:
         point = EntryPoint(name, name, GROUP)
@@ -117,14 +117,14 @@ def _create_first(validation: bool, options: Mapping[str, object]) -> Backend:
         if backend.capabilities.renders:
             return backend
         backend.close()
-        reasons.append(f"{name}: it doesn't render, so it must be asked for by name")
-    tip = 'install a driver (see python -m rhi), or ask for the null device: rhi.create_device("null")'
+        reasons.append(f"{name}: it doesn't render, so it must be requested by name")
+    tip = 'install a driver (see python -m rhi), or request the null device: rhi.create_device("null")'
     raise DeviceError(DEVICE_DRIVER, "rhi.create_device()", "\n".join(reasons) or "no backends", "", tip)
 
 
 @dataclass(frozen=True, slots=True)
 class BackendReport:
-    """One backend as found on this machine: its capabilities, or why it can't be used."""
+    """The state of one backend on this machine: its capabilities, or the reason why it can't be used."""
 
     name: str
     usable: bool
@@ -134,7 +134,7 @@ class BackendReport:
 
 
 def report() -> list[BackendReport]:
-    """Try every backend and say what came of it."""
+    """Try every backend and return a report on each."""
     reports = []
     for name in backend_names():
         try:

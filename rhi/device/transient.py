@@ -1,13 +1,13 @@
-"""Transient memory: constants, vertices and indices that live for a frame (thesis 4.3).
+"""Transient memory: constants, vertices and indices that live for one frame (thesis 4.3).
 
-- `TransientMemory` puts them into rings; what it gives is valid until the frame is presented.
+- `TransientMemory` uploads them to rings; its ranges and meshes are valid until the frame is presented.
 - Vertices are laid out as the program's vertex stage reads them.
-- A command buffer has transient memory of its own, which lives as long as it does: an `Arena` in place of the rings.
+- A command buffer has transient memory of its own, with the same lifetime: an `Arena` instead of the rings.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
+from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +26,9 @@ from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core
 from rhi.device.core.ring import Ring
-from rhi.device.resources.meshes import Mesh, check_finite, match_indices
+from rhi.device.resources.meshes import Drawable, check_finite, match_indices
 from rhi.device.resources.programs import Program
-from rhi.errors import refuse
+from rhi.errors import RhiError
 from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE, RESOURCE_DESTROYED
 from rhi.shading.language.bindings import UniformRange
 
@@ -46,9 +46,9 @@ _BY_SCALAR = {"float": _FLOAT_FORMATS, "int": _INT_FORMATS, "uint": _UINT_FORMAT
 
 
 class TransientOwner:
-    """Stands for transient memory where bindings and meshes are asked for their owner.
+    """The owner of transient memory, in place of a resource, for the checks of bindings and meshes.
 
-    That of constants (a `buffer`) is made anew when their ring has grown.
+    For constants (with a `buffer`), a new one is created when their ring has grown.
     """
 
     __slots__ = ("bind_uniform", "core", "destroyed", "label")
@@ -62,9 +62,9 @@ class TransientOwner:
 
 
 class Arena:
-    """Memory that only grows, and is handed to the backend as one buffer when it is first needed there.
+    """Memory that only grows, uploaded to the backend as one buffer at the first execution.
 
-    It has the part of a `Ring` that `TransientMemory` uses.
+    It has the part of the interface of `Ring` that `TransientMemory` uses.
     """
 
     __slots__ = ("buffer", "data", "generation")
@@ -76,11 +76,11 @@ class Arena:
 
     @property
     def capacity(self) -> int:
-        """Bytes that were given out."""
+        """Number of bytes allocated."""
         return len(self.data)
 
     def write(self, data: BytesLike, size: int, alignment: int) -> int:
-        """Put `size` bytes behind the others; returns their offset, a multiple of `alignment`."""
+        """Append `size` bytes and return their offset, a multiple of `alignment`."""
         self.data.extend(bytes(-len(self.data) % alignment))
         offset = len(self.data)
         self.data.extend(memoryview(data)[:size])
@@ -88,17 +88,17 @@ class Arena:
 
 
 class TransientMemory:
-    """Memory for what is used in one frame, or one command buffer, only.
+    """Memory for data that is used in only one frame, or only one command buffer.
 
     Attributes:
-        arguments: the ring that `device.draw_many` puts its arrays of draws into.
+        arguments: the ring for the arrays of draws of `device.draw_many`.
     """
 
     __slots__ = ("_constants", "_core", "_indices", "_mesh_owner", "_owner", "_owner_generation", "_vertex_arrays",
                  "_vertices", "arguments")  # fmt: skip
 
     def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
-        """In rings, which begin with `capacity` bytes each, or all in one arena."""
+        """Allocate from rings of initially `capacity` bytes each, or everything from one arena."""
         self._core = core
         memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
         if arena is None:
@@ -114,22 +114,26 @@ class TransientMemory:
 
     @property
     def capacity(self) -> int:
-        """Bytes that there is room for."""
+        """Total size in bytes."""
         memories = {
             id(each): each for each in (self._constants, self._vertices, self._indices, self.arguments)
         }
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
     def uniform(self, value: S) -> UniformRange[S]:
-        """Constants for the draws of this frame."""
+        """Upload constants for the draws of this frame."""
         core = self._core
         core.check_open()
-        data = value.to_bytes()
+        try:
+            data = value.to_bytes()
+        except RhiError as error:  # a struct without a layout in memory
+            core.refusals.note(error)
+            raise
         core.upload_bytes += len(data)
         offset = self._constants.write(data, len(data), core.capabilities.uniform_alignment)
         if self._owner is None or self._constants.generation != self._owner_generation:
-            # The ring moved to a larger buffer. Ranges on the old one stay valid for this frame, but a new
-            # owner makes draws look at the new one.
+            # The ring has moved to a larger buffer. Ranges of the old one stay valid for this frame; a new owner
+            # makes draws bind the new buffer.
             self._owner = TransientOwner(core, "transient constants", self._constants.buffer)
             self._owner_generation = self._constants.generation
         return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
@@ -140,8 +144,8 @@ class TransientMemory:
         vertices: NDArray[Any],
         indices: NDArray[Any] | None = None,
         primitive: Primitive = Primitive.TRIANGLES,
-    ) -> Mesh:
-        """A mesh of this frame for one program.
+    ) -> TransientMesh:
+        """Upload a mesh for one program, valid in this frame.
 
         Args:
             vertices: (n,), a structured array with the program's vertex fields.
@@ -151,25 +155,25 @@ class TransientMemory:
             ValidationError: `immediate-vertex`, `mesh-index`.
         """
         self._core.check_open()
-        array = match_vertices(program, vertices)
+        array = match_vertices(self._core, program, vertices)
         if indices is not None:
-            indices = match_indices(indices, len(array), "transient.mesh")
+            indices = match_indices(self._core, indices, len(array), "transient.mesh")
         return self.place_mesh(program, array, indices, primitive)
 
     def place_mesh(
         self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None, primitive: Primitive
-    ) -> Mesh:  # fmt: skip
-        """`mesh` of what `match_vertices` and `match_indices` gave."""
+    ) -> TransientMesh:  # fmt: skip
+        """Upload a mesh whose arrays come from `match_vertices` and `match_indices`."""
         vertex_array, first, base = self._place(program, vertices, indices)
         count = len(vertices) if indices is None else len(indices)
-        return _TransientMesh(
-            _TransientData({program: vertex_array}, self._mesh_owner), primitive, first, count, base
+        return TransientMesh(
+            self._core, {program: vertex_array}, primitive, first, count, base, self._mesh_owner
         )
 
     def _place(
         self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None
     ) -> tuple[Id, int, int]:
-        """Put vertices and indices into the rings; (vertex array, first, base vertex)."""
+        """Upload vertices and indices to the rings; return (vertex array, first, base vertex)."""
         core = self._core
         stride = vertices.dtype.itemsize
         core.upload_bytes += vertices.nbytes
@@ -200,50 +204,44 @@ class TransientMemory:
         return vertex_array, first, base
 
     def _drop_outdated(self) -> None:
-        """Give back the vertex arrays on buffers that a ring has grown out of."""
+        """Destroy the vertex arrays of buffers that a grown ring has replaced."""
         current = (self._vertices.buffer, self._indices.buffer, 0)
         for key in [k for k in self._vertex_arrays if k[1] != current[0] or k[2] not in current[1:]]:
             self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
-class _TransientData:
-    """What a transient mesh has in place of buffers of its own: an owner to check, and a vertex array by program."""
+class TransientMesh(Drawable):
+    """A mesh in transient memory, laid out for one program."""
 
-    label = "transient"
+    __slots__ = ("_core",)
 
-    def __init__(self, vertex_arrays: dict[object, Id], *owners: TransientOwner) -> None:
-        self.vertex_arrays = vertex_arrays
-        self.buffers = owners
+    def __init__(
+        self, core: Core, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int,
+        base_vertex: int, *owners: TransientOwner,
+    ) -> None:  # fmt: skip
+        super().__init__(primitive, first, count, base_vertex, 0, owners, vertex_arrays)
+        self._core = core
 
-    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
-        refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", "a transient mesh that was made for another program",
-               "one made for this one")  # fmt: skip
+    def __repr__(self) -> str:
+        return f"TransientMesh({self.primitive.name}, {self.first}+{self.count})"
 
-    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> NoReturn:
-        self.describe(program, name, attributes)
-
-
-class _TransientMesh(Mesh):
-    """A part of the rings, for one program."""
-
-    __slots__ = ()
-
-    def __init__(self, data: _TransientData, primitive: Primitive, first: int, count: int, base: int) -> None:
-        self.data = data  # type: ignore[assignment]
-        self.calls = {}
-        self.primitive = primitive
-        self.first = first
-        self.count = count
-        self.base_vertex = base
-        self.base_instance = 0
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> NoReturn:
+        self._core.refuse(
+            MESH_ATTRIBUTE,
+            f"draw of program {name!r}",
+            "a transient mesh that was made for another program",
+            "one made for this one",
+        )
 
 
-EMPTY_MESH = _TransientMesh(_TransientData({}), Primitive.TRIANGLES, 0, 0, 0)
-"""For checks that want a mesh where there is none yet."""
+EMPTY_MESH: Final = Drawable(Primitive.TRIANGLES, 0, 0, 0, 0, (), {})
+"""Stands in for a mesh in checks that run before its vertices are uploaded."""
 
 
 def vertex_attributes(attributes: tuple[Attribute, ...]) -> tuple[VertexAttribute, ...]:
-    """Where tightly packed vertices of these attributes have them."""
+    """Return the formats and offsets of attributes in tightly packed vertices."""
     packed, offset = [], 0
     for attribute in attributes:
         components, scalar = _shape(attribute)
@@ -253,7 +251,7 @@ def vertex_attributes(attributes: tuple[Attribute, ...]) -> tuple[VertexAttribut
 
 
 def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
-    """The same as a NumPy dtype."""
+    """Return the NumPy dtype of tightly packed vertices with these attributes."""
     codes = {"float": "<f4", "int": "<i4", "uint": "<u4"}
     fields: list[Any] = []
     for attribute in attributes:
@@ -263,22 +261,22 @@ def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
     return np.dtype(fields)
 
 
-def match_vertices(program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
-    """The array's fields as tightly packed vertices of the program.
+def match_vertices(core: Core, program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
+    """Return an array's fields as tightly packed vertices of the program.
 
     Raises:
-        ValidationError: `immediate-vertex` when a field is missing or has another shape.
+        ValidationError: `immediate-vertex` if a field is missing or has another shape.
     """
     if program.destroyed:
-        refuse(RESOURCE_DESTROYED, "vertices", repr(program))
+        core.refuse(RESOURCE_DESTROYED, "vertices", repr(program))
     dtype = vertex_dtype(program.descriptor.attributes)
     given = np.asarray(array)
     names = dtype.names or ()
     if given.ndim != 1 or not given.dtype.names or any(
         name not in given.dtype.names or given.dtype[name].shape != dtype[name].shape for name in names
     ):  # fmt: skip
-        refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
-    check_finite(given, IMMEDIATE_VERTEX, "vertices")
+        core.refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
+    check_finite(core, given, IMMEDIATE_VERTEX, "vertices")
     if given.dtype == dtype:
         return np.ascontiguousarray(given)
     packed = np.empty(len(given), dtype)
@@ -288,6 +286,7 @@ def match_vertices(program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
 
 
 def _shape(attribute: Attribute) -> tuple[int, str]:
+    """Return an attribute's number of components and the name of its scalar type."""
     vector = attribute.type
     if isinstance(vector, VectorType):
         return vector.size, str(vector.scalar)

@@ -11,10 +11,9 @@
 from __future__ import annotations
 
 import sys
-import weakref
 from dataclasses import dataclass, field
 from types import FrameType
-from typing import Any, Final, NoReturn, Protocol
+from typing import Any, Final, NoReturn
 
 __rhi_internal__ = True
 
@@ -79,10 +78,6 @@ class RhiError(Exception):
         self.tip = tip or rule.tip
         self.site = site if site is not None else find_call_site()
         super().__init__(self._describe())
-        for reference in _listeners.copy():
-            listener = reference()
-            if listener is not None:
-                listener.note_error(self, sys._getframe(1))
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Support pickling, so that an error keeps its type and parts when it comes from another process."""
@@ -114,22 +109,6 @@ class ShaderError(RhiError, TypeError):
 
 class DeviceError(RhiError, RuntimeError):
     """A fault of the device itself: a missing driver, no memory left, a lost device."""
-
-
-class Listener(Protocol):
-    """Somebody who wants to know of errors as they are made."""
-
-    def note_error(self, error: RhiError, frame: FrameType | None) -> None:
-        """It was made in this frame, and most likely will be raised there."""
-
-
-_listeners: Final[list[weakref.ref[Listener]]] = []
-
-
-def listen(listener: Listener) -> None:
-    """From now on tell `listener` of every error, for as long as it lives."""
-    _listeners[:] = [reference for reference in _listeners if reference() is not None]
-    _listeners.append(weakref.ref(listener))
 
 
 def refuse(rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = "") -> NoReturn:

@@ -1,4 +1,4 @@
-"""A small program made by hand, so that these tests stand on the interface alone, not on the language."""
+"""A hand-made program and a kit around it, so that tests need the interface alone, not the shading language."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def hand_made_program(name: str = "flat", *bindings: Binding) -> ProgramDescript
 
 @dataclass
 class Kit:
-    """A null device with what a draw needs."""
+    """A null device with the objects that a draw needs."""
 
     device: rhi.Device
     program: Any

@@ -10,7 +10,7 @@ from rhi.shading import Shader, Struct, Uniform, vec2, vec4
 
 
 def gl_works() -> bool:
-    """Whether there is a GL device here."""
+    """Return whether a GL device can be created on this machine."""
     try:
         rhi.create_device("gl").close()
     except rhi.DeviceError:
@@ -49,7 +49,7 @@ class Lit(Shader):
 
 
 class House:
-    """What a frame needs, and the frame."""
+    """The resources of a frame, and the frame itself."""
 
     def __init__(self, device: rhi.Device) -> None:
         self.device = device

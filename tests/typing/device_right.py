@@ -1,4 +1,4 @@
-"""Right use of the device, for mypy --strict; `test_device_typing` breaks it line by line."""
+"""Correct use of the device, for mypy --strict; `test_device_typing` breaks it line by line."""
 
 from typing import assert_type
 

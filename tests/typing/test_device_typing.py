@@ -1,4 +1,4 @@
-"""mypy --strict on the device: what is right passes, each mistake is refused on its line."""
+"""The device under mypy --strict: correct use passes, each mistake is refused on its line."""
 
 from __future__ import annotations
 

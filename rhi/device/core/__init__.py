@@ -1,1 +1,1 @@
-"""What all objects of one device share: time, render states, transient memory, fixed-size containers."""
+"""The parts that all objects of one device share: timeline, render states, ring memory, fixed-size containers."""

@@ -1,11 +1,10 @@
-"""Fixed-size stack and queue (thesis 6.5.2 and 6.5.3, Listings 6.3 to 6.5).
+"""A fixed-size stack and queue (thesis 6.5.2 and 6.5.3, Listings 6.3 to 6.5).
 
-- Room is taken once; pushing and popping never allocates more of it.
-- Overflow and underflow are errors, never a lost element or a stale one.
-- The queue keeps a read position and a count, so that full and empty are different things (the thesis's
-  two indices can't tell them apart), and wraps without a branch: positions only grow and are reduced by a
-  mask, its room being a power of two. (Listing 6.5 wraps at `dataSize` inclusive and so touches one element
-  past its array; a mask can't.)
+- Memory is allocated once; pushing and popping allocates nothing.
+- Overflow and underflow are errors; no element is lost and no stale element is returned.
+- The queue keeps a read position and a count, so that it can tell full from empty (the thesis's two indices can't).
+  It wraps without a branch: positions only grow and are masked, since the memory is a power of two. (Listing 6.5 wraps
+  at `dataSize` inclusive and so touches one element past its array, which a mask can't.)
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ T = TypeVar("T")
 class FixedStack(Generic[T]):
     """A stack of at most `capacity` elements.
 
-    `len` is the number of elements, `capacity` the room. (The thesis's `size()` gives the room.)
+    `len` is the number of elements, `capacity` the largest possible number. (The thesis's `size()` is the capacity.)
 
     Raises:
         ValidationError: `container-capacity` for a capacity below 1.
@@ -40,7 +39,7 @@ class FixedStack(Generic[T]):
         self._index = 0
 
     def push(self, value: T) -> None:
-        """Put `value` on top; `container-full` when there is no room, leaving the stack as it was."""
+        """Push `value` onto the stack; `container-full` if it is full, which leaves it unchanged."""
         try:
             self._data[self._index] = value
         except IndexError:
@@ -48,24 +47,24 @@ class FixedStack(Generic[T]):
         self._index += 1
 
     def pop(self) -> T:
-        """Take the top element off and return it; `container-empty` when there is none."""
+        """Remove and return the top element; `container-empty` if there is none."""
         index = self._index - 1
         if index < 0:
             refuse(CONTAINER_EMPTY, "FixedStack.pop", "no element", "at least one")
         self._index = index
         value = self._data[index]
         self._data[index] = None
-        return value  # type: ignore[return-value]  # every place below _index was pushed to
+        return value  # type: ignore[return-value]  # every element below _index was pushed
 
     @property
     def top(self) -> T:
-        """The element pushed last; `container-empty` when there is none."""
+        """The element pushed last; `container-empty` if there is none."""
         if not self._index:
             refuse(CONTAINER_EMPTY, "FixedStack.top", "no element", "at least one")
         return self._data[self._index - 1]  # type: ignore[return-value]
 
     def clear(self) -> None:
-        """Take all elements out."""
+        """Remove all elements."""
         self._data[: self._index] = [None] * self._index
         self._index = 0
 
@@ -73,14 +72,14 @@ class FixedStack(Generic[T]):
         return self._index
 
     def __iter__(self) -> Iterator[T]:
-        """From the bottom to the top."""
+        """Iterate from the bottom to the top."""
         return iter(self._data[: self._index])  # type: ignore[arg-type]
 
 
 class FixedQueue(Generic[T]):
-    """A first-in first-out queue with room for `capacity` elements.
+    """A first-in first-out queue of at most `capacity` elements.
 
-    All `capacity` places can be used. The memory behind it is the next power of two.
+    All of the capacity can be used. The memory behind it is the next power of two.
 
     Raises:
         ValidationError: `container-capacity` for a capacity below 1.
@@ -92,14 +91,14 @@ class FixedQueue(Generic[T]):
         if capacity < 1:
             refuse(CONTAINER_CAPACITY, "FixedQueue(capacity)", capacity, "1 or more")
         self.capacity = capacity
-        room = 1 << (capacity - 1).bit_length()
-        self._mask = room - 1
-        self._data: list[T | None] = [None] * room
+        size = 1 << (capacity - 1).bit_length()
+        self._mask = size - 1
+        self._data: list[T | None] = [None] * size
         self._read = 0
         self._count = 0
 
     def push(self, value: T) -> None:
-        """Put `value` at the back; `container-full` when there is no room, leaving the queue as it was."""
+        """Append `value` at the back; `container-full` if the queue is full, which leaves it unchanged."""
         count = self._count
         if count == self.capacity:
             refuse(CONTAINER_FULL, "FixedQueue.push", f"{count} elements", f"at most {self.capacity}")
@@ -107,19 +106,19 @@ class FixedQueue(Generic[T]):
         self._count = count + 1
 
     def pop(self) -> T:
-        """Take the front element out and return it; `container-empty` when there is none."""
+        """Remove and return the front element; `container-empty` if there is none."""
         if not self._count:
             refuse(CONTAINER_EMPTY, "FixedQueue.pop", "no element", "at least one")
-        place = self._read & self._mask
-        value = self._data[place]
-        self._data[place] = None
+        index = self._read & self._mask
+        value = self._data[index]
+        self._data[index] = None
         self._read += 1
         self._count -= 1
         return value  # type: ignore[return-value]
 
     @property
     def front(self) -> T:
-        """The element pushed first; `container-empty` when there is none."""
+        """The element pushed first; `container-empty` if there is none."""
         if not self._count:
             refuse(CONTAINER_EMPTY, "FixedQueue.front", "no element", "at least one")
         return self._data[self._read & self._mask]  # type: ignore[return-value]
@@ -130,7 +129,7 @@ class FixedQueue(Generic[T]):
         return self._count == self.capacity
 
     def clear(self) -> None:
-        """Take all elements out."""
+        """Remove all elements."""
         self._data = [None] * (self._mask + 1)
         self._read = self._count = 0
 
@@ -138,6 +137,6 @@ class FixedQueue(Generic[T]):
         return self._count
 
     def __iter__(self) -> Iterator[T]:
-        """From the front to the back."""
-        for place in range(self._read, self._read + self._count):
-            yield self._data[place & self._mask]  # type: ignore[misc]
+        """Iterate from the front to the back."""
+        for position in range(self._read, self._read + self._count):
+            yield self._data[position & self._mask]  # type: ignore[misc]

@@ -1,7 +1,7 @@
-"""What everything of one device shares: the backend, ids, time, states, counters, and what is current.
+"""The part of a device that its resources share: backend, ids, timeline, states, counters, current bindings.
 
-`Device` is what users hold; resources, programs, queries and rings hold this, so that none of them needs
-to know the device.
+Users hold a `Device`. Resources, programs, queries and rings hold its `Core`, so that none of them depends on the
+device.
 """
 
 from __future__ import annotations
@@ -10,14 +10,15 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, NoReturn, Protocol, cast
 
 from rhi.contract.backend import Backend, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.contract.states import AlphaTest
+from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import refuse
+from rhi.errors import Rule
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
@@ -35,10 +36,10 @@ __rhi_internal__ = True
 
 @dataclass(slots=True)
 class Statistics:
-    """Counters since creation or the last `reset`.
+    """Counters since creation or the last reset.
 
-    draws counts draw calls (an indirect or many-draws call is one), uploads in bytes, creations resources;
-    the state counters are those of the thesis's tables (7.1).
+    `draws` counts draw calls (an indirect call or a `draw_many` is one), `creations` resources.
+    The state counters are those of the thesis's tables (7.1).
     """
 
     draws: int = 0
@@ -51,7 +52,7 @@ class Statistics:
 
 
 class Owner(Protocol):
-    """A resource as seen by what is bound to it."""
+    """The resource behind a binding, as the checks see it."""
 
     @property
     def core(self) -> Core: ...
@@ -61,16 +62,27 @@ class Owner(Protocol):
     def label(self) -> str: ...
 
 
+class OpenQuery(Protocol):
+    """An occlusion query between its begin and its end."""
+
+    def abandon(self) -> None:
+        """End the query without an answer."""
+
+
 class Core:
     """The shared part of one device.
 
     Attributes:
-        program: whose bindings are in place (a `Program`), None when the next draw must check everything.
+        refusals: raises and keeps the errors of refused calls.
+        program: the `Program` whose bindings are in place, None when the next draw must check everything.
         render_pass: the open pass, if any.
+        open_query: the occlusion query that counts now, if any.
+        condition_open: whether draws depend on a query's answer now.
+        condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
-        tests_alpha: whether the alpha test is on and prepared draws can't be used.
-        draw_counters: each program's, to be taken from when someone looks at the statistics.
+        tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
+        draw_counters: one function per program that returns its number of draws since the last call.
         locked: resources with an open lock; while there are any, every draw checks everything.
     """
 
@@ -81,13 +93,17 @@ class Core:
         "backend",
         "capabilities",
         "closed",
+        "condition_count",
+        "condition_open",
         "counters",
         "dispatches",
         "draw_counters",
         "draws",
         "frame_rings",
         "locked",
+        "open_query",
         "program",
+        "refusals",
         "render_pass",
         "sampler_descriptors",
         "states",
@@ -99,12 +115,13 @@ class Core:
     )
 
     records: ClassVar[bool] = False
-    """Whether this is a command buffer's, whose memory nothing else may use."""
+    """Whether this is the core of a command buffer, whose transient memory nothing else may use."""
 
-    def __init__(self, backend: Backend, states: StateCache) -> None:
+    def __init__(self, backend: Backend, states: StateCache, refusals: RefusalLog) -> None:
         self.backend = backend
         self.capabilities = backend.capabilities
-        self.timeline = Timeline(backend)
+        self.refusals = refusals
+        self.timeline = Timeline(backend, refusals)
         self.states = states
         self.counters = Statistics()
         self.draws = 0
@@ -113,6 +130,9 @@ class Core:
         self.closed = False
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
+        self.open_query: OpenQuery | None = None
+        self.condition_open = False
+        self.condition_count = 0
         self.targets: frozenset[Id] = frozenset()
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
@@ -123,39 +143,56 @@ class Core:
         if hasattr(backend, "prepare_draw"):
             self._prepares = cast("PreparesDraws", backend)
             self._prepares.on_interruption(self.forget_program)
-        self._ids = itertools.count(1)  # whose next() is one step, also for several threads
+        self._ids = itertools.count(1)  # its next() is atomic, also with several threads
         self._samplers: dict[SamplerDescriptor, Id] = {}
         self.sampler_descriptors: dict[Id, SamplerDescriptor] = {}
 
+    def refuse(
+        self, rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = ""
+    ) -> NoReturn:
+        """Raise a `ValidationError` for `rule` at the user's line; a recording device keeps it."""
+        self.refusals.refuse(rule, call, given, allowed, tip)
+
     def new_id(self) -> Id:
-        """The next resource id; ids are never used twice."""
+        """Return the next resource id; ids are never reused."""
         return next(self._ids)
 
     def create_id(self) -> Id:
-        """An id for a resource that the user creates, counted as a creation."""
+        """Return the id of a new resource of the user, and count the creation."""
         self.check_open()
         self.counters.creations += 1
         return self.new_id()
 
     def check_open(self) -> None:
+        """Refuse calls of a closed device."""
         if self.closed:
-            refuse(DEVICE_CLOSED, "device", "a closed device")
+            self.refuse(DEVICE_CLOSED, "device", "a closed device")
 
     def check_usable(self, owner: Owner, call: str) -> None:
-        """Refuse a resource that is destroyed, locked or another device's."""
+        """Refuse a resource that is destroyed, locked, or of another device."""
         if owner.core is not self:
-            refuse(RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe(owner))
+            self.refuse(
+                RECORD_TRANSIENT if owner.core.records else RESOURCE_FOREIGN, call, describe_object(owner)
+            )
         if owner.destroyed:
-            refuse(RESOURCE_DESTROYED, call, describe(owner))
+            self.refuse(RESOURCE_DESTROYED, call, describe_object(owner))
         if owner in self.locked:
-            refuse(LOCK_OPEN, call, f"{describe(owner)}, which has an open lock")
+            self.refuse(LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
+
+    def abandon_query(self) -> bool:
+        """End the query that is still open as its pass ends; return whether there was one."""
+        query, self.open_query = self.open_query, None
+        if query is None:
+            return False
+        query.abandon()
+        return True
 
     def forget_program(self) -> None:
-        """Nothing that a program has bound is in place any more."""
+        """Invalidate the current program: its bindings are no longer in place."""
         self.program = None
 
     def flush_states(self) -> None:
-        """Tell the backend of the states that have changed, if any have."""
+        """Send changed states to the backend, if any."""
         if self.states.wanted is self.states.hardware:
             return
         self.backend.set_states(self.states.flush())
@@ -163,12 +200,12 @@ class Core:
             self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 
     def send_states(self, vector: StateVector) -> None:
-        """Bring the hardware to a state vector of whatever cache, wanted or not."""
+        """Send the changes that lead from the hardware's states to a state vector of any cache."""
         if changes := self.states.change_to(vector):
             self.backend.set_states(changes)
 
     def adopt_states(self, values: tuple[object, ...]) -> None:
-        """Take note of what the backend was told past the cache: these values hold now."""
+        """Record state values that were sent to the backend without the cache."""
         self.states.adopt(values)
         if self._prepares is not None:
             self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
@@ -183,7 +220,7 @@ class Core:
         base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:
-        """A draw as a function of its number of instances; the backend's own if it has such."""
+        """Return a draw as a function of its number of instances, prepared by the backend where it can."""
         if self._prepares is not None:
             return self._prepares.prepare_draw(
                 program, vertex_array, primitive, first, count, base_vertex, base_instance
@@ -194,17 +231,23 @@ class Core:
         )
 
     def prepare_uniform(self, buffer: Id) -> Callable[[int, int, int], object]:
-        """The binding of a buffer's ranges as a function of slot, offset and size."""
+        """Return a function of slot, offset and size that binds a range of a buffer."""
         if self._prepares is not None:
             return self._prepares.prepare_uniform(buffer)
         bind = self.backend.bind_uniform
         return lambda slot, offset, size: bind(slot, buffer, offset, size)
 
     def sampler(self, descriptor: SamplerDescriptor) -> Id:
-        """The id of a sampler; equal descriptors share one. `device-capability` for more anisotropy than there is."""
+        """Return the id of a sampler; equal descriptors share one.
+
+        Raises:
+            ValidationError: `device-capability` for more anisotropy than the device supports.
+        """
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
-            refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}")
+            self.refuse(
+                DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}"
+            )
         sampler = self._samplers.get(descriptor)
         if sampler is None:
             sampler = self.new_id()
@@ -214,13 +257,13 @@ class Core:
         return sampler
 
     def signal(self) -> int:
-        """Signal the fence and give back retired resources that the GPU is done with."""
+        """Signal the fence and destroy retired resources that the GPU no longer uses."""
         value = self.timeline.signal()
         self.timeline.collect()
         return value
 
     def end_frame(self) -> int:
-        """Signal the fence; what the rings gave out in this frame is free once it has passed."""
+        """Signal the fence; memory that the rings allocated in this frame is free once the GPU has passed it."""
         value = self.timeline.signal()
         for ring in self.frame_rings:
             ring.mark(value)
@@ -228,8 +271,8 @@ class Core:
         return value
 
     def statistics(self) -> Statistics:
-        """A snapshot of the counters."""
-        self.draws += sum(take() for take in self.draw_counters)
+        """Return a snapshot of the counters."""
+        self.draws += sum(collect() for collect in self.draw_counters)
         return dataclasses.replace(
             self.counters,
             draws=self.draws,
@@ -241,13 +284,13 @@ class Core:
 
     def reset_statistics(self) -> None:
         self.counters = Statistics()
-        for take in self.draw_counters:
-            take()
+        for collect in self.draw_counters:
+            collect()
         self.draws = self.dispatches = self.upload_bytes = 0
         self.states.reset_counters()
 
 
-def describe(owner: object) -> str:
-    """A resource in a message: its kind and, where it has one, its label."""
+def describe_object(owner: object) -> str:
+    """Return an object's text for an error message: its class and, if it has one, its label."""
     label = getattr(owner, "label", "")
     return f"{type(owner).__name__}({label!r})" if label else f"a {type(owner).__name__}"

@@ -1,13 +1,13 @@
-"""Ring memory: transient bytes that the CPU writes while the GPU still reads earlier ones (thesis 4.3.1).
+"""Ring buffers for transient memory, which the CPU writes while the GPU still reads earlier parts (thesis 4.3.1).
 
-- Positions only grow; a place in the buffer is a position modulo the capacity (a power of two). What lies
-  between `tail` and `head` may still be read by the GPU and is never given out again.
-- `mark(fence)`, at the end of a frame, says that everything given out so far is free once that fence has
-  passed; `tail` follows.
-- A request that doesn't fit, even after looking at the fences, doubles the ring: a new buffer takes over and
-  the old one lives to the end of the frame. So a ring settles at the size that its frames need and never
-  waits. Only at `limit` it waits for the oldest frame, and refuses what a single frame can't have.
-- A request never straddles the end of the buffer: it starts at the next turn instead.
+- Positions only grow; the offset in the buffer is the position modulo the capacity (a power of two). Memory
+  between `tail` and `head` may still be read by the GPU and is not allocated again.
+- `mark(fence)`, at the end of a frame, declares everything allocated so far free once that fence has passed; then
+  `tail` advances.
+- A request that doesn't fit, even after polling the fence, doubles the ring: a new buffer replaces the old one, which
+  lives until the end of the frame. So a ring settles at the size that its frames need and never waits. Only at
+  `limit` it waits for the oldest frame, and refuses a frame that needs more than that.
+- An allocation never straddles the end of the buffer: it starts at the beginning of the buffer instead.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from typing_extensions import Buffer as BytesLike
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
 from rhi.device.core.timeline import Timeline
-from rhi.errors import refuse
 from rhi.errors.rules import TRANSIENT_SIZE
 
 __rhi_internal__ = True
@@ -30,12 +29,12 @@ LIMIT: Final = 1 << 28
 
 
 class Ring:
-    """Transient memory of one device.
+    """A ring buffer of transient memory.
 
     Attributes:
-        buffer: the backend buffer that new places lie in; changes when the ring grows.
-        capacity: bytes, a power of two.
-        generation: how often the ring has grown; what was bound or built on an older one is out of date.
+        buffer: id of the backend buffer that new allocations lie in; changes when the ring grows.
+        capacity: size in bytes, a power of two.
+        generation: number of times the ring has grown; bindings and vertex arrays of older generations are outdated.
     """
 
     __slots__ = ("_backend", "_head", "_marks", "_new_id", "_outgrown", "_tail", "_timeline", "buffer", "capacity",
@@ -58,7 +57,7 @@ class Ring:
         self.buffer: Id = 0
 
     def write(self, data: BytesLike, size: int, alignment: int) -> int:
-        """Put `size` bytes into the ring; returns their offset in `buffer`, a multiple of `alignment`.
+        """Upload `size` bytes to the ring and return their offset in `buffer`, a multiple of `alignment`.
 
         Raises:
             ValidationError: `transient-size` if the frame needs more than the ring's limit.
@@ -68,7 +67,7 @@ class Ring:
         return offset
 
     def allocate(self, size: int, alignment: int) -> int:
-        """The offset of `size` free bytes in `buffer`."""
+        """Allocate `size` bytes and return their offset in `buffer`."""
         if size > self.limit:
             self._refuse(size)
         while True:
@@ -79,7 +78,7 @@ class Ring:
             self._make_room(size, alignment)
 
     def mark(self, fence: int) -> None:
-        """The frame ends: what was given out so far is free once `fence` has passed."""
+        """End the frame: everything allocated so far is free once `fence` has passed."""
         for buffer in self._outgrown:
             self._timeline.retire(buffer)
         self._outgrown.clear()
@@ -88,23 +87,23 @@ class Ring:
 
     @property
     def in_use(self) -> int:
-        """Bytes that the GPU may still read, or that lie unused before the end of a turn."""
+        """Number of bytes that the GPU may still read, or that are skipped at the end of the buffer."""
         return self._head - self._tail
 
     def _fit(self, size: int, alignment: int) -> int:
-        """The position at or after `head` where `size` aligned bytes don't straddle the buffer's end.
+        """Return the first position from `head` on where `size` aligned bytes don't straddle the buffer's end.
 
-        Alignments needn't be powers of two (a vertex's stride isn't), so it is the place in the buffer, not
-        the position, that is aligned.
+        Alignments need not be powers of two (the stride of a vertex is not), so the offset in the buffer is aligned,
+        not the position.
         """
-        turn, place = self._head & -self.capacity, self._head & (self.capacity - 1)
-        place += -place % alignment
-        if place + size > self.capacity:
-            turn, place = turn + self.capacity, 0
-        return turn + place
+        base, offset = self._head & -self.capacity, self._head & (self.capacity - 1)
+        offset += -offset % alignment
+        if offset + size > self.capacity:
+            base, offset = base + self.capacity, 0
+        return base + offset
 
     def _make_room(self, size: int, alignment: int) -> None:
-        """Free what the GPU is done with; if that isn't enough grow, or at the limit wait."""
+        """Free memory that the GPU no longer reads; if that is not enough, grow the ring, or wait at the limit."""
         self._release(self._timeline.completed)
         if self.buffer and self._fit(size, alignment) + size - self._tail <= self.capacity:
             return
@@ -112,20 +111,22 @@ class Ring:
             self._grow(size)
             return
         if not self._marks:
-            self._refuse(size)  # all of it was given out in this frame
+            self._refuse(size)  # this frame has allocated all of it
         self._timeline.wait(self._marks[0][0])
         self._release(self._marks[0][0])
 
     def _refuse(self, size: int) -> NoReturn:
         given = f"{size} bytes more, {self.in_use} in use"
-        refuse(TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame")
+        self._timeline.refusals.refuse(
+            TRANSIENT_SIZE, f"{self.label} memory", given, f"at most {self.limit} a frame"
+        )
 
     def _release(self, completed: int) -> None:
         marks = self._marks
         while marks and marks[0][0] <= completed:
             self._tail = marks.popleft()[1]
         if self._tail == self._head:
-            # An empty ring starts over, so that a request as large as the ring fits whatever came before.
+            # An empty ring restarts at 0, so that a request as large as the ring always fits.
             self._head = self._tail = 0
 
     def _grow(self, size: int) -> None:

@@ -1,15 +1,15 @@
-"""State vectors and scopes: what is wanted, what the hardware has, and the difference (thesis 4.2).
+"""State vectors and scopes: wanted states, hardware states, and the difference between them (thesis 4.2).
 
-- Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. A scope
-  finds the vector it leads to in a memo (`vector.after[scope]`), pushes the current one on the fixed stack and
-  pops it at its end, always.
+- Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. On entry, a scope
+  looks up the vector it leads to in a memo (`vector.after[scope]`) and pushes the current one onto a fixed-size stack.
+  On exit it pops that vector, whatever happened inside.
 - A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
-  per scope.
-- The pool of vectors is bounded: scissors and viewports may take any value. When it is full all memos are
-  dropped; vectors on the stack stay valid, since equality of values is what counts in a difference.
-- Two counters as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
-  values sent.
+  once per scope.
+- The pool of vectors is bounded, since scissors and viewports may take any value. When it is full, all memos are
+  dropped. Vectors on the stack stay valid, because differences compare values, not identities.
+- There are two counters, as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
+  are values sent to the backend.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ from rhi.contract.states import (
     default_values,
 )
 from rhi.device.core.containers import FixedStack
-from rhi.errors import refuse
+from rhi.device.core.refusals import NO_LOG, RefusalLog
+from rhi.errors import RhiError
 from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_NOTHING, STATE_TYPE
 
 __rhi_internal__ = True
@@ -42,8 +43,8 @@ POOL_ENTRIES: Final = 16_384
 class StateVector:
     """One combination of all states; equal combinations are the same object (within one pool generation).
 
-    `values` follows `STATE_TYPES`. It is the key under which a port to an API of pipeline objects finds
-    its pipeline.
+    `values` is in the order of `STATE_TYPES`. A port to an API with pipeline objects uses it as the key of its
+    pipelines.
     """
 
     __slots__ = ("after", "changes", "values")
@@ -54,7 +55,7 @@ class StateVector:
         self.changes: dict[StateVector, tuple[StateChange, ...]] = {}
 
     def __getitem__(self, state_type: type) -> object:
-        """The value of a state type; a tuple of 8 for the types that exist per target."""
+        """Return the value of a state type; a tuple of 8 for types that exist per render target."""
         return self.values[_INDEX[state_type]]
 
     def __repr__(self) -> str:
@@ -66,21 +67,27 @@ _INDEX: Final = {state_type: index for index, state_type in enumerate(STATE_TYPE
 
 
 class StateCache:
-    """Wanted and hardware states of one device.
+    """The wanted states and the hardware states of one device.
 
     Attributes:
-        wanted: the vector that scopes ask for.
-        hardware: the vector the backend has been told.
-        unsupported: state types that the device lacks, with the names of the missing capabilities.
-        software_changes, hardware_changes: the two counters, in states.
+        wanted: the vector that the open scopes set.
+        hardware: the vector that was last sent to the backend.
+        refusals: raises and keeps the errors of refused scopes.
+        unsupported: state types that the device lacks, each with the name of the missing capability.
+        software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
     __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
-                 "software_changes", "unsupported", "wanted")  # fmt: skip
+                 "refusals", "software_changes", "unsupported", "wanted")  # fmt: skip
 
-    def __init__(self, unsupported: dict[type, str] | None = None, pool_entries: int = POOL_ENTRIES) -> None:
-        """`unsupported` maps state types the device lacks to the name of the missing capability."""
+    def __init__(
+        self,
+        unsupported: dict[type, str] | None = None,
+        pool_entries: int = POOL_ENTRIES,
+        refusals: RefusalLog = NO_LOG,
+    ) -> None:
         self.unsupported = unsupported or {}
+        self.refusals = refusals
         self._limit = pool_entries
         self._pool: dict[tuple[object, ...], StateVector] = {}
         self._scopes: dict[tuple[State, ...], StateScope] = {}
@@ -91,24 +98,24 @@ class StateCache:
         self.hardware_changes = 0
 
     def fresh(self) -> StateCache:
-        """An empty cache with the same rules."""
-        return StateCache(self.unsupported, self._limit)
+        """Return an empty cache with the same limits, missing capabilities and log."""
+        return StateCache(self.unsupported, self._limit, self.refusals)
 
     @property
     def depth(self) -> int:
-        """How many scopes are open."""
+        """Number of open scopes."""
         return len(self._stack)
 
     @property
     def vector_count(self) -> int:
-        """How many distinct combinations are kept."""
+        """Number of distinct combinations in the pool."""
         return len(self._pool)
 
     def scope(self, states: tuple[State, ...]) -> StateScope:
-        """The scope of these states; they are checked when it is first entered from a combination."""
+        """Return the scope of these states; they are checked when it is first entered from a combination."""
         try:
             scope = self._scopes.get(states)
-        except TypeError:  # something unhashable, so surely not a state
+        except TypeError:  # an unhashable object, which can't be a state; entering the scope refuses it
             return StateScope(self, states)
         if scope is None:
             scope = StateScope(self, states)
@@ -117,15 +124,15 @@ class StateCache:
         return scope
 
     def flush(self) -> tuple[StateChange, ...]:
-        """The changes that bring the hardware to what is wanted; it counts as told afterwards."""
+        """Return the changes from the hardware states to the wanted ones, which then count as sent."""
         return self._change(self.wanted)
 
     def change_to(self, vector: StateVector) -> tuple[StateChange, ...]:
-        """The same for a vector that nobody here wants, of this cache or another."""
+        """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
         return self._change(self._intern(vector.values))
 
     def adopt(self, values: tuple[object, ...]) -> None:
-        """The hardware was told these values by somebody else."""
+        """Record values that were sent to the backend without this cache."""
         self._reserve()
         self.hardware = self._intern(values)
 
@@ -147,14 +154,15 @@ class StateCache:
         return changes
 
     def check_always(self) -> None:
-        """Check each scope every time that it is entered, at any price."""
+        """Check each scope every time it is entered, without memos."""
         self._limit = 0
 
     def reset_counters(self) -> None:
+        """Set both counters to zero."""
         self.software_changes = self.hardware_changes = 0
 
     def _derive(self, scope: StateScope) -> StateVector:
-        """The vector after a scope on top of what is wanted; checks it and remembers the answer."""
+        """Check a scope, and return and memoise the vector that it makes of the wanted one."""
         states = scope.states
         self._validate(states)
         values = list(self.wanted.values)
@@ -178,19 +186,21 @@ class StateCache:
     def _validate(self, states: tuple[State, ...]) -> None:
         call = "device.states(" + ", ".join(map(repr, states)) + ")"
         if not states:
-            refuse(STATE_NOTHING, call, "no states", "one state or more")
+            self.refusals.refuse(STATE_NOTHING, call, "no states", "one state or more")
         seen: set[tuple[type, int | None]] = set()
         for state in states:
             state_type = type(state)
             if state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
-                refuse(STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}")
+                self.refusals.refuse(
+                    STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
+                )
             key = (state_type, getattr(state, "target", None))
             if key in seen:
-                refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
+                self.refusals.refuse(STATE_DUPLICATE, call, f"{state_type.__name__} twice", "each state once")
             seen.add(key)
             if state_type in self.unsupported and _needs_capability(state):
-                refuse(
+                self.refusals.refuse(
                     STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self.unsupported[state_type]}"
                 )
 
@@ -201,7 +211,7 @@ class StateCache:
         return vector
 
     def _reserve(self) -> None:
-        """Count one more memo entry; drop them all when there are too many."""
+        """Count one more memo entry, dropping all of them when the limit is reached."""
         self._entries += 1
         if self._entries <= self._limit:
             return
@@ -214,7 +224,7 @@ class StateCache:
 
 
 def _needs_capability(state: State) -> bool:
-    """Whether a state of a type that some devices lack, or have in part, is more than all devices have."""
+    """Return whether a state of an optional type needs its capability: not a default, nor what every device has."""
     if isinstance(state, BlendFunction):
         return state.target is not None
     if isinstance(state, PolygonOffset):
@@ -227,9 +237,9 @@ def _without_target(state: State) -> State:
 
 
 class StateScope:
-    """`with device.states(...)`: sets states on entry and restores what was before on exit, always.
+    """A `with device.states(...)` block: sets states on entry and always restores the earlier ones on exit.
 
-    A scope holds no per-entry data, so one object may be kept and entered again, also inside itself.
+    A scope holds no data of an entry, so one object may be kept and entered again, also inside itself.
     """
 
     __slots__ = ("_cache", "states")
@@ -242,7 +252,11 @@ class StateScope:
         cache = self._cache
         wanted = cache.wanted
         target = wanted.after.get(self) or cache._derive(self)
-        cache._stack.push(wanted)
+        try:
+            cache._stack.push(wanted)
+        except RhiError as error:  # the stack is full
+            cache.refusals.note(error)
+            raise
         cache.wanted = target
         cache.software_changes += len(self.states)
 
@@ -250,4 +264,8 @@ class StateScope:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         cache = self._cache
-        cache.wanted = cache._stack.pop()
+        try:
+            cache.wanted = cache._stack.pop()
+        except RhiError as error:  # no scope is open
+            cache.refusals.note(error)
+            raise

@@ -1,10 +1,11 @@
-"""Device time: one monotonically increasing fence, and what waits for it (thesis 4.1.2, 3.10).
+"""The timeline of a device: one monotonically increasing fence, and deferred destruction (thesis 4.1.2, 3.10).
 
 - `signal()` puts the next integer into the command stream; `completed` is the last one the GPU has reached.
-  Locks, rings, queries, deferred destruction and frames in flight all stand on this one mechanism.
-- `completed` asks the backend only while something is outstanding.
-- Resources are destroyed when the GPU is done with them: `retire` notes the fence value after which a
-  resource is free, `collect` destroys what has become so. Whoever keeps a resource's id for later watches.
+  Locks, rings, queries, deferred destruction and frames in flight are all built on this one mechanism.
+- `completed` asks the backend only while a signalled value is outstanding.
+- Resources are destroyed when the GPU no longer uses them: `retire` records the fence value after which a resource is
+  unused, and `collect` destroys those whose value has passed. Objects that keep ids of resources for later, such as
+  command buffers, register with `watch`.
 """
 
 from __future__ import annotations
@@ -16,30 +17,33 @@ from weakref import WeakSet
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
-from rhi.errors import DeviceError, refuse
+from rhi.device.core.refusals import NO_LOG, RefusalLog
+from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
 
 __rhi_internal__ = True
 
 
 class Watcher(Protocol):
-    """Somebody who wants to know which resources are gone."""
+    """An object that is notified of retired resources."""
 
     def note_retired(self, resource: Id) -> None:
-        """The resource was just given back."""
+        """Handle the retirement of a resource, which can't be used any more."""
 
 
 class Timeline:
     """The fence of one device.
 
     Attributes:
-        signalled: the value signalled last; 0 before the first.
+        signalled: the last signalled value; 0 before the first.
+        refusals: raises and keeps the errors of refused calls.
     """
 
-    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "signalled")
+    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "refusals", "signalled")
 
-    def __init__(self, backend: Backend) -> None:
+    def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
+        self.refusals = refusals
         self.signalled = 0
         self._completed = 0
         self._retired: deque[tuple[int, Id]] = deque()
@@ -47,7 +51,7 @@ class Timeline:
         self._lock = threading.RLock()  # the garbage collector may retire something while it is held
 
     def signal(self) -> int:
-        """Mark this point of the stream; returns its value."""
+        """Put the next value into the command stream and return it."""
         value = self.signalled + 1
         self._backend.signal(value)
         self.signalled = value
@@ -55,31 +59,33 @@ class Timeline:
 
     @property
     def completed(self) -> int:
-        """The last fence value that the GPU has reached; never waits."""
+        """The last fence value that the GPU has reached; never blocks."""
         if self._completed != self.signalled:
             self._completed = self._backend.completed()
         return self._completed
 
     def wait(self, value: int, seconds: float | None = None) -> bool:
-        """Block until the GPU has reached `value`; whether it has, after at most `seconds` (None: no limit).
+        """Block until the GPU has reached `value`, for at most `seconds` (None: no limit); return whether it has.
 
         Raises:
-            ValidationError: `fence-value` for a value that was never signalled: it would wait forever.
-            DeviceError: `device-lost` if without a limit the GPU hasn't got there in an hour.
+            ValidationError: `fence-value` for a value that was never signalled: the wait would never end.
+            DeviceError: `device-lost` if, without a limit, the GPU has not reached it within an hour.
         """
         if not 0 <= value <= self.signalled:
-            refuse(FENCE_VALUE, f"device.wait({value})", value, f"0 to {self.signalled}")
+            self.refusals.refuse(FENCE_VALUE, f"device.wait({value})", value, f"0 to {self.signalled}")
         if value <= self._completed or value <= self.completed:
             return True
         reached = self._backend.wait(value, FOREVER if seconds is None else seconds)
         if reached:
             self._completed = max(self._completed, value)
         elif seconds is None:
-            raise DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
+            self.refusals.fail(
+                DeviceError(DEVICE_LOST, f"device.wait({value})", f"no answer in {FOREVER:.0f} s")
+            )
         return reached
 
     def retire(self, resource: Id) -> None:
-        """Destroy `resource` once the GPU has passed what was submitted up to now."""
+        """Destroy `resource` once the GPU has executed everything submitted so far."""
         self._retired.append((self.signalled + 1, resource))
         if self._watchers:
             with self._lock:
@@ -88,12 +94,12 @@ class Timeline:
                 watcher.note_retired(resource)
 
     def watch(self, watcher: Watcher) -> None:
-        """From now on tell `watcher` of each resource that is retired, for as long as it lives. From any thread."""
+        """Notify `watcher` of each resource that is retired, for as long as it lives. May be called from any thread."""
         with self._lock:
             self._watchers.add(watcher)
 
     def collect(self) -> None:
-        """Destroy the retired resources that the GPU is done with."""
+        """Destroy the retired resources that the GPU no longer uses."""
         if not self._retired:
             return
         completed = self.completed

@@ -1,1 +1,1 @@
-"""Occlusion queries, sets of them, and the tree of GPU timers."""
+"""Occlusion queries, query sets, and GPU timers."""

@@ -1,23 +1,21 @@
-"""Occlusion queries and the timer tree (thesis 4.4, Listing 4.11).
+"""Occlusion queries and conditional rendering (thesis 4.4, Listing 4.11).
 
-- A query is native where the backend has them. Elsewhere, or when asked for, it is emulated as in the
-  thesis (4.4.2): the GPU takes its running samples-passed counter at two fence values, the difference is the
-  answer, and it is final once the second fence has completed.
-- `is_finished` never blocks. `visible_samples` gives the answer of a finished query and refuses an
+- A query is native where the backend supports it. Elsewhere, or on request, it is emulated as in the
+  thesis (4.4.2): the GPU writes its running samples-passed counter at two fence values. The difference is the
+  answer, which is final once the second fence value has completed.
+- `is_finished` never blocks. `visible_samples` returns the answer of a finished query and refuses an
   unfinished one; `wait` blocks.
-- Timers: each `device.event` takes two timestamps when timing is on. A frame's tree is read when all of its
-  timestamps are there, without waiting; `device.timers` is the tree of the latest such frame.
 """
 
 from __future__ import annotations
 
 import time
 from types import TracebackType
-from typing import Final, Generic, Protocol, Self, TypeVar
+from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
-from rhi.device.core.core import Core, describe
-from rhi.errors import DeviceError, refuse
+from rhi.device.core.core import Core, describe_object
+from rhi.errors import DeviceError
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ANSWER,
@@ -35,51 +33,21 @@ __rhi_internal__ = True
 T = TypeVar("T")
 
 ANSWER_SECONDS: Final = 10.0
-"""How long after its fence a query's answer may be late."""
+"""How long a driver may take to publish an answer after the query's fence value has completed."""
 _IDLE, _OPEN, _ENDED = "not begun", "open", "ended"
 
 
-class Counting(Protocol):
-    """A query that is open."""
-
-    def abandon(self) -> None:
-        """End it; there is no answer."""
-
-
-class QueryDesk:
-    """Knows which occlusion query is open, and whether a condition holds: there can be one of each.
-
-    Attributes:
-        conditions: how many were ever begun.
-    """
-
-    __slots__ = ("conditional", "conditions", "open")
-
-    def __init__(self) -> None:
-        self.open: Counting | None = None
-        self.conditional = False
-        self.conditions = 0
-
-    def abandon(self) -> bool:
-        """End a query that is still open as its pass ends; whether there was one."""
-        query, self.open = self.open, None
-        if query is None:
-            return False
-        query.abandon()
-        return True
-
-
 class PendingQuery(Generic[T]):
-    """What a query and a set of queries have in common: an answer that comes some time after its end."""
+    """Common base of queries and query sets: an answer that is available some time after the end."""
 
     __slots__ = ("_answer", "_core", "_fence", "_ids", "_state", "destroyed", "emulated")
 
     def __init__(self, core: Core, count: int, emulated: bool, call: str) -> None:
-        """For `count` OCCLUSION queries or, emulated, one COUNTER more."""
+        """Create `count` OCCLUSION queries or, if emulated, `count` + 1 COUNTER queries."""
         capabilities = core.capabilities
         self.emulated = emulated or not capabilities.occlusion_queries
         if self.emulated and not capabilities.sample_counter:
-            refuse(DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
+            core.refuse(DEVICE_CAPABILITY, call, "an emulated query", "needs capabilities.sample_counter")
         self._core = core
         self._ids: list[Id] = []
         kind = QueryKind.COUNTER if self.emulated else QueryKind.OCCLUSION
@@ -99,22 +67,22 @@ class PendingQuery(Generic[T]):
 
     @property
     def ids(self) -> tuple[Id, ...]:
-        """All its names in the command stream."""
+        """The ids of all its queries in the command stream."""
         return tuple(self._ids)
 
     @property
     def core(self) -> Core:
-        """Its device's."""
+        """The core of its device."""
         return self._core
 
     @property
     def label(self) -> str:
-        """It has none."""
+        """The empty string: queries have no labels."""
         return ""
 
     @property
     def is_finished(self) -> bool:
-        """Whether the answer is there; never blocks. False where nothing was asked."""
+        """Whether the answer is available; never blocks. False if the query was never ended."""
         if self._answer is None and self._state is _ENDED and not self.destroyed:
             self._core.check_open()
             if not self.emulated or self._core.timeline.completed >= self._fence:
@@ -123,107 +91,114 @@ class PendingQuery(Generic[T]):
 
     @property
     def visible_samples(self) -> T:
-        """The answer, once it is there.
+        """The answer of a finished query.
 
         Raises:
-            ValidationError: `query-unfinished` while it isn't, `query-state` if there is none to come.
+            ValidationError: `query-unfinished` while it is not available, `query-state` if the query was never ended
+                or is destroyed.
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.visible_samples"
-            self._check_ended(call)
-            refuse(QUERY_UNFINISHED, call, "an unfinished query")
+            self.check_ended(self._core, call)
+            self._core.refuse(QUERY_UNFINISHED, call, "an unfinished query")
         assert self._answer is not None
         return self._answer
 
     def wait(self) -> T:
-        """Block until the answer is there.
+        """Block until the answer is available, and return it.
 
         Raises:
-            DeviceError: `device-no-answer` if it isn't, 10 s after the GPU has passed the query's end.
+            DeviceError: `device-no-answer` if it is not available 10 s after the GPU has passed the query's end.
         """
         if not self.is_finished:
             call = f"{type(self).__name__}.wait"
-            self._check_ended(call)
+            self.check_ended(self._core, call)
             self._core.timeline.wait(self._fence if self.emulated else self._core.signal())
             deadline = time.monotonic() + ANSWER_SECONDS
             while not self.is_finished:  # a driver may publish the result a moment after the fence
                 if time.monotonic() > deadline:
-                    given = f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
-                    raise DeviceError(DEVICE_ANSWER, call, given)
+                    given = (
+                        f"query {self._ids[-1]}: no answer {ANSWER_SECONDS:g} s after the GPU passed its end"
+                    )
+                    self._core.refusals.fail(DeviceError(DEVICE_ANSWER, call, given))
                 time.sleep(0)
         assert self._answer is not None
         return self._answer
 
     def destroy(self) -> None:
-        """Give it back; an open query can't be destroyed."""
+        """Destroy the query; an open query can't be destroyed."""
         if self._state is _OPEN:
-            refuse(QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended")
+            self._core.refuse(
+                QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended"
+            )
         if not self.destroyed:
             self.destroyed = True
             for query in self._ids:
                 self._core.timeline.retire(query)
 
-    def forget(self) -> None:
-        """What is asked now isn't what was asked before."""
+    def discard_answer(self) -> None:
+        """Discard the earlier answer, as the query is used again."""
         self._answer = None
         self._state = _IDLE
 
-    def take_submission(self, fence: int) -> None:
-        """It was asked, all before `fence`."""
+    def mark_submitted(self, fence: int) -> None:
+        """Note that the query was submitted and ends before `fence`."""
         self._answer = None
         self._state = _ENDED
         self._fence = fence
 
     def _read(self) -> T | None:
-        """The answer, or None while it isn't there."""
+        """Read the answer from the backend; None while it is not available."""
         raise NotImplementedError
 
-    def _check_ended(self, call: str) -> None:
+    def check_ended(self, core: Core, call: str) -> None:
+        """Refuse a query that was not ended or is destroyed, in a call of `core`."""
         if self._state is not _ENDED or self.destroyed:
             state = "destroyed" if self.destroyed else self._state
-            refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
+            core.refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
 
 
 class OcclusionQuery(PendingQuery[int]):
-    """How many samples of the draws between begin and end passed all tests.
+    """A counter of the samples of draws between its begin and end that pass all tests.
 
-    One object may be used again and again; begin forgets the earlier answer. `with query:` is begin and end.
+    A query may be used any number of times; `begin` discards the earlier answer. `with query:` begins and ends it.
     """
 
-    __slots__ = ("_desk",)
+    __slots__ = ()
 
-    def __init__(self, core: Core, desk: QueryDesk, emulated: bool) -> None:
+    def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
-        self._desk = desk
 
     @property
     def id(self) -> Id:
-        """Its name in the command stream (of an emulated query, the second counter's)."""
+        """The id of the query in the command stream (of an emulated query, that of the second counter)."""
         return self._ids[-1]
 
     def begin(self) -> None:
-        """Count from here; inside a render pass, one query at a time."""
+        """Begin counting; inside a render pass, one query at a time."""
         core = self._core
         core.check_open()
         if self.destroyed:
-            refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
-        if self._desk.open is not None:
-            refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
+            core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
+        if core.open_query is not None:
+            core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
-            refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+            core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
         self.write_begin(core)
         if self.emulated:
             core.signal()
         self._answer = None
         self._state = _OPEN
-        self._desk.open = self
+        core.open_query = self
         core.counters.queries += 1
 
     def end(self) -> None:
-        """Stop counting and let the GPU start on what was submitted, so that the answer can come."""
+        """End counting and flush submitted work to the GPU, so that the answer becomes available."""
         if self._state is not _OPEN:
-            refuse(QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query")
-        self._desk.open = None
+            self._core.refuse(
+                QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"
+            )
+        self._core.open_query = None
         self._finish()
         self._state = _ENDED
 
@@ -236,7 +211,7 @@ class OcclusionQuery(PendingQuery[int]):
             self._fence = core.signal()
 
     def abandon(self) -> None:
-        """End it without an answer, as its pass ends."""
+        """End the query without an answer, as its pass ends."""
         self._finish()
         self._state = _IDLE
 
@@ -260,21 +235,21 @@ class OcclusionQuery(PendingQuery[int]):
     # -- in command buffers --------------------------------------------------------------------------------
 
     def check_usable(self, core: Core, call: str) -> None:
-        """Refuse another device's query, and a destroyed one."""
+        """Refuse a destroyed query, and one of another device."""
         if self._core is not core:
-            refuse(RESOURCE_FOREIGN, call, describe(self))
+            core.refuse(RESOURCE_FOREIGN, call, describe_object(self))
         if self.destroyed:
-            refuse(RESOURCE_DESTROYED, call, "a destroyed query")
+            core.refuse(RESOURCE_DESTROYED, call, "a destroyed query")
 
     def write_begin(self, core: Core) -> None:
-        """Command `core` to begin counting."""
+        """Send the begin of the query to `core`: the device's, or a command buffer's."""
         if self.emulated:
             core.backend.write_query(self._ids[0])
         else:
             core.backend.begin_query(self._ids[0])
 
     def write_end(self, core: Core) -> None:
-        """Command `core` to end counting."""
+        """Send the end of the query to `core`."""
         if self.emulated:
             core.backend.write_query(self._ids[1])
         else:
@@ -282,39 +257,40 @@ class OcclusionQuery(PendingQuery[int]):
 
 
 class Conditional:
-    """`with device.conditional(query):` draws happen only if the query counted samples."""
+    """A `with device.conditional(query):` block, whose draws are executed only if the query counted samples."""
 
-    __slots__ = ("_core", "_desk", "_inverted", "_query")
+    __slots__ = ("_core", "_inverted", "_query")
 
-    def __init__(self, core: Core, desk: QueryDesk, query: OcclusionQuery, inverted: bool) -> None:
+    def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
         if not core.capabilities.conditional_rendering:
-            refuse(
+            core.refuse(
                 DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
             )
         if query.emulated:
-            refuse(DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()")
+            core.refuse(
+                DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
+            )
         self._core = core
-        self._desk = desk
         self._query = query
         self._inverted = inverted
 
     def _check(self) -> None:
-        self._query._check_ended("device.conditional")
+        self._query.check_ended(self._core, "device.conditional")
 
     def __enter__(self) -> None:
-        self._core.check_open()
-        desk = self._desk
-        if desk.conditional:
-            refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
+        core = self._core
+        core.check_open()
+        if core.condition_open:
+            core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
-        self._core.backend.begin_conditional(self._query.id, self._inverted)
-        desk.conditional = True
-        desk.conditions += 1
+        core.backend.begin_conditional(self._query.id, self._inverted)
+        core.condition_open = True
+        core.condition_count += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._desk.conditional = False
+        self._core.condition_open = False
         if not self._core.closed:
             self._core.backend.end_conditional()

@@ -1,12 +1,12 @@
-"""Query sets: many occlusion queries that are asked in one call and answered as one array.
+"""Query sets: many occlusion queries that are used in one call and answered as one array.
 
-- A set is a number of rows. `draw_counted` draws an array of draws, counts each into a row, and forgets what the set
-  was asked before. So a set holds the answers of one call, and a row that this call didn't ask for holds `NOT_ASKED`.
-- Rows are queries like any others. A backend may take them all at once (`PreparesQueries`); elsewhere, in command
-  buffers and in front of a recorder, they are begun and ended one by one (`PlainQueries`), which is also what
-  `PreparesQueries` has to be like.
-- An emulated set (thesis 4.4.2) takes the running counter before its first draw and after each row's last one: one
-  value more than there are rows, at one fence.
+- A set has a number of rows. `draw_counted` draws an array of draws, counts each in a row, and discards the earlier
+  answers of the set. So a set holds the answers of one call, and rows that the call did not use hold `NOT_COUNTED`.
+- Each row is an ordinary query. A backend may execute them all at once (`PreparesQueries`). Elsewhere, in command
+  buffers and in front of a recorder, they are begun and ended one by one (`PlainQueries`), which also defines the
+  behaviour of `PreparesQueries`.
+- An emulated set (thesis 4.4.2) writes the running counter before its first draw and after the last draw of each row:
+  one value more than there are rows, with one fence.
 """
 
 from __future__ import annotations
@@ -22,17 +22,16 @@ from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.queries import PlainQueries, list_draws
 from rhi.device.core.core import Core
 from rhi.device.queries.occlusion import PendingQuery
-from rhi.errors import refuse
 from rhi.errors.rules import DEVICE_ARGUMENT, QUERY_ROWS
 
 __rhi_internal__ = True
 
-NOT_ASKED: Final = -1
-"""In place of the samples of a row that wasn't asked for."""
+NOT_COUNTED: Final = -1
+"""The number of samples of a row that the latest call did not use."""
 
 
 class EmulatedQueries:
-    """The same by taking the running counter, with one COUNTER query more than there are rows."""
+    """`PreparedQueries` by the running counter, with one COUNTER query more than there are rows."""
 
     def __init__(self, backend: Backend, counters: Sequence[Id]) -> None:
         self._backend = backend
@@ -41,18 +40,18 @@ class EmulatedQueries:
     def draw(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> None:
-        """As `PreparedQueries.draw`. Counters are used in their order, whichever rows are asked for."""
-        draw, take = self._backend.draw, self._backend.write_query
+        """See `PreparedQueries.draw`. Counters are used in their order, whichever rows the draws use."""
+        draw, write_counter = self._backend.draw, self._backend.write_query
         counters, current = iter(self._counters), -1
         for row, arguments in zip(rows.tolist(), list_draws(draws), strict=True):
             if row != current:
-                take(next(counters))
+                write_counter(next(counters))
                 current = row
             draw(vertex_array, primitive, *arguments)
-        take(next(counters))
+        write_counter(next(counters))
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
-        """As `PreparedQueries.read`, of all that the latest draws asked for."""
+        """See `PreparedQueries.read`; `rows` are all rows of the latest call."""
         counts = [self._backend.read_query(counter) for counter in self._counters[: len(rows) + 1]]
         if None in counts:
             return None
@@ -61,22 +60,22 @@ class EmulatedQueries:
 
 
 class QuerySet(PendingQuery[NDArray[np.int64]]):
-    """So many counters of visible samples, asked together by `draw_counted`; made by `device.query_set`.
+    """A set of counters of visible samples, used together by `draw_counted`; created by `device.query_set`.
 
-    `visible_samples` and `wait` give (n,) int64, a number for each row, and −1 for rows that the latest
-    `draw_counted` didn't ask for. The array is never written again, so it may be kept.
+    `visible_samples` and `wait` return (n,) int64, the number of samples of each row, and −1 for rows that the latest
+    `draw_counted` did not use. The array is never written again, so it may be kept.
     """
 
-    __slots__ = ("_asked", "_in_order", "_prepared", "_reader", "_size")
+    __slots__ = ("_in_order", "_prepared", "_reader", "_rows", "_size")
 
     def __init__(self, core: Core, size: int, emulated: bool) -> None:
         call = "device.query_set"
         core.check_open()
         if not isinstance(size, (int, np.integer)) or size < 0:
-            refuse(DEVICE_ARGUMENT, call, f"{size!r} queries", "a number, 0 or more")
+            core.refuse(DEVICE_ARGUMENT, call, f"{size!r} queries", "a number, 0 or more")
         super().__init__(core, int(size), emulated, call)
         self._size = int(size)
-        self._asked = np.zeros(0, np.int64)
+        self._rows = np.zeros(0, np.int64)
         self._in_order = np.arange(self._size)
         self._prepared: PreparedQueries = self._plain(core)
         if not self.emulated and hasattr(core.backend, "prepare_queries"):
@@ -84,83 +83,79 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         self._reader = self._prepared
 
     def __len__(self) -> int:
-        """How many rows there are."""
+        """Return the number of rows."""
         return self._size
 
     @property
     def id(self) -> Id:
-        """The name of its first row in the command stream; 0 for a set without rows."""
+        """The id of its first row in the command stream; 0 for a set without rows."""
         return self._ids[0] if self._ids else 0
 
     def check_rows(self, rows: object, draws: int, call: str) -> NDArray[np.int64]:
-        """Which row each of the draws counts into; refuses what doesn't fit."""
+        """Return the row that counts each draw, (draws,) int64; `query-rows` if `rows` don't fit."""
         size = len(self)
         if rows is None:
             if draws > size:
-                refuse(QUERY_ROWS, call, f"{draws} draws", f"up to {size}, or `rows`")
+                self._core.refuse(QUERY_ROWS, call, f"{draws} draws", f"up to {size}, or `rows`")
             return self._in_order[:draws]
         given = np.asarray(rows)
         if given.shape != (draws,) or (draws and given.dtype.kind not in "iu"):
-            refuse(
+            self._core.refuse(
                 QUERY_ROWS, call, f"rows of shape {given.shape} and {given.dtype}", f"({draws},) of integers"
             )
         each: NDArray[np.int64] = given.astype(np.int64)
         if draws and not 0 <= each.min() <= each.max() < size:
-            refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
+            self._core.refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
         repeated = np.bincount(find_runs(each)) > 1
         if repeated.any():
-            refuse(
-                QUERY_ROWS, call, f"row {repeated.argmax()} again after other rows",
-                "the draws of a row one after the other",
-            )  # fmt: skip
+            given = f"row {repeated.argmax()} again after other rows"
+            self._core.refuse(QUERY_ROWS, call, given, "consecutive draws for each row")
         return each
 
     def draw(
         self, core: Core, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Command `core`, the device's or a command buffer's, to draw and count; gives the rows asked for."""
-        asked = rows if rows.base is self._in_order else find_runs(rows)
+        """Send the draws and queries to `core`, the device's or a command buffer's; return the rows used, in order."""
+        used = rows if rows.base is self._in_order else find_runs(rows)
         prepared = self._prepared if core is self._core else self._plain(core)
         if core is self._core:
-            self.forget()
+            self.discard_answer()
         if len(rows):
             prepared.draw(vertex_array, primitive, draws, rows)
-        core.counters.queries += len(asked)
-        return asked
+        core.counters.queries += len(used)
+        return used
 
-    def take_draws(self, asked: NDArray[np.int64]) -> None:
-        """The device was commanded to ask for these rows."""
-        self._asked, self._reader = asked, self._prepared
-        self.take_submission(self._core.signal() if self.emulated and len(asked) else 0)
+    def mark_rows_drawn(self, rows: NDArray[np.int64]) -> None:
+        """Note that the device has drawn with these rows."""
+        self._rows, self._reader = rows, self._prepared
+        self.mark_submitted(self._core.signal() if self.emulated and len(rows) else 0)
 
-    def take_recorded(self, asked: NDArray[np.int64], fence: int) -> None:
-        """A command buffer was carried out that asked for them, all before `fence`."""
-        self._asked, self._reader = asked, self._plain(self._core)
-        self.take_submission(fence)
+    def mark_rows_submitted(self, rows: NDArray[np.int64], fence: int) -> None:
+        """Note that a command buffer with these rows was executed, before `fence`."""
+        self._rows, self._reader = rows, self._plain(self._core)
+        self.mark_submitted(fence)
 
     def _plain(self, core: Core) -> PlainQueries | EmulatedQueries:
         return (EmulatedQueries if self.emulated else PlainQueries)(core.backend, self._ids)
 
     def _read(self) -> NDArray[np.int64] | None:
-        asked = self._asked
-        samples = self._reader.read(asked) if len(asked) else asked
+        rows = self._rows
+        samples = self._reader.read(rows) if len(rows) else rows
         if samples is None:
             return None
-        if asked.base is self._in_order and len(asked) == len(self):
+        if rows.base is self._in_order and len(rows) == len(self):
             answer = samples
         else:
-            answer = np.full(len(self), NOT_ASKED, np.int64)
-            answer[asked] = samples
+            answer = np.full(len(self), NOT_COUNTED, np.int64)
+            answer[rows] = samples
         answer.flags.writeable = False
         return answer
 
 
 def find_runs(rows: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The row of each run of equal ones."""
+    """Return the row of each run of equal rows."""
     if not len(rows):
         return rows
     begins = np.ones(len(rows), bool)
     np.not_equal(rows[1:], rows[:-1], out=begins[1:])
     return rows[begins]
-
-

@@ -1,7 +1,7 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
-Each `device.event` takes two timestamps when timing is on. A frame's tree is read when all of its timestamps are
-there, without waiting; `device.timers` is the tree of the latest such frame.
+Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
+its timestamps are available; `device.timers` is the tree of the latest such frame.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Final
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
-from rhi.errors import refuse
 from rhi.errors.rules import SCOPE_ORDER
 
 __rhi_internal__ = True
@@ -22,7 +21,7 @@ __rhi_internal__ = True
 
 @dataclass(slots=True)
 class TimerNode:
-    """One event of a frame: its label, GPU and CPU time, and the events inside it."""
+    """An event of a frame: its label, its GPU and CPU time, and the events inside."""
 
     name: str
     gpu_milliseconds: float = 0.0
@@ -30,15 +29,15 @@ class TimerNode:
     children: list[TimerNode] = field(default_factory=list)
 
     def format(self, indent: int = 0) -> str:
-        """The tree as text, one event a line."""
+        """Return the tree as text, one line per event."""
         line = f"{'  ' * indent}{self.name:<{max(1, 32 - 2 * indent)}} gpu {self.gpu_milliseconds:8.3f} ms"
         lines = [f"{line}  cpu {self.cpu_milliseconds:8.3f} ms"]
         return "\n".join(lines + [child.format(indent + 1) for child in self.children])
 
 
 @dataclass(slots=True)
-class _Running:
-    """An event whose time isn't known yet."""
+class _PendingEvent:
+    """An event whose timestamps are not available yet."""
 
     node: TimerNode
     started: float
@@ -47,34 +46,36 @@ class _Running:
 
 
 MAX_FRAMES: Final = 8
-"""How many frames may wait for their timestamps before the oldest is given up."""
+"""Largest number of frames that wait for their timestamps; beyond it the oldest is dropped."""
 
 
 class Timers:
-    """The events of the current frame and the tree of the latest finished one."""
+    """The events of the current frame, and the event tree of the latest finished frame."""
 
-    __slots__ = ("_core", "_frames", "_free", "_open", "_roots", "_running", "enabled", "latest")
+    __slots__ = ("_core", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
 
     def __init__(self, core: Core, enabled: bool) -> None:
         self._core = core
         self.enabled = enabled
         self.latest: list[TimerNode] = []
-        self._open: list[_Running] = []
+        self._open: list[_PendingEvent] = []
         self._roots: list[TimerNode] = []
-        self._running: list[_Running] = []
-        self._frames: deque[tuple[list[TimerNode], list[_Running]]] = deque()
+        self._pending: list[_PendingEvent] = []
+        self._frames: deque[tuple[list[TimerNode], list[_PendingEvent]]] = deque()
         self._free: list[Id] = []
 
     @property
     def depth(self) -> int:
+        """Number of open events."""
         return len(self._open)
 
-    def begin(self, label: str) -> _Running:
-        event = _Running(TimerNode(label), time.perf_counter())
-        if self.enabled:  # both now: what can fail comes before anything is begun
-            event.begin = self._take()
+    def begin(self, label: str) -> _PendingEvent:
+        """Open an event inside the innermost open one."""
+        event = _PendingEvent(TimerNode(label), time.perf_counter())
+        if self.enabled:  # both queries now: what can fail comes before anything is begun
+            event.begin = self._acquire_query()
             try:
-                event.end = self._take()
+                event.end = self._acquire_query()
             except BaseException:
                 self._free.append(event.begin)
                 raise
@@ -85,42 +86,44 @@ class Timers:
         self._open.append(event)
         return event
 
-    def end(self, event: _Running) -> None:
+    def end(self, event: _PendingEvent) -> None:
+        """Close an event; `scope-order` if it is not the innermost open one."""
         if not self._open or self._open[-1] is not event:
-            refuse(SCOPE_ORDER, "device.event", f"the end of {event.node.name!r}", "the innermost open event")
+            given = f"the end of {event.node.name!r}"
+            self._core.refuse(SCOPE_ORDER, "device.event", given, "the innermost open event")
         self._open.pop()
         if event.end:
             self._core.backend.write_query(event.end)
-            self._running.append(event)
+            self._pending.append(event)
         event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
         self._core.backend.pop_label()
 
     def end_frame(self) -> None:
-        """Close the frame's tree and take in the frames whose timestamps have come."""
+        """Close the frame's tree, and read the frames whose timestamps are available."""
         if not self._open and self._roots:
-            self._frames.append((self._roots, self._running))
-            self._roots, self._running = [], []
+            self._frames.append((self._roots, self._pending))
+            self._roots, self._pending = [], []
         self.collect()
         while len(self._frames) > MAX_FRAMES:
             self._release(self._frames.popleft()[1])
 
     def collect(self) -> None:
-        """Read finished frames, oldest first; never waits."""
+        """Read finished frames, oldest first; never blocks."""
         while self._frames:
-            roots, running = self._frames[0]
-            times = [(self._read(e.begin), self._read(e.end)) for e in reversed(running)]
+            roots, pending = self._frames[0]
+            times = [(self._read(e.begin), self._read(e.end)) for e in reversed(pending)]
             if any(begin is None or end is None for begin, end in times):
                 return
-            for event, (begin, end) in zip(reversed(running), times, strict=True):
+            for event, (begin, end) in zip(reversed(pending), times, strict=True):
                 assert begin is not None
                 assert end is not None
                 event.node.gpu_milliseconds = (end - begin) / 1e6
             self._frames.popleft()
-            self._release(running)
+            self._release(pending)
             self.latest = roots
 
-    def _take(self) -> Id:
-        """A timestamp query that nobody uses."""
+    def _acquire_query(self) -> Id:
+        """Return an unused timestamp query, creating one if there is none."""
         if self._free:
             return self._free.pop()
         query = self._core.new_id()
@@ -130,28 +133,28 @@ class Timers:
     def _read(self, query: Id) -> int | None:
         return self._core.backend.read_query(query) if query else 0
 
-    def _release(self, running: list[_Running]) -> None:
-        self._free.extend(query for event in running for query in (event.begin, event.end) if query)
+    def _release(self, pending: list[_PendingEvent]) -> None:
+        self._free.extend(query for event in pending for query in (event.begin, event.end) if query)
 
 
-class Event:
-    """`with device.event(label):` a label on the commands inside and, with timing on, a timer."""
+class EventScope:
+    """A `with device.event(label):` block, which labels the commands inside and, with timing on, times them."""
 
-    __slots__ = ("_core", "_label", "_running", "_timers")
+    __slots__ = ("_core", "_events", "_label", "_timers")
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
         self._core = core
         self._timers = timers
         self._label = label
-        self._running: list[_Running] = []
+        self._events: list[_PendingEvent] = []
 
     def __enter__(self) -> None:
         self._core.check_open()
-        self._running.append(self._timers.begin(self._label))
+        self._events.append(self._timers.begin(self._label))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._core.closed:
-            self._timers.end(self._running[-1])
-            self._running.pop()
+            self._timers.end(self._events[-1])
+            self._events.pop()

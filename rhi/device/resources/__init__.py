@@ -1,1 +1,1 @@
-"""Resources as users hold them: buffers, textures, meshes and programs, with their locks and lifetimes."""
+"""Resources: buffers, textures, meshes and programs, with their locks and lifetimes."""

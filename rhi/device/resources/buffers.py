@@ -1,8 +1,8 @@
-"""Buffers: untyped memory on the device, seen as arrays of a NumPy dtype, and what shaders call it.
+"""Buffers: memory on the device as arrays of a NumPy dtype, and typed buffers for shader bindings.
 
-- A lock gives a NumPy array for a range of elements (`rhi.device.resources.locks`).
-- `UniformBuffer`, `UniformArray` and `StorageBuffer` give buffers the type that a shader declares; they are
-  the ranges that typed bindings take.
+- A lock provides a NumPy array for a range of elements (`rhi.device.resources.locks`).
+- `UniformBuffer`, `UniformArray` and `StorageBuffer` add the type that a shader declares; they are the ranges that
+  typed bindings accept.
 """
 
 from __future__ import annotations
@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import accepts, compare_layouts
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource, kept_if_filled
+from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
-from rhi.errors import refuse
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -39,10 +38,10 @@ class Buffer(Resource):
     """Memory on the device: `count` elements of `dtype`.
 
     Attributes:
-        id: its name in the command stream.
-        size: bytes.
-        bind_uniform: what binds a range of it, as a function of slot, offset and size.
-        dependents: what to call when it is destroyed.
+        id: the buffer's id in the command stream.
+        size: size in bytes.
+        bind_uniform: a function of slot, offset and size that binds a range of the buffer.
+        dependents: functions to call when the buffer is destroyed.
     """
 
     __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
@@ -56,10 +55,10 @@ class Buffer(Resource):
         label: str = "",
     ) -> None:
         if dtype.hasobject or dtype.itemsize == 0:
-            refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
+            core.refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
         size = count * dtype.itemsize
         if not 0 < size < MAX_BYTES:
-            refuse(
+            core.refuse(
                 BUFFER_SIZE,
                 "device.buffer",
                 f"{count} elements of {dtype.itemsize} bytes",
@@ -83,22 +82,22 @@ class Buffer(Resource):
         return f"Buffer({self.label!r}, {self.count} × {self.dtype})"
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it. A second call does nothing."""
+        """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
-            for forget in self.dependents:  # what was built on it can't be drawn any more
-                forget()
+            for invalidate in self.dependents:
+                invalidate()
             self.dependents.clear()
             self.core.timeline.retire(self.id)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """A copy of `count` elements from `first`; waits for the work that may write them."""
+        """Return a copy of `count` elements from `first` on; waits for work that may write them."""
         first, count = self._range("Buffer.read", first, count)
         return self._download(first, count)
 
     def write(self, data: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; ordered after the work submitted before.
+        """Replace elements from `first` on, ordered after the work submitted before.
 
         Raises:
             ValidationError: `buffer-dtype` for another dtype, `buffer-range` beyond the end.
@@ -108,7 +107,7 @@ class Buffer(Resource):
         self._upload(array, first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """`with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
+        """Create a lock: `with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
         first, count = self._range("Buffer.lock", first, count)
         return Lock(
             self,
@@ -119,25 +118,25 @@ class Buffer(Resource):
         )
 
     def clear(self, value: int = 0) -> None:
-        """Fill with a 32-bit pattern; the size must be a multiple of 4 bytes."""
+        """Fill the buffer with a 32-bit pattern; the size must be a multiple of 4 bytes."""
         self._clear(self.core, value)
 
     def copy_to(
         self, target: Buffer, *, size: int | None = None, offset: int = 0, target_offset: int = 0
     ) -> None:
-        """Copy `size` bytes (None: all from `offset`) on the device; offsets in bytes."""
+        """Copy `size` bytes (None: all from `offset` on) on the device; offsets in bytes."""
         self._copy(self.core, target, size, offset, target_offset)
 
     def _clear(self, core: Core, value: int) -> None:
-        """`clear`, commanded to `core`: the buffer's own, or a command buffer's."""
+        """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
         core.check_open()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
-            refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
+            self.core.refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
         core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
 
     def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
-        """`copy_to`, commanded to `core`."""
+        """Send a `copy_to` to `core`."""
         call = "Buffer.copy_to"
         core.check_open()
         core.check_usable(self, call)
@@ -145,11 +144,11 @@ class Buffer(Resource):
         size = self.size - offset if size is None else size
         for buffer, start in ((self, offset), (target, target_offset)):
             if start < 0 or size <= 0 or start + size > buffer.size:
-                refuse(
+                self.core.refuse(
                     BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
                 )
         if target is self and abs(offset - target_offset) < size:
-            refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
+            self.core.refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
         core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
 
     def _check(self, call: str) -> None:
@@ -163,14 +162,16 @@ class Buffer(Resource):
             given = f"shape {array.shape} of {array.dtype}"
             if base.names:
                 given = compare_layouts(base, array.dtype)
-            refuse(BUFFER_DTYPE, call, given, str(self.dtype))
+            self.core.refuse(BUFFER_DTYPE, call, given, str(self.dtype))
         return np.ascontiguousarray(array).reshape(-1, *shape)
 
     def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
         self._check(call)
         count = self.count - first if count is None else count
         if first < 0 or count < 0 or first + count > self.count:
-            refuse(BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements")
+            self.core.refuse(
+                BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements"
+            )
         return first, count
 
     def _upload(self, array: NDArray[Any], first: int) -> None:
@@ -187,7 +188,7 @@ class Buffer(Resource):
         return self._array(data, count)
 
     def _array(self, data: bytes | None, count: int) -> NDArray[Any]:
-        """`count` elements as an array of the dtype, or of its base type with its shape behind."""
+        """Return `count` elements as an array of the dtype; a subarray dtype adds its shape as trailing dimensions."""
         base, shape = self.dtype.subdtype or (self.dtype, ())
         if data is None:
             return np.zeros((count, *shape), base)
@@ -195,35 +196,36 @@ class Buffer(Resource):
 
 
 class UniformBuffer(UniformRange[T], Resource):
-    """One struct of constants, bound as `Uniform[T]`."""
+    """A buffer of one struct of constants, bound as `Uniform[T]`."""
 
     __slots__ = ()
     owner: Buffer
 
     def __init__(self, core: Core, value: Any, label: str = "") -> None:
         layout = type(value)
-        data = value.to_bytes()
-        owner = Buffer(core, 1, layout.uniform_dtype, label=label or layout.__name__)
+        with core.refusals:  # a struct may have no layout in memory
+            data, dtype = value.to_bytes(), layout.uniform_dtype
+        owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
-        with kept_if_filled(owner):
+        with destroy_on_error(owner):
             owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
-        """Replace the constants; ordered after the draws before."""
-        check_struct(value, self.type, "UniformBuffer.write")
+        """Replace the constants, ordered after the draws before."""
+        check_struct(self.owner.core, value, self.type, "UniformBuffer.write")
         self.owner._check("UniformBuffer.write")
         self.owner._upload_bytes(value.to_bytes(), 0)  # type: ignore[attr-defined]
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it."""
+        """Destroy the buffer once the GPU no longer uses it."""
         self.owner.destroy()
 
 
 class UniformArray(Resource, Generic[T]):
-    """Constants of many objects in one buffer: written as one array, bound one by one.
+    """Constants of many objects in one buffer, written as one array and bound one by one.
 
-    `array[i]` is the range of element i, made once. `dtype` has the struct's std140 fields and the device's
-    offset alignment as item size, so columns can be written at once:
+    `array[i]` is the range of element i, created once. `dtype` has the struct's std140 fields and an item size aligned
+    for the device, so columns can be written at once:
     `rows = np.zeros(len(objects), objects.dtype); rows["model"] = models; objects.write(rows)`.
     """
 
@@ -231,9 +233,11 @@ class UniformArray(Resource, Generic[T]):
 
     def __init__(self, core: Core, struct: Any, count: int, label: str = "") -> None:
         self.type = struct
-        self.dtype = aligned_dtype(struct.uniform_dtype, core.capabilities.uniform_alignment)
+        with core.refusals:  # a struct may have no layout in memory
+            uniform_dtype = struct.uniform_dtype
+        self.dtype = aligned_dtype(uniform_dtype, core.capabilities.uniform_alignment)
         self.buffer = Buffer(core, count, self.dtype, label=label or f"{struct.__name__}[]")
-        stride, size = self.dtype.itemsize, struct.uniform_dtype.itemsize
+        stride, size = self.dtype.itemsize, uniform_dtype.itemsize
         self._ranges: list[UniformRange[T]] = [
             UniformRange(self.buffer.id, offset, size, struct, self.buffer)
             for offset in range(0, count * stride, stride)
@@ -249,21 +253,21 @@ class UniformArray(Resource, Generic[T]):
         """Replace elements from `first` on.
 
         Raises:
-            ValidationError: `layout-mismatch` with both layouts when the dtype is not `dtype`.
+            ValidationError: `layout-mismatch` with both layouts if the dtype is not `dtype`.
         """
-        self.buffer.write(match_layout(rows, self.dtype, "UniformArray.write"), first)
+        self.buffer.write(match_layout(self.buffer.core, rows, self.dtype, "UniformArray.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
+        """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self.buffer.lock(access, first, count)
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it."""
+        """Destroy the buffer once the GPU no longer uses it."""
         self.buffer.destroy()
 
 
 class StorageBuffer(StorageRange[T], Resource):
-    """An array of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
+    """A buffer of structs, scalars or vectors, bound as `Storage[T]` or `StorageRW[T]`."""
 
     __slots__ = ("dtype",)
     owner: Buffer
@@ -277,28 +281,28 @@ class StorageBuffer(StorageRange[T], Resource):
         return self.count
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """A copy of elements; waits for the work that may write them."""
+        """Return a copy of elements; waits for work that may write them."""
         return self._typed().read(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
-        """Replace elements from `first` on; `layout-mismatch` when the dtype is not `dtype`."""
-        self._typed().write(match_layout(rows, self.dtype, "StorageBuffer.write"), first)
+        """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`."""
+        self._typed().write(match_layout(self.owner.core, rows, self.dtype, "StorageBuffer.write"), first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
-        """`with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
+        """Create a lock: `with array.lock(Access.WRITE, first, count) as rows:`; offsets in elements."""
         return self._typed().lock(access, first, count)
 
     def clear(self, value: int = 0) -> None:
-        """Fill with a 32-bit pattern."""
+        """Fill the buffer with a 32-bit pattern."""
         self.owner.clear(value)
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it."""
+        """Destroy the buffer once the GPU no longer uses it."""
         self.owner.destroy()
 
     def _typed(self) -> Buffer:
         if self.owner.dtype != self.dtype:
-            refuse(
+            self.owner.core.refuse(
                 BUFFER_DTYPE,
                 "StorageBuffer",
                 str(self.owner.dtype),
@@ -308,7 +312,7 @@ class StorageBuffer(StorageRange[T], Resource):
 
 
 def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
-    """The same fields with an item size rounded up to `alignment` bytes."""
+    """Return a dtype with the same fields and its item size rounded up to `alignment` bytes."""
     fields: Any = dtype.fields or {}
     names = list(dtype.names or ())
     return np.dtype(
@@ -321,17 +325,18 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     )
 
 
-def match_layout(array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
-    """The array as one of the layout's dtype; refuses another layout, with both side by side."""
+def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
+    """Return an array as one of the expected dtype; refuse another layout, showing both side by side."""
     given = np.asarray(array)
     base, shape = expected.subdtype or (expected, ())
     if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
         table = compare_layouts(base, given.dtype)
-        refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
+        core.refuse(LAYOUT_MISMATCH, call, f"shape {given.shape} of\n{table}", str(shape or ""))
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
 
-def check_struct(value: object, expected: object, call: str) -> None:
+def check_struct(core: Core, value: object, expected: object, call: str) -> None:
+    """Refuse a value that is not of the struct class `expected`."""
     if type(value) is not expected:
         name = getattr(expected, "__name__", str(expected))
-        refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")
+        core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")

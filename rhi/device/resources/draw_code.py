@@ -1,14 +1,14 @@
 """The functions generated for each program: its draw, and the checks and bindings before any other call.
 
-- Generated because a loop over the bindings costs more than the draw: with two bindings 1.2× of the bare OpenGL
-  calls against 1.5× (`benchmarks/draw_cost.py`).
-- All state they keep lies in cells that they share: what is bound (compared by identity) and whose ranges are
-  known to be good. What isn't current any more clears `core.program`, and the next call starts from nothing.
-- Up to `enter` everything may be refused; from there on nothing is. So what is refused leaves no trace.
+- They are generated because a loop over the bindings costs more than the draw: with two bindings, 1.5× of the bare
+  OpenGL calls against 1.2× (`benchmarks/draw_cost.py`).
+- Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose ranges
+  were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
+- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect.
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
-  writes down, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
-- `draw` takes bindings as keywords, for the program's own draw; `draw_with` and `bind` take them as the dictionary
-  that `device.draw(**bindings)` has anyway: to unpack it again would cost 70 ns.
+  records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
+- `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the dictionary
+  that `device.draw(**bindings)` has anyway: unpacking it again would cost 70 ns.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from rhi.contract.descriptors import Binding, BindingKind
 __rhi_internal__ = True
 
 MISSING: Final = object()
-"""Stands for a binding that was not given."""
+"""The value of a binding that was not given."""
 
 _RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
 
@@ -42,26 +42,26 @@ _APPLY_RECORDED: Final = _APPLY | {
 
 
 class DrawCode(NamedTuple):
-    """What is generated.
+    """The generated functions of a program.
 
-    `draw(mesh, instances=1, /, **bindings)`, `draw_with(mesh, instances, bindings)`,
-    `bind(ready, mesh, bindings)` (which calls `ready(mesh)` when everything must be checked), and
-    `take_draws()`: how many draws there were since it was last asked.
+    They are `draw(mesh, instances=1, /, **bindings)`, `draw_with(mesh, instances, bindings)`,
+    `bind(check, mesh, bindings)`, which calls `check(mesh)` when everything must be checked, and
+    `collect_draw_count()`, which returns the number of draws since its last call.
     """
 
     draw: Callable[..., None]
     draw_with: Callable[[Any, int, dict[str, Any]], None]
     bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
-    take_draws: Callable[[], int]
+    collect_draw_count: Callable[[], int]
 
 
-def write(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
-    """The code of the functions of a program; `recorded`: of those that a command buffer uses."""
-    return compile("\n".join(_source(bindings, recorded)), f"<draw of {name}>", "exec")
+def compile_draw_code(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
+    """Compile the functions of a program; `recorded`: those that a command buffer uses."""
+    return compile("\n".join(_write_source(bindings, recorded)), f"<draw of {name}>", "exec")
 
 
-def make(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
-    """The functions for one `Program`."""
+def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
+    """Return the functions of one `Program`, which share their own state."""
     scope: dict[str, Any] = {"__rhi_internal__": True, "__name__": __name__}
     exec(code, scope)
     core = program.core
@@ -69,46 +69,50 @@ def make(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCod
     return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object()))
 
 
-def _source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
-    """The text of a function `make` that returns the fields of `DrawCode`. Names of its own start with an
-    underscore and a letter, those of bindings with a letter."""
-    cells = [f"_{what}_{i}" for what in ("bound", "owner") for i in range(len(bindings))]
+def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
+    """Yield the source of a function `make` that returns the fields of `DrawCode`.
+
+    Its own names start with an underscore and a letter, those of bindings with a letter.
+    """
+    cells = [f"_{kind}_{i}" for kind in ("bound", "owner") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
     yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len = len  # a binding may have that name"
-    yield "    _draws = 0  # counted in a cell, at half the price of an attribute"
+    yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"
     for i in range(len(bindings)):
         yield f"    _type_{i} = _types[{i}]"
 
     yield f"    def draw(_mesh, _instances=1, /{', *' if bindings else ''}{keywords}):"
-    yield from _draw(bindings, cells, unpack=False, recorded=recorded)
+    yield from _write_draw(bindings, cells, unpack=False, recorded=recorded)
     yield "    def draw_with(_mesh, _instances, _given):"
-    yield from _draw(bindings, cells, unpack=True, recorded=recorded)
-    yield "    def bind(_ready, _mesh, _given):"
-    yield from _nonlocal(cells)
-    yield from _unpack(bindings)
-    yield from _bind(bindings, cells, ready="_ready(_mesh)", find=(), recorded=recorded)
-    yield "    def take_draws():"
+    yield from _write_draw(bindings, cells, unpack=True, recorded=recorded)
+    yield "    def bind(_check, _mesh, _given):"
+    yield from _write_nonlocal(cells)
+    yield from _write_unpack(bindings)
+    yield from _write_bind(bindings, cells, check="_check(_mesh)", find=(), recorded=recorded)
+    yield "    def collect_draw_count():"
     yield "        nonlocal _draws"
-    yield "        taken, _draws = _draws, 0"
-    yield "        return taken"
-    yield "    return draw, draw_with, bind, take_draws"
+    yield "        count, _draws = _draws, 0"
+    yield "        return count"
+    yield "    return draw, draw_with, bind, collect_draw_count"
 
 
-def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool) -> Iterator[str]:
-    yield from _nonlocal([*cells, "_draws"])
+def _write_draw(
+    bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool
+) -> Iterator[str]:
+    yield from _write_nonlocal([*cells, "_draws"])
     if unpack:
-        yield from _unpack(bindings)
+        yield from _write_unpack(bindings)
     find = (
         "try:",
-        f"    _draw = {'_program.calls[_mesh]' if recorded else '_mesh.calls[_program]'}",
+        f"    _draw = {'_program.prepared_draws[_mesh]' if recorded else '_mesh.prepared_draws[_program]'}",
         "except KeyError:",
-        "    _draw = _program.attach(_mesh)",
+        "    _draw = _program.prepare_draw(_mesh)",
         "if _instances != 1:",
         "    _instances = _program.check_instances(_instances)",
     )
-    yield from _bind(bindings, cells, "_program.ready_to_draw(_mesh)", find, recorded)
+    yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded)
     yield "        if _states.wanted is not _states.hardware:"
     yield "            _core.flush_states()"
     yield "        if _core.tests_alpha:"
@@ -118,13 +122,13 @@ def _draw(bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorde
     yield "        _draws += 1"
 
 
-def _nonlocal(cells: list[str]) -> Iterator[str]:
+def _write_nonlocal(cells: list[str]) -> Iterator[str]:
     if cells:
         yield f"        nonlocal {', '.join(cells)}"
 
 
-def _unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
-    """From the dictionary, with the right names and no others."""
+def _write_unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
+    """Yield the lines that unpack the dictionary of bindings and check its names."""
     yield f"        if _len(_given) != {len(bindings)}:"
     yield "            _program.check_names(_given)"
     if bindings:
@@ -135,22 +139,22 @@ def _unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
         yield "            _program.check_names(_given)"
 
 
-def _bind(
-    bindings: tuple[Binding, ...], cells: list[str], ready: str, find: tuple[str, ...], recorded: bool
+def _write_bind(
+    bindings: tuple[Binding, ...], cells: list[str], check: str, find: tuple[str, ...], recorded: bool
 ) -> Iterator[str]:
-    """Check everything, then apply what changed."""
+    """Yield the lines that check everything, then bind what changed."""
     values = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
     yield "        try:"
     for line in find:
         yield f"            {line}"
     yield "            _fresh = _core.program is not _program"
     yield "            if _fresh:"
-    yield f"                {ready}"
+    yield f"                {check}"
     if cells:
         yield f"                {' = '.join(cells)} = _unbound"
     for i, binding in enumerate(bindings):
         name = binding.name
-        # Of a range that changed within an owner already checked, only the type is compared.
+        # For another range of an owner that was checked already, only the type is compared.
         known = f" and ({name}.owner is not _owner_{i} or {name}.type is not _type_{i})"
         yield f"            if {name} is not _bound_{i}{known if binding.kind in _RANGES else ''}:"
         yield f"                _program.check({i}, {name})"

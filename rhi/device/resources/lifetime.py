@@ -1,5 +1,4 @@
-"""How long resources live: until they are destroyed, at the latest at the end of their `with`, or where they can't be
-filled."""
+"""The lifetime of resources: until they are destroyed, explicitly or at the end of their `with` block."""
 
 from __future__ import annotations
 
@@ -11,12 +10,12 @@ __rhi_internal__ = True
 
 
 class Resource:
-    """What is given back by `destroy`, or at the end of a `with` block."""
+    """A resource of the device, destroyed by `destroy` or at the end of a `with` block."""
 
     __slots__ = ()
 
     def destroy(self) -> None:
-        """Give it back once the GPU is done with it. A second call does nothing."""
+        """Destroy the resource once the GPU no longer uses it. A second call does nothing."""
         raise NotImplementedError
 
     def __enter__(self) -> Self:
@@ -27,8 +26,8 @@ class Resource:
 
 
 @contextmanager
-def kept_if_filled(resource: Resource) -> Iterator[None]:
-    """What is filled inside stays; if that fails, nobody else has a name for it, and it is given back."""
+def destroy_on_error(resource: Resource) -> Iterator[None]:
+    """Destroy a new resource if the block that fills it raises, since the caller never receives it."""
     try:
         yield
     except BaseException:

@@ -1,9 +1,9 @@
-"""Locks: a NumPy array for part of a resource, for as long as a `with` block (thesis 4.1, Listing 4.1).
+"""Locks: a NumPy array for part of a resource, for the duration of a `with` block (thesis 4.1, Listing 4.1).
 
-- READ copies from the device and waits for the work that may write there; WRITE copies to it when the block ends
-  and waits for nothing; READ_WRITE does both. An exception in the block writes nothing.
-- While a resource is locked nothing may use it; every draw checks everything as long as there is a lock.
-- How the array is read, made and written is the resource's business.
+- READ copies from the device and waits for the work that may write there. WRITE copies to the device when the block
+  ends and never waits. READ_WRITE does both. If the block raises, nothing is written.
+- A locked resource can't be used by the device; every draw checks everything as long as there is a lock.
+- The resource provides the functions that read, create and write the array.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from typing import Any
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Access
-from rhi.device.core.core import Owner, describe
-from rhi.errors import refuse
+from rhi.device.core.core import Owner, describe_object
 from rhi.errors.rules import LOCK_CLOSED, LOCK_TWICE, RESOURCE_DESTROYED
 
 __rhi_internal__ = True
 
 
 class Lock:
-    """`with buffer.lock(Access.WRITE) as array:`; the array can't be written after the block, nor if only read."""
+    """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is read-only."""
 
     __slots__ = ("_access", "_array", "_make", "_owner", "_read", "_write")
 
@@ -46,13 +45,13 @@ class Lock:
         owner, core = self._owner, self._owner.core
         core.check_open()
         if owner.destroyed:
-            refuse(RESOURCE_DESTROYED, "lock", describe(owner))
+            core.refuse(RESOURCE_DESTROYED, "lock", describe_object(owner))
         if owner in core.locked:
-            refuse(LOCK_TWICE, "lock", describe(owner))
+            core.refuse(LOCK_TWICE, "lock", describe_object(owner))
         array = self._read() if self._access.reads else self._make()
         array.flags.writeable = self._access.writes
         core.locked.append(owner)
-        core.program = None  # from now on every draw checks whether it uses what is locked
+        core.program = None  # from now on every draw checks whether it uses a locked resource
         self._array = array
         return array
 
@@ -61,7 +60,7 @@ class Lock:
     ) -> None:
         array, self._array = self._array, None
         if array is None:
-            refuse(LOCK_CLOSED, "lock", "a lock that is not open")
+            self._owner.core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
         self._owner.core.locked.remove(self._owner)
         if kind is None and self._access.writes and not self._owner.destroyed:
             self._write(array)

@@ -1,15 +1,15 @@
-"""Meshes: vertex, instance and index arrays, matched by field name to what a program's vertex stage reads.
+"""Meshes: vertex, instance and index arrays, matched by field name to the inputs of a program's vertex stage.
 
-- A mesh's arrays are structured: one field per attribute. A program takes the fields that it names, in
-  whatever order, type width and padding they lie; a missing one is refused with both lists.
-- `view` gives a part of a mesh (first, count, base vertex, base instance) that shares everything else.
-- What a program reads from a mesh is resolved once per pair, and views share that; each view keeps its own
-  draw per program (`calls`). So a view isn't changed: another part is another view.
+- A mesh's arrays are structured: one field per attribute. A program reads the fields that it names, in
+  any order, width and padding; a missing field is refused with both lists.
+- `view` returns a part of a mesh (first, count, base vertex, base instance) that shares everything else.
+- The vertex array is created once per mesh and program, and shared by views; each view keeps its own prepared draw
+  per program (`prepared_draws`). So views are immutable: another part is another view.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, TypeAlias
 from weakref import WeakSet
 
@@ -29,25 +29,25 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
-from rhi.device.core.core import Core
+from rhi.device.core.core import Core, Owner
 from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.lifetime import Resource
-from rhi.errors import Rule, refuse
+from rhi.errors import Rule
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
 __rhi_internal__ = True
 
 VertexSource: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer"
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
-(`device.mesh` also takes a number: so many vertices without attributes.)"""
+(`device.mesh` also accepts a number of vertices without attributes.)"""
 
 _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat}
 
 
 class MeshData:
-    """The buffers of a mesh; shared by its views."""
+    """The buffers of a mesh, shared by its views."""
 
-    __slots__ = ("core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
+    __slots__ = ("buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
                  "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
@@ -56,15 +56,15 @@ class MeshData:
     ) -> None:  # fmt: skip
         call = "device.mesh"
         core.check_open()
-        # Everything is checked before the first buffer is made, so that a refusal leaves nothing behind.
+        # Everything is checked before the first buffer is created, so that a refused call leaves nothing behind.
         if isinstance(vertices, np.integer):
             vertices = int(vertices)
-        vertex_array = None if isinstance(vertices, int) else _structured(vertices, call)
+        vertex_array = None if isinstance(vertices, int) else _structured(core, vertices, call)
         if isinstance(vertices, int) and vertices < 1:
-            refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
+            core.refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
         self.vertex_count = vertices if isinstance(vertices, int) else _length(vertex_array)
-        instance_array = None if instances is None else _structured(instances, call)
-        index_array = _index_source(indices, self.vertex_count, call)
+        instance_array = None if instances is None else _structured(core, instances, call)
+        index_array = _index_source(core, indices, self.vertex_count, call)
         self.core = core
         self.label = label
         self.owned: list[Buffer] = []
@@ -75,7 +75,7 @@ class MeshData:
             )
             self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
         except BaseException:
-            for buffer in self.owned:  # out of memory half-way
+            for buffer in self.owned:  # a later buffer did not fit into memory
                 buffer.destroy()
             raise
         self.index_format = IndexFormat.UINT32
@@ -87,12 +87,10 @@ class MeshData:
             self.index_count = self.index_buffer.count
         self.vertex_arrays: dict[object, Id] = {}
         self.views: WeakSet[Mesh] = WeakSet()
+        sources = (self.vertices, self.instances, self.index_buffer)
+        self.buffers = tuple(buffer for buffer in sources if buffer is not None)
         for buffer in self.buffers:
             buffer.dependents.append(self._forget)
-
-    @property
-    def buffers(self) -> tuple[Buffer, ...]:
-        return tuple(b for b in (self.vertices, self.instances, self.index_buffer) if b is not None)
 
     def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
         if isinstance(source, Buffer):
@@ -102,22 +100,26 @@ class MeshData:
         buffer.write(source)
         return buffer
 
-    def attach(self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]) -> Id:
-        """The vertex array of this mesh for a program's inputs; made at the first draw of the pair.
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
+        """Create the vertex array of this mesh for a program's inputs; called at the first draw of the pair.
 
-        It is kept under `key`, the `Program`: ids of two devices may be the same, programs can't.
+        It is kept under `key`, the `Program`, since ids of two devices may be equal.
 
         Raises:
-            ValidationError: `mesh-attribute` when a field is missing or of a type the stage can't read.
+            ValidationError: `mesh-attribute` if a field is missing or has a type that the stage can't read.
         """
-        descriptor = self.describe(program, name, attributes)
+        descriptor = self.describe_vertex_array(program, name, attributes)
         vertex_array = self.core.new_id()
         self.core.backend.create_vertex_array(vertex_array, descriptor)
         self.vertex_arrays[key] = vertex_array
         return vertex_array
 
-    def describe(self, program: Id, name: str, attributes: tuple[Attribute, ...]) -> VertexArrayDescriptor:
-        """How a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
+    def describe_vertex_array(
+        self, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> VertexArrayDescriptor:
+        """Return how a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
         streams = []
         remaining = {attribute.name: attribute for attribute in attributes}
         for buffer, per_instance in ((self.vertices, False), (self.instances, True)):
@@ -140,7 +142,9 @@ class MeshData:
                 field for b in (self.vertices, self.instances) if b for field in b.dtype.names or ()
             )
             need = ", ".join(f"{a.name}: {a.type}" for a in attributes)
-            refuse(MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}")
+            self.core.refuse(
+                MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}"
+            )
         return VertexArrayDescriptor(
             program, tuple(streams), self.index_buffer.id if self.index_buffer else 0, self.index_format
         )
@@ -153,54 +157,90 @@ class MeshData:
         given = int(np.prod(shape)) if shape else 1
         code = base.str[1:]
         normalized = scalar == "float" and base.kind in "iu"
-        # A vector may be fed with more components than it reads, never with fewer.
+        # A field may have more components than the input reads, never fewer.
         form = _FORMATS.get((code, given, normalized))
         if form is None or form.components < components or (form.kind != scalar):
-            refuse(
+            self.core.refuse(
                 MESH_ATTRIBUTE,
                 f"draw of program {program!r}",
                 f"{attribute.name} as {given}×{code}",
-                f"{attribute.name} as {wanted}: " + ", ".join(_shown(f) for f in VertexFormat
+                f"{attribute.name} as {wanted}: " + ", ".join(_format_text(f) for f in VertexFormat
                                                              if f.kind == scalar and f.components >= components),
             )  # fmt: skip
         return form
 
     def _forget(self) -> None:
+        """Drop all prepared draws and vertex arrays."""
         for view in self.views:
-            view.calls.clear()
+            view.prepared_draws.clear()
         for vertex_array in self.vertex_arrays.values():
             self.core.timeline.retire(vertex_array)
         self.vertex_arrays.clear()
 
     def destroy(self) -> None:
+        """Destroy the buffers that were created for this mesh."""
         self._forget()
         for buffer in self.owned:
             buffer.destroy()
 
 
-def _shown(form: VertexFormat) -> str:
+def _format_text(form: VertexFormat) -> str:
     return f"{form.components}×{form.code}{' normalised' if form.normalized else ''}"
 
 
-class Mesh(Resource):
-    """What a draw reads its vertices from; made by `device.mesh`.
+class Drawable:
+    """Vertices that a draw can read: a `Mesh`, or a `TransientMesh`.
 
     Attributes:
-        primitive, first, count, base_vertex, base_instance: what a draw of it draws. `first` and `count`
-            are in indices for an indexed mesh, in vertices otherwise. Not to be changed.
-        calls: the draws that programs have prepared, as functions of the number of instances.
+        primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in indices
+            for an indexed mesh, in vertices otherwise. Read-only.
+        buffers: the resources that a draw reads, which must be usable.
+        vertex_arrays: the vertex array for each program that has drawn this.
+        prepared_draws: by program, the prepared draw as a function of the number of instances.
     """
 
     __slots__ = (
         "__weakref__",
         "base_instance",
         "base_vertex",
-        "calls",
+        "buffers",
         "count",
-        "data",
         "first",
+        "prepared_draws",
         "primitive",
+        "vertex_arrays",
     )
+
+    def __init__(
+        self,
+        primitive: Primitive,
+        first: int,
+        count: int,
+        base_vertex: int,
+        base_instance: int,
+        buffers: Sequence[Owner],
+        vertex_arrays: dict[object, Id],
+    ) -> None:
+        self.primitive = primitive
+        self.first = first
+        self.count = count
+        self.base_vertex = base_vertex
+        self.base_instance = base_instance
+        self.buffers = buffers
+        self.vertex_arrays = vertex_arrays
+        self.prepared_draws: dict[object, Callable[[int], object]] = {}
+
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
+        """Create the vertex array for a program's inputs and keep it in `vertex_arrays`; see `MeshData`."""
+        raise NotImplementedError
+
+
+class Mesh(Drawable, Resource):
+    """Vertices with optional indices and per-instance data, or a part of them; created by `device.mesh`."""
+
+    __slots__ = ("data",)
 
     def __init__(
         self,
@@ -211,28 +251,30 @@ class Mesh(Resource):
         base_vertex: int = 0,
         base_instance: int = 0,
     ) -> None:
+        super().__init__(
+            primitive, first, count, base_vertex, base_instance, data.buffers, data.vertex_arrays
+        )
         self.data = data
-        self.calls: dict[object, Callable[[int], object]] = {}
         data.views.add(self)
-        self.primitive = primitive
-        self.first = first
-        self.count = count
-        self.base_vertex = base_vertex
-        self.base_instance = base_instance
+
+    def create_vertex_array(
+        self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
+    ) -> Id:
+        return self.data.create_vertex_array(key, program, name, attributes)
 
     @property
     def vertex_count(self) -> int:
-        """Vertices of the whole mesh."""
+        """Number of vertices of the whole mesh."""
         return self.data.vertex_count
 
     @property
     def index_count(self) -> int | None:
-        """How many indices there are, None without indices."""
+        """Number of indices, None for a mesh without indices."""
         return self.data.index_count
 
     @property
     def is_indexed(self) -> bool:
-        """Whether draws go through indices."""
+        """Whether the mesh has indices."""
         return self.data.index_count is not None
 
     @property
@@ -247,12 +289,12 @@ class Mesh(Resource):
 
     @property
     def instances(self) -> Buffer | None:
-        """The buffer of per-instance data, None without."""
+        """The buffer of per-instance data, None if there is none."""
         return self.data.instances
 
     @property
     def element_count(self) -> int:
-        """Indices or, without them, vertices."""
+        """Number of indices or, without indices, of vertices."""
         return self.data.vertex_count if self.data.index_count is None else self.data.index_count
 
     def __repr__(self) -> str:
@@ -267,18 +309,18 @@ class Mesh(Resource):
         base_instance: int = 0,
         primitive: Primitive | None = None,
     ) -> Mesh:
-        """A part of the mesh; shares its buffers.
+        """Return a part of the mesh that shares its buffers.
 
         Raises:
-            ValidationError: `mesh-range` when it reaches beyond the indices or vertices.
+            ValidationError: `mesh-range` if the part reaches beyond the indices or vertices.
         """
-        total = self.element_count
+        core, total = self.data.core, self.element_count
         count = total - first if count is None else count
         if first < 0 or count < 0 or first + count > total or base_instance < 0:
             given = f"first {first}, count {count}, base instance {base_instance}"
-            refuse(MESH_RANGE, "Mesh.view", given, f"within {total} elements, base instance 0 or more")
+            core.refuse(MESH_RANGE, "Mesh.view", given, f"within {total} elements, base instance 0 or more")
         if not self.is_indexed and base_vertex:
-            refuse(MESH_RANGE, "Mesh.view", f"base vertex {base_vertex}", "0 for a mesh without indices")
+            core.refuse(MESH_RANGE, "Mesh.view", f"base vertex {base_vertex}", "0 for a mesh without indices")
         return Mesh(self.data, primitive or self.primitive, first, count, base_vertex, base_instance)
 
     def draws(
@@ -290,16 +332,17 @@ class Mesh(Resource):
         base_vertex: Any = 0,
         base_instance: Any = 0,
     ) -> NDArray[Any]:
-        """An array of draws for `draw_many`: each argument is a number or an array, as for `view`.
+        """Return an array of draws for `draw_many`; each argument is a number or an array, as for `view`.
 
         Returns:
             (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
         """
+        core = self.data.core
         count = self.element_count if count is None else count
         parts = np.broadcast_arrays(first, count, instances, base_vertex, base_instance)
         first, count, instances, base_vertex, base_instance = (np.atleast_1d(part) for part in parts)
         if len(first) and (first.min() < 0 or count.min() < 0 or (first + count).max() > self.element_count):
-            refuse(
+            core.refuse(
                 MESH_RANGE,
                 "Mesh.draws",
                 "first + count beyond the mesh",
@@ -311,61 +354,65 @@ class Mesh(Resource):
         if self.is_indexed:
             draws["base_vertex"] = base_vertex
         elif np.any(base_vertex):
-            refuse(MESH_RANGE, "Mesh.draws", "a base vertex", "0 for a mesh without indices")
+            core.refuse(MESH_RANGE, "Mesh.draws", "a base vertex", "0 for a mesh without indices")
         return draws
 
     def destroy(self) -> None:
-        """Give back the buffers that were made for this mesh (not those passed in)."""
+        """Destroy the buffers that were created for this mesh (not those passed in)."""
         self.data.destroy()
         self.data.core.program = None
 
 
-def check_draws(mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
-    """The draws as a contiguous array of the mesh's kind; refuses another dtype or one out of range."""
+def check_draws(core: Core, mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
+    """Return draws as a contiguous array; refuse a dtype that is not the mesh's, and draws beyond the mesh."""
     expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
     array = np.asarray(draws)
     if array.dtype != expected or array.ndim != 1:
-        refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
+        core.refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
     if len(array):
         last = int((array["first"].astype(np.int64) + array["count"]).max())
         if last > mesh.element_count:
-            refuse(MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements")
+            core.refuse(
+                MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements"
+            )
     return np.ascontiguousarray(array)
 
 
-def _structured(source: VertexSource, call: str) -> NDArray[Any] | Buffer:
+def _structured(core: Core, source: VertexSource, call: str) -> NDArray[Any] | Buffer:
     if isinstance(source, Buffer):
         if not source.dtype.names:
-            refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
+            core.refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
         return source
-    array = _interleave(source, call) if isinstance(source, Mapping) else np.asarray(source)
+    array = _interleave(core, source, call) if isinstance(source, Mapping) else np.asarray(source)
     if not array.dtype.names:
         tip = (
             'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
         )
-        refuse(MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
+        core.refuse(
+            MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip
+        )
     if array.ndim != 1 or not len(array):
-        refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
-    check_finite(array, MESH_DATA, call)
+        core.refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
+    check_finite(core, array, MESH_DATA, call)
     return array
 
 
-def check_finite(vertices: NDArray[Any], rule: Rule, call: str) -> None:
-    """Refuse a structured array with a NaN or infinity in it."""
+def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> None:
+    """Refuse a structured array that contains NaN or infinity."""
     for name in vertices.dtype.names or ():
         values = vertices[name]
         if values.dtype.kind == "f" and not np.isfinite(values).all():
             bad = int(np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(1))[0])
-            refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
+            core.refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
 
 
-def _interleave(arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:
+def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:
     columns = {name: np.asarray(values) for name, values in arrays.items()}
     lengths = {len(values) if values.ndim else 0 for values in columns.values()}
     if len(lengths) != 1:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
-        refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
-    # Doubles are what NumPy makes by default and no vertex stage reads: they become float32.
+        core.refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
+    # NumPy makes float64 arrays by default, which no vertex stage reads: they become float32.
     types = [
         (name, np.float32 if values.dtype == np.float64 else values.dtype, values.shape[1:])
         for name, values in columns.items()
@@ -383,26 +430,26 @@ def _length(source: NDArray[Any] | Buffer | None) -> int:
 
 
 def _index_source(
-    source: NDArray[Any] | Buffer | None, vertices: int, call: str
+    core: Core, source: NDArray[Any] | Buffer | None, vertices: int, call: str
 ) -> NDArray[Any] | Buffer | None:
     if source is None:
         return None
     if isinstance(source, Buffer):
         if source.dtype not in (np.dtype("u2"), np.dtype("u4")):
-            refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
+            core.refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
         return source
-    return match_indices(source, vertices, call)
+    return match_indices(core, source, vertices, call)
 
 
-def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
-    """Indices of any integer dtype as (n,) uint16 or uint32.
+def match_indices(core: Core, source: NDArray[Any], vertices: int, call: str) -> NDArray[Any]:
+    """Return indices of any integer dtype as (n,) uint16 or uint32.
 
     Raises:
-        ValidationError: `mesh-index` for one that names none of so many vertices and doesn't restart a strip.
+        ValidationError: `mesh-index` for an index that is neither below `vertices` nor restarts a strip.
     """
     array = np.asarray(source)
     if array.dtype.kind not in "iu" or not array.size:
-        refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
+        core.refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
     array = array.reshape(-1)
     code = array.dtype if array.dtype in (np.dtype("u2"), np.dtype("u4")) else np.dtype("u4")
     restart = np.iinfo(code).max
@@ -411,7 +458,7 @@ def match_indices(source: NDArray[Any], vertices: int, call: str) -> NDArray[Any
         inside |= array == restart
     if not inside.all():
         bad = int(np.flatnonzero(~inside)[0])
-        refuse(
+        core.refuse(
             MESH_INDEX,
             call,
             f"index {array[bad]} at {bad}",

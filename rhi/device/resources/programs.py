@@ -1,7 +1,7 @@
-"""Programs: what a draw or dispatch runs, and what must hold before it does.
+"""Programs: compiled shaders, and the checks before each draw or dispatch.
 
-- A draw checks everything first and applies after: what is refused leaves no trace. The functions that do so are
-  generated per program (`rhi.device.resources.draw_code`) and compare by identity what is bound with what is given.
+- A draw checks everything first and binds afterwards, so that a refused draw has no effect. The functions that do this
+  are generated per program (`rhi.device.resources.draw_code`) and compare bound and given values by identity.
 - The checks themselves, which say what is wrong and what is allowed, are here, off the fast path.
 """
 
@@ -17,11 +17,10 @@ from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
-from rhi.device.core.core import Core, describe
-from rhi.device.resources.draw_code import MISSING, make, write
-from rhi.device.resources.meshes import Mesh
+from rhi.device.core.core import Core, describe_object
+from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
+from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
-from rhi.errors import refuse
 from rhi.errors.rules import (
     BINDING_MISSING,
     BINDING_NAME,
@@ -47,13 +46,13 @@ _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
 class Program(Generic[P]):
-    """A shader on the device; made by `device.program`.
+    """A shader on the device; created by `device.program`.
 
     Attributes:
-        id: its name in the command stream.
+        id: the program's id in the command stream.
         descriptor: stages, bindings, vertex inputs and outputs.
-        name: the shader class's name.
-        recorded_code: the code of its functions in command buffers, once there is one.
+        name: the name of the shader class.
+        recorded_code: the code of its functions in command buffers, None before the first use in one.
     """
 
     __slots__ = (
@@ -68,16 +67,16 @@ class Program(Generic[P]):
         "recorded_code",
     )
 
-    draw_with: Callable[[Mesh, int, dict[str, Any]], None]
-    """`draw` with the bindings in a dictionary: `draw_with(mesh, instances, bindings)`."""
+    draw_with: Callable[[Drawable, int, dict[str, Any]], None]
+    """The draw with the bindings in a dictionary: `draw_with(mesh, instances, bindings)`."""
 
     bind: Callable[[Callable[[Any], None], Any, dict[str, Any]], None]
-    """Check and apply bindings for anything but a plain draw: `bind(ready, mesh, bindings)`."""
+    """Check and bind values for any call but a plain draw: `bind(check, mesh, bindings)`."""
 
     if TYPE_CHECKING:
 
-        def draw(self, mesh: Mesh, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
-            """Draw `mesh`; the same as `device.draw(program, mesh, …)` with one call less."""
+        def draw(self, mesh: Drawable, instances: int = 1, /, *args: P.args, **bindings: P.kwargs) -> None:
+            """Draw `mesh`, like `device.draw(program, mesh, …)` but with one Python call less."""
 
     def __init__(self, core: Core, descriptor: ProgramDescriptor) -> None:
         _check_limits(core, descriptor)
@@ -88,25 +87,25 @@ class Program(Generic[P]):
         self.recorded_code: CodeType | None = None
         self.id = core.create_id()
         core.backend.create_program(self.id, descriptor)
-        self._take_code(write(self.name, descriptor.bindings))
+        self._install_code(compile_draw_code(self.name, descriptor.bindings))
 
-    def _take_code(self, code: CodeType) -> None:
-        made = make(code, self, self.descriptor.bindings)
+    def _install_code(self, code: CodeType) -> None:
+        made = make_draw_code(code, self, self.descriptor.bindings)
         self.draw = made.draw  # type: ignore[method-assign]
         self.draw_with = made.draw_with
         self.bind = made.bind
-        self.core.draw_counters.append(made.take_draws)
+        self.core.draw_counters.append(made.collect_draw_count)
 
     @property
     def label(self) -> str:
-        """Its name, as resources have labels."""
+        """The program's name, in the role of a resource's label."""
         return self.name
 
     def __repr__(self) -> str:
         return f"Program({self.name!r})"
 
     def destroy(self) -> None:
-        """Give the program back once the GPU is done with it."""
+        """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
@@ -114,52 +113,52 @@ class Program(Generic[P]):
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
-    def ready_to_draw(self, mesh: Mesh) -> None:
-        """What must hold before any draw of this program."""
+    def check_can_draw(self, mesh: Drawable) -> None:
+        """Refuse a draw of `mesh` that is not possible now, whatever its bindings."""
         core = self.core
         call = f"draw of program {self.name!r}"
         core.check_open()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
-            refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
+            core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
         if core.render_pass is None:
-            refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
-        for buffer in mesh.data.buffers:
+            core.refuse(DRAW_OUTSIDE_PASS, call, "no open pass")
+        for buffer in mesh.buffers:
             core.check_usable(buffer, call)
         for output, kind in zip(self.descriptor.outputs, core.target_kinds, strict=False):
             if output.kind != kind:
-                refuse(
+                core.refuse(
                     PROGRAM_OUTPUT,
                     call,
                     f"{output.name}: {output.kind}",
                     f"{kind}, as target {output.location} is",
                 )
 
-    def ready_to_dispatch(self, subject: object = None) -> None:
-        """What must hold before any dispatch of this program."""
+    def check_can_dispatch(self, subject: object = None) -> None:
+        """Refuse a dispatch that is not possible now, whatever its bindings."""
         core = self.core
         call = f"dispatch of program {self.name!r}"
         core.check_open()
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
-            refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
+            core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
         if core.render_pass is not None:
-            refuse(PASS_OPEN, call, "an open render pass")
+            core.refuse(PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
-        """Make this program the current one; while something is locked none is, so that all is checked."""
+        """Bind this program and make it the current one; while a resource is locked, none is current."""
         core = self.core
         core.backend.bind_program(self.id)
         core.program = None if core.locked else self
 
-    def attach(self, mesh: Mesh) -> Callable[[int], object]:
-        """The draw of a mesh that this program hasn't drawn yet, kept with the mesh."""
-        call = mesh.calls[self] = self.prepare(mesh)
-        return call
+    def prepare_draw(self, mesh: Drawable) -> Callable[[int], object]:
+        """Prepare the draw of a mesh that this program has not drawn yet, and keep it with the mesh."""
+        draw = mesh.prepared_draws[self] = self._make_draw(mesh)
+        return draw
 
-    def prepare(self, mesh: Mesh) -> Callable[[int], object]:
-        """The draw of a mesh as a function of the number of instances."""
-        self.ready_to_draw(mesh)
+    def _make_draw(self, mesh: Drawable) -> Callable[[int], object]:
+        """Return the draw of a mesh as a function of the number of instances."""
+        self.check_can_draw(mesh)
         return self.core.prepare_draw(
             self.id,
             self.find_vertex_array(mesh),
@@ -170,13 +169,13 @@ class Program(Generic[P]):
             mesh.base_instance,
         )
 
-    def find_vertex_array(self, mesh: Mesh) -> Id:
-        """What this program reads its vertices through, made when a mesh is first drawn."""
-        made = mesh.data.vertex_arrays.get(self)
-        return made or mesh.data.attach(self, self.id, self.name, self.descriptor.attributes)
+    def find_vertex_array(self, mesh: Drawable) -> Id:
+        """Return the vertex array through which this program reads a mesh, creating it on first use."""
+        known = mesh.vertex_arrays.get(self)
+        return known or mesh.create_vertex_array(self, self.id, self.name, self.descriptor.attributes)
 
-    def draw_unprepared(self, mesh: Mesh, instances: int) -> None:
-        """The draw itself, all of its arguments given now."""
+    def draw_unprepared(self, mesh: Drawable, instances: int) -> None:
+        """Draw through the backend's `draw`, without a prepared draw."""
         self.core.backend.draw(
             self.find_vertex_array(mesh),
             mesh.primitive,
@@ -188,11 +187,11 @@ class Program(Generic[P]):
         )
 
     def check(self, index: int, value: Any) -> None:
-        """Refuse `value` for the binding at `index` unless it is of the right kind, alive and unlocked."""
+        """Refuse `value` for the binding at `index` unless its type fits and its resource can be used."""
         binding = self.descriptor.bindings[index]
         call = f"{binding.name}= of program {self.name!r}"
         if value is MISSING or value is None:
-            refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
+            self.core.refuse(BINDING_MISSING, call, "nothing", _wanted(binding))
         match binding.kind:
             case BindingKind.UNIFORM | BindingKind.STORAGE:
                 self._check_range(binding, value, call)
@@ -205,7 +204,7 @@ class Program(Generic[P]):
         fits = isinstance(value, _RANGES[binding.kind])
         if not fits or value.type is not binding.type:
             tip = "" if isinstance(value, UniformRange | StorageRange) else _how_to_make(binding)
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
+            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), tip)
         self.core.check_usable(value.owner, call)
         limits = self.core.capabilities
         uniform = binding.kind is BindingKind.UNIFORM
@@ -213,29 +212,32 @@ class Program(Generic[P]):
         alignment = limits.uniform_alignment if uniform else limits.storage_alignment
         if not binding.size <= value.size <= most or value.offset % alignment:
             allowed = f"{binding.size} to {most} bytes at a multiple of {alignment}"
-            refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
+            self.core.refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
 
     def _check_texture(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, TextureBinding) or not isinstance(value.owner, Texture):
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding))
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
         wanted: Any = binding.type
         if texture.samples != 1:
-            refuse(BINDING_TYPE, call, f"{texture!r} of {texture.samples} samples", "a single-sampled texture",
-                   "resolve it first: texture.resolve_to(…)")  # fmt: skip
+            given, tip = (
+                f"{texture!r} of {texture.samples} samples",
+                "resolve it first: texture.resolve_to(…)",
+            )
+            self.core.refuse(BINDING_TYPE, call, given, "a single-sampled texture", tip)
         if texture.kind is not wanted.kind:
-            refuse(BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, f"{texture!r}, {texture.kind.name}", _wanted(binding))
         compares = self.core.sampler_descriptors[value.sampler].compare is not None
         if wanted.compare != compares:
             tip = "use texture.sampled(SamplerDescriptor(compare=…))" if wanted.compare else ""
-            refuse(BINDING_TYPE, call, "a sampler that compares" if compares else "a sampler that does not compare",
-                   _wanted(binding), tip)  # fmt: skip
+            given = "a sampler that compares" if compares else "a sampler that does not compare"
+            self.core.refuse(BINDING_TYPE, call, given, _wanted(binding), tip)
         if wanted.compare and not texture.format.is_depth:
-            refuse(BINDING_TYPE, call, texture.format.name, "a depth format")
+            self.core.refuse(BINDING_TYPE, call, texture.format.name, "a depth format")
         if shader_kind(texture.format) != str(wanted.scalar):
-            refuse(
+            self.core.refuse(
                 BINDING_TYPE,
                 call,
                 f"{texture.format.name}, read as {shader_kind(texture.format)}",
@@ -244,62 +246,62 @@ class Program(Generic[P]):
 
     def _check_image(self, binding: Binding, value: Any, call: str) -> None:
         if not isinstance(value, ImageBinding) or not isinstance(value.owner, Texture):
-            refuse(BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
+            self.core.refuse(BINDING_TYPE, call, _given(value), _wanted(binding), "use texture.image(level)")
         texture = value.owner
         self.core.check_usable(texture, call)
         self._check_feedback(texture, call)
         wanted: Any = binding.type
         if texture.format is not wanted.format or texture.samples != 1:
-            refuse(BINDING_TYPE, call, repr(texture), _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, repr(texture), _wanted(binding))
         kind = TextureKind.D2 if value.layer is not None else texture.kind
         if kind is not wanted.kind:
-            refuse(BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
+            self.core.refuse(BINDING_TYPE, call, f"{texture!r}, {kind.name}", _wanted(binding))
 
     def _check_feedback(self, texture: Texture, call: str) -> None:
         if texture.id in self.core.targets:
-            refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
+            self.core.refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
     def raise_for(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
-        """Turn a Python error of the generated functions into the rule that was broken."""
-        if mesh is not None and not isinstance(mesh, Mesh):
-            refuse(
+        """Refuse the argument that caused a Python error in a generated function, or else raise that error again."""
+        if mesh is not None and not isinstance(mesh, Drawable):
+            self.core.refuse(
                 DEVICE_ARGUMENT,
                 f"draw of program {self.name!r}",
                 repr(mesh),
-                "a Mesh, as device.mesh(…) makes it",
+                "a Mesh from device.mesh(…)",
             )
         for index, value in enumerate(values):
             self.check(index, value)
         raise error
 
     def check_names(self, given: Iterable[str]) -> None:
-        """Refuse bindings that the program doesn't have or that are missing."""
+        """Refuse unknown and missing names of bindings."""
         names = set(given)
         wanted = {binding.name for binding in self.descriptor.bindings}
         call = f"draw of program {self.name!r}"
         shown = ", ".join(sorted(wanted)) or "no bindings"
         if names - wanted:
-            refuse(BINDING_UNKNOWN, call, ", ".join(sorted(names - wanted)), shown)
+            self.core.refuse(BINDING_UNKNOWN, call, ", ".join(sorted(names - wanted)), shown)
         if wanted - names:
-            refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
+            self.core.refuse(BINDING_MISSING, call, f"nothing for {', '.join(sorted(wanted - names))}", shown)
 
     def check_instances(self, instances: Any) -> int:
-        """Instances as an int; refuse what is no number of them."""
+        """Return the number of instances as an int; refuse an invalid one."""
         if not isinstance(instances, (int, np.integer)) or not 0 <= instances < 1 << 31:
             given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
-            refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
+            self.core.refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
         return int(instances)
 
 
 def shader_kind(form: Format) -> str:
-    """How a shader sees a format's channels: "float", "int" or "uint"."""
+    """Return the scalar type as which a shader sees a format's channels: "float", "int" or "uint"."""
     return {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}.get(form.kind, "float")
 
 
 def _given(value: object) -> str:
     element = getattr(value, "type", None)
     shown = getattr(element, "__name__", None)
-    return f"{describe(value)}{f' of {shown}' if shown else ''}"
+    return f"{describe_object(value)}{f' of {shown}' if shown else ''}"
 
 
 def _wanted(binding: Binding) -> str:
@@ -311,7 +313,7 @@ def _type_name(binding: Binding) -> str:
 
 
 def _how_to_make(binding: Binding) -> str:
-    """The call that makes what a uniform or storage binding takes."""
+    """Return the call that creates a value for a uniform or storage binding, as a tip."""
     made = _type_name(binding)
     if binding.kind is BindingKind.STORAGE:
         return f"make it with device.storage({made}, …)"
@@ -336,27 +338,29 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     for kind, most in room.items():
         used = sum(binding.kind is kind for binding in descriptor.bindings)
         if used > most:
-            refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
+            core.refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
     if len(descriptor.attributes) > limits.max_vertex_attributes:
-        refuse(
+        core.refuse(
             DEVICE_CAPABILITY,
             call,
             f"{len(descriptor.attributes)} attributes",
             f"at most {limits.max_vertex_attributes}",
         )
     if Stage.VERTEX in descriptor.stages and not limits.draws:
-        refuse(DEVICE_CAPABILITY, call, _stages(descriptor), "a compute program: needs capabilities.draws")
+        core.refuse(
+            DEVICE_CAPABILITY, call, _stages(descriptor), "a compute program: needs capabilities.draws"
+        )
     if Stage.COMPUTE in descriptor.stages:
         x, y, z = descriptor.work_group
         most_x, most_y, most_z = limits.max_work_group
         total = limits.max_work_group_invocations
         if not limits.compute or x > most_x or y > most_y or z > most_z or x * y * z > total:
-            refuse(
+            core.refuse(
                 DEVICE_CAPABILITY, call, f"work-group {x}×{y}×{z}", f"{limits.max_work_group}, {total} in all"
             )
         if descriptor.shared_bytes > limits.max_shared_bytes:
             allowed = f"up to capabilities.max_shared_bytes, {limits.max_shared_bytes}"
-            refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
+            core.refuse(DEVICE_CAPABILITY, call, f"{descriptor.shared_bytes} bytes of shared memory", allowed)
     for binding in descriptor.bindings:
         if binding.name == "self" or keyword.iskeyword(binding.name):
-            refuse(BINDING_NAME, call, binding.name, "what can be the keyword of a draw")
+            core.refuse(BINDING_NAME, call, binding.name, "a name that can be a keyword argument")

@@ -2,9 +2,8 @@
 
 - Row 0 of every array is the top row. `read` and `write` use the format's own dtype; nothing is converted
   silently.
-- A `Texture` is itself what a shader's texture binding takes, with a sampler that suits its format;
-  `sampled(...)` gives it another one, `image(...)` one level for loads and stores, `at(...)` one level and
-  layer as a target.
+- A `Texture` can be bound directly, with a default sampler for its format. `sampled(...)` binds it with another
+  sampler, `image(...)` binds one level for loads and stores, and `at(...)` is one level and layer as a render target.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from rhi.contract.formats import Format
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
-from rhi.errors import refuse
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     TEXTURE_DATA,
@@ -48,7 +46,7 @@ _NEAREST = SamplerDescriptor(minify=Filter.NEAREST, magnify=Filter.NEAREST, mip=
 
 @dataclass(frozen=True, slots=True)
 class Sampler:
-    """How a texture is read; equal descriptors are one sampler."""
+    """A sampler: filtering, wrapping and comparison of texture reads. Equal descriptors share one id."""
 
     id: Id
     descriptor: SamplerDescriptor
@@ -56,7 +54,7 @@ class Sampler:
 
 @dataclass(frozen=True, slots=True)
 class TextureTarget:
-    """One level and layer of a texture as a render pass's target."""
+    """One mip level and layer of a texture as the target of a render pass."""
 
     texture: Texture
     level: int = 0
@@ -69,11 +67,11 @@ class TextureTarget:
 
 
 class Texture(TextureBinding, Resource):
-    """Texels on the device.
+    """A texture on the device.
 
     Attributes:
-        id: its name in the command stream.
-        descriptor: size, format, kind, layers, levels and samples; also attributes of the texture.
+        id: the texture's id in the command stream.
+        descriptor: size, format, kind, layers, levels and samples; these are also attributes of the texture.
     """
 
     __slots__ = ("core", "descriptor", "destroyed", "id")
@@ -101,27 +99,27 @@ class Texture(TextureBinding, Resource):
 
     @property
     def kind(self) -> TextureKind:
-        """2D, array, 3D or cube."""
+        """The texture's kind: 2D, 2D array, 3D or cube."""
         return self.descriptor.kind
 
     @property
     def layers(self) -> int:
-        """Array layers, 6 for a cube, the depth of a 3D texture."""
+        """Number of array layers, 6 for a cube, the depth of a 3D texture."""
         return self.descriptor.layers
 
     @property
     def levels(self) -> int:
-        """Mip levels."""
+        """Number of mip levels."""
         return self.descriptor.levels
 
     @property
     def samples(self) -> int:
-        """Samples a texel; 1 unless it is multi-sampled."""
+        """Number of samples per texel; 1 unless the texture is multi-sampled."""
         return self.descriptor.samples
 
     @property
     def label(self) -> str:
-        """Its name in messages and tools."""
+        """The texture's name in messages and tools."""
         return self.descriptor.label
 
     def __repr__(self) -> str:
@@ -129,7 +127,7 @@ class Texture(TextureBinding, Resource):
         return f"Texture({self.label!r}, {width}×{height}, {self.format.name})"
 
     def destroy(self) -> None:
-        """Give the memory back once the GPU is done with it. A second call does nothing."""
+        """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
@@ -138,48 +136,50 @@ class Texture(TextureBinding, Resource):
     # -- parts -------------------------------------------------------------------------------------------
 
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
-        """One level and layer, as a target of a render pass."""
+        """Return one level and layer as a render target."""
         self._check("Texture.at", level, layer)
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
-        """This texture read through another sampler."""
+        """Return a binding that reads this texture through another sampler."""
         self._check("Texture.sampled")
         identity = sampler.id if isinstance(sampler, Sampler) else self.core.sampler(sampler)
         return TextureBinding(self.id, identity, self)
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
-        """One level, all layers or one, for a shader's loads and stores."""
+        """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
         self._check("Texture.image", level, layer or 0)
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
 
     def read(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[Any]:
-        """One layer: (height, width, channels), or (height, width) for one channel; top row first. Waits.
+        """Return one layer: (height, width, channels), or (height, width) for one channel; top row first.
 
-        Depth reads as float32.
+        Waits for the device. Depth is read as float32.
         """
         texels = self._read("Texture.read", level, self._region("Texture.read", level, layer, region), False)
         return texels[0, :, :, 0] if self.format.channels == 1 else texels[0]
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
-        """All layers: (layers, height, width, channels). Waits."""
+        """Return all layers: (layers, height, width, channels). Waits for the device."""
         width, height = self.descriptor.level_size(level)
         region = Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
         return self._read("Texture.read_layers", level, region, False)
 
     def read_stencil(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[np.uint8]:
-        """One layer's stencil values: (height, width) uint8. Waits."""
+        """Return the stencil values of one layer: (height, width) uint8. Waits for the device."""
         call = "Texture.read_stencil"
         if not self.format.has_stencil:
-            refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
+            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
         stencil: NDArray[np.uint8] = self._read(call, level, self._region(call, level, layer, region), True)
         return stencil[0, :, :, 0]
 
     def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
-        """Replace texels from (x, y) on: (height, width, channels), (height, width) for one channel, or
-        (layers, height, width, channels) for several layers from `layer` on.
+        """Replace texels from (x, y) on.
+
+        `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width, channels)
+        for several layers from `layer` on.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -188,7 +188,7 @@ class Texture(TextureBinding, Resource):
         call = "Texture.write"
         self._check(call, level, layer)
         if self.format.is_depth:
-            refuse(
+            self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
             )
         self._check_single_sample(call)
@@ -200,7 +200,7 @@ class Texture(TextureBinding, Resource):
             array = array[None]
         if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != channels:
             allowed = f"(height, width, {channels}) of {self.format.dtype}"
-            refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
+            self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
         region = Region(x, y, width, height, layer, layers)
         self._check_region(call, level, region)
@@ -210,15 +210,15 @@ class Texture(TextureBinding, Resource):
         )
 
     def generate_mipmaps(self) -> None:
-        """Fill levels 1… from level 0 (a 2×2 box, sRGB in linear light)."""
+        """Generate mip levels 1… from level 0 (2×2 box filter, sRGB in linear light)."""
         self._generate_mipmaps(self.core)
 
     def _generate_mipmaps(self, core: Core) -> None:
-        """`generate_mipmaps`, commanded to `core`: the texture's own, or a command buffer's."""
+        """Send a `generate_mipmaps` to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
         if self.format.is_depth or self.format.is_integer:
-            refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
+            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
             core.backend.generate_mipmaps(self.id)
 
@@ -233,54 +233,56 @@ class Texture(TextureBinding, Resource):
         y: int = 0,
         layer: int = 0,
     ) -> None:
-        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; equal formats."""
+        """Copy a region (None: the whole level) to (x, y, layer) of `target_level`; the formats must be equal."""
         self._copy(self.core, target, level, region, target_level, x, y, layer)
 
     def _copy(
         self, core: Core, target: Texture, level: int, region: Region | None, target_level: int, x: int, y: int,
         layer: int,
     ) -> None:  # fmt: skip
-        """`copy_to`, commanded to `core`."""
+        """Send a `copy_to` to `core`."""
         call = "Texture.copy_to"
         source_region = region or self._whole(level, core)
         self._check_region(call, level, source_region, core)
         target._check(call, target_level, layer, core)
         if target.format is not self.format:
-            refuse(TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats")
+            self.core.refuse(
+                TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats"
+            )
         if target.samples != 1 or self.samples != 1:
-            refuse(
+            self.core.refuse(
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "1", "use resolve_to"
             )
         end = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
         target._check_region(call, target_level, end, core)
         if target is self and level == target_level and _overlap(source_region, end):
-            refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+            self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def resolve_to(self, target: Texture) -> None:
-        """Average this multi-sampled texture's samples into `target`, of equal size and format."""
+        """Resolve this multi-sampled texture to `target`: average the samples; size and format must be equal."""
         self._resolve(self.core, target)
 
     def _resolve(self, core: Core, target: Texture) -> None:
-        """`resolve_to`, commanded to `core`."""
+        """Send a `resolve_to` to `core`."""
         call = "Texture.resolve_to"
         self._check(call, core=core)
         target._check(call, core=core)
         if self.samples == 1 or target.samples != 1:
-            refuse(
+            self.core.refuse(
                 TEXTURE_SAMPLES, call, f"{self.samples} to {target.samples} samples", "several samples to 1"
             )
         has_average = not (self.format.is_depth or self.format.is_integer)
         if self.format is not target.format or self.size != target.size or not has_average:
-            allowed = "a color format that is no integer, equal in both, and equal sizes"
-            refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+            allowed = "equal sizes and equal color formats, not of integers"
+            self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
-        """`with texture.lock(Access.WRITE) as texels:` gives (height, width, channels), top row first."""
+        """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
         if self.format.is_depth and access.writes:
-            refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
+            self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self._check_single_sample(call)
         where = self._region(call, level, layer, region)
         return Lock(
@@ -298,14 +300,14 @@ class Texture(TextureBinding, Resource):
         core.check_open()
         core.check_usable(self, call)
         if not 0 <= level < self.levels:
-            refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
+            self.core.refuse(TEXTURE_LEVELS, call, f"level {level}", f"0 to {self.levels - 1}")
         layers = self.descriptor.level_layers(level)
         if not 0 <= layer < layers:
-            refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
+            self.core.refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
 
     def _check_single_sample(self, call: str) -> None:
         if self.samples != 1:
-            refuse(
+            self.core.refuse(
                 TEXTURE_SAMPLES,
                 call,
                 f"{self.samples} samples",
@@ -326,7 +328,7 @@ class Texture(TextureBinding, Resource):
             and region.layer + region.layers <= layers
         )
         if not inside:
-            refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
+            self.core.refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
 
     def _whole(self, level: int, core: Core) -> Region:
         self._check("Texture", level, core=core)
@@ -347,7 +349,7 @@ class Texture(TextureBinding, Resource):
 
 
 def full_levels(width: int, height: int, depth: int = 1) -> int:
-    """How many mip levels there are down to 1×1."""
+    """Return the number of mip levels down to 1×1."""
     return max(width, height, depth).bit_length()
 
 
@@ -368,34 +370,38 @@ def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     limits = core.capabilities
     width, height = descriptor.size
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
-        refuse(TEXTURE_SIZE, call, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
+        core.refuse(TEXTURE_SIZE, call, f"{width}×{height}", f"1 to {limits.max_texture_size} each way")
     if descriptor.format in limits.unsupported_formats:
-        refuse(DEVICE_CAPABILITY, call, descriptor.format.name, "not among capabilities.unsupported_formats")
+        core.refuse(
+            DEVICE_CAPABILITY, call, descriptor.format.name, "not among capabilities.unsupported_formats"
+        )
     kind, layers = descriptor.kind, descriptor.layers
     allowed_layers = {TextureKind.D2: (1, 1), TextureKind.CUBE: (6, 6)}.get(
         kind, (1, limits.max_texture_layers)
     )
     if not allowed_layers[0] <= layers <= allowed_layers[1]:
-        refuse(
+        core.refuse(
             TEXTURE_SIZE,
             call,
             f"{layers} layers of {kind.name}",
             f"{allowed_layers[0]} to {allowed_layers[1]}",
         )
     if kind is TextureKind.CUBE and width != height:
-        refuse(TEXTURE_SIZE, call, f"a cube of {width}×{height}", "square faces")
+        core.refuse(TEXTURE_SIZE, call, f"a cube of {width}×{height}", "square faces")
     most = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
     if not 1 <= descriptor.levels <= most:
-        refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
+        core.refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
     samples = descriptor.samples
     if samples not in (1, 2, 4, 8) or samples > limits.max_samples:
-        refuse(TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}")
+        core.refuse(
+            TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}"
+        )
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
-        refuse(
+        core.refuse(
             TEXTURE_SAMPLES,
             call,
             f"{samples} samples, {descriptor.levels} levels, {kind.name}",
             "2D, one level",
         )
     if descriptor.format.is_depth and kind is TextureKind.D3:
-        refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")
+        core.refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")

@@ -1,4 +1,4 @@
-"""Typed memory: which arrays fit a layout as they lie."""
+"""Typed buffers: arrays whose layout fits are accepted as they are, others are refused."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Light(Struct):
     color: vec4
 
 
-def test_an_array_that_names_its_padding_is_taken_as_it_is(kit: Kit) -> None:
+def test_an_array_that_names_its_padding_is_accepted_without_a_copy(kit: Kit) -> None:
     rows = np.zeros(2, [("place", "f4", 2), ("pad", "f4", 2), ("color", "f4", 4)])
     rows["color"] = 1
     assert kit.device.storage(Light, rows).read()["color"].tolist() == [[1] * 4] * 2

@@ -1,4 +1,4 @@
-"""Command buffers beyond what the kit asks of every backend: faults, traces, threads, and random programs."""
+"""Command buffers beyond the conformance kit: faults, traces, threads, and random programs."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def give(encoder: Encoder, house: House, passes: list[Any]) -> None:
 
 @settings(max_examples=60)
 @given(passes=st.lists(PASS, max_size=4))
-def test_any_frame_is_issued_later_as_it_is_at_once(passes: list[Any]) -> None:
+def test_a_submitted_frame_sends_the_commands_of_an_immediate_one(passes: list[Any]) -> None:
     with rhi.create_device("null") as device:
         house = House(device)
         give(device, house, passes)
@@ -207,7 +207,7 @@ def test_a_submission_is_part_of_a_trace(tmp_path: Any) -> None:
         assert device.backend_as(NullBackend).statistics.draws == 4
 
 
-def test_what_a_submission_asks_for_is_seen_by_watch(null_device: Device) -> None:
+def test_watch_sees_the_work_of_a_submission(null_device: Device) -> None:
     house = House(null_device)
     with null_device.record() as commands, commands.render_pass(depth=house.map):
         for _ in range(5):
@@ -231,7 +231,7 @@ def test_a_simulated_gpu_takes_submissions_without_a_hazard() -> None:
         assert not device.backend_as(SimulatedBackend).hazards
 
 
-def test_what_was_recorded_can_be_asserted_on_before_it_is_submitted(null_device: Device) -> None:
+def test_recorded_commands_can_be_asserted_on_before_submission(null_device: Device) -> None:
     house = House(null_device)
     with null_device.record(label="sun") as commands:
         shadow_pass(commands, house)

@@ -116,7 +116,7 @@ def test_a_stack_does_what_a_list_does(capacity, steps):
 
 
 @pytest.mark.parametrize("container", [FixedStack, FixedQueue])
-def test_a_container_lets_go_of_what_was_taken_out(container):
+def test_a_container_releases_removed_elements(container):
     import weakref
 
     class Thing:

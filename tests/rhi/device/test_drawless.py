@@ -1,4 +1,4 @@
-"""A backend without draws: what the front end refuses, and how it is chosen."""
+"""A backend without draws: refusals of the front end, and the choice of a backend."""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def test_an_array_is_drawn_as_it_was_when_it_was_given(kit: Kit) -> None:
 
 @pytest.mark.parametrize("bad", [np.nan, "left"], ids=["not a number", "text"])
 def test_a_vertex_that_was_refused_with_an_array_is_refused_at_the_end_too(kit: Kit, bad: object) -> None:
-    """Nothing is drawn without it: the array that followed was refused, and the vertex is still there."""
+    """The array after it is refused and the vertex is kept, so that nothing is drawn without it."""
     rows = np.zeros(1, [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
         with kit.device.immediate(kit.program, Primitive.POINTS, **bindings(kit)) as points:

@@ -1,4 +1,4 @@
-"""Resources that are filled when they are made: all of it, or nothing is left."""
+"""Resources that are created with contents: if the upload fails, nothing is left behind."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ FILLED: list[tuple[str, Callable[[Device], object]]] = [
 
 
 @pytest.mark.parametrize(("method", "make"), FILLED)
-def test_what_cannot_be_filled_is_given_back(
+def test_a_resource_that_cannot_be_filled_is_destroyed(
     kit: Kit, monkeypatch: pytest.MonkeyPatch, method: str, make: Callable[[Device], object]
 ) -> None:
     device = kit.device

@@ -1,4 +1,4 @@
-"""The generated draw: what it sends again, what it doesn't, and what it refuses without a trace."""
+"""The generated draw: which bindings it sends again, and refusals without side effects."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ def test_a_range_of_another_struct_is_refused_with_both_names(kit: Kit) -> None:
     assert caught.value.rule.id == "binding-type"
 
 
-def test_what_is_no_binding_is_refused_with_the_call_that_makes_one(kit: Kit) -> None:
+def test_a_value_that_is_no_binding_is_refused_with_the_call_that_creates_one(kit: Kit) -> None:
     for wrong in (np.eye(4), Camera(tint=(0, 0, 0, 0))):
         with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
             kit.device.draw(kit.program, kit.mesh, camera=wrong, object=kit.objects[0])
@@ -146,7 +146,7 @@ def test_the_refusal_names_the_line_of_the_call(kit: Kit) -> None:
 
 
 @pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, "2"])
-def test_a_number_of_instances_that_is_none_is_refused(kit: Kit, instances: int) -> None:
+def test_an_invalid_number_of_instances_is_refused(kit: Kit, instances: int) -> None:
     with kit.device.render_pass(kit.image), pytest.raises(rhi.ValidationError) as caught:
         kit.device.draw(kit.program, kit.mesh, instances, camera=kit.camera, object=kit.objects[0])
     assert caught.value.rule.id == "draw-count"
@@ -162,7 +162,7 @@ def test_a_number_of_instances_reaches_the_backend(kit: Kit, instances: int) -> 
 
 
 @pytest.mark.parametrize("name", ["class", "self"])
-def test_a_binding_that_no_keyword_can_give_is_refused(kit: Kit, name: str) -> None:
+def test_a_binding_whose_name_is_no_keyword_argument_is_refused(kit: Kit, name: str) -> None:
     with pytest.raises(rhi.ValidationError) as caught:
         kit.device.program(hand_made_program("bad", Binding(name, BindingKind.UNIFORM, 0, False, Camera, 16)))
     assert caught.value.rule.id == "binding-name"

@@ -54,7 +54,7 @@ def test_ending_a_query_that_was_not_begun_is_refused(kit: Kit) -> None:
 
 
 @pytest.mark.parametrize("ask", [lambda q: q.visible_samples, lambda q: q.wait()])
-def test_the_answer_of_a_query_never_asked_is_refused(kit: Kit, ask: object) -> None:
+def test_the_answer_of_a_query_never_begun_is_refused(kit: Kit, ask: object) -> None:
     query = kit.device.occlusion_query()
     assert not query.is_finished
     with pytest.raises(rhi.ValidationError) as caught:

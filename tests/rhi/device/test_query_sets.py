@@ -44,7 +44,7 @@ def test_an_emulated_set_takes_one_counter_more_and_signals_once(kit: Kit) -> No
     assert len(queries.ids) == len(queries) + 1 == 6
 
 
-def test_no_draws_are_no_commands(kit: Kit) -> None:
+def test_an_empty_array_of_draws_sends_no_commands(kit: Kit) -> None:
     for emulated in (False, True):
         queries = kit.device.query_set(2, emulated=emulated)
         with kit.device.render_pass(kit.image):
@@ -60,7 +60,7 @@ def test_no_draws_are_no_commands(kit: Kit) -> None:
         assert queries.wait().tolist() == [-1, -1]
 
 
-def test_an_oracle_answers_in_the_order_in_which_rows_are_asked_for(kit: Kit) -> None:
+def test_an_oracle_answers_rows_in_the_order_of_their_draws(kit: Kit) -> None:
     null = kit.device.backend_as(NullBackend)
     null.answer_queries([7, 8, 9])
     queries = kit.device.query_set(5)
@@ -77,7 +77,7 @@ def test_counted_samples_of_draws_add_up_by_row(kit: Kit, emulated: bool) -> Non
     assert queries.wait().tolist() == [110, -1, 1, 1000, -1]
 
 
-def test_what_nobody_says_is_not_known(kit: Kit) -> None:
+def test_answers_that_were_never_supplied_are_unknown(kit: Kit) -> None:
     queries = kit.device.query_set(5)
     ask(kit, queries)
     with pytest.raises(rhi.ValidationError) as caught:
@@ -95,7 +95,7 @@ def test_a_log_of_answers_knows_those_of_sets() -> None:
         for row in (0, 2):
             log.begin_query(queries.ids[row])
             log.end_query(queries.ids[row])
-        queries.take_draws(np.array([0, 2]))
+        queries.mark_rows_drawn(np.array([0, 2]))
         backend.answer_queries({queries.ids[0]: 4, queries.ids[2]: 6})
         assert queries.wait().tolist() == [4, -1, 6]
         assert log.answers.samples == {(queries.ids[0], 0): 4, (queries.ids[2], 0): 6}

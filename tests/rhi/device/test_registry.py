@@ -1,4 +1,4 @@
-"""Finding a backend, and what is said when there is none."""
+"""Choosing a backend, and the error if there is none."""
 
 from __future__ import annotations
 

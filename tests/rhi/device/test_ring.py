@@ -1,4 +1,4 @@
-"""Rings against a GPU that lags behind: what it may still read is never given out again."""
+"""Rings with a GPU that lags behind: memory that it may still read is never allocated again."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_ring_that_the_gpu_has_not_freed_grows_instead_of_waiting() -> None:
     assert gpu.reached == 0
 
 
-def test_the_buffer_a_ring_grew_out_of_is_destroyed_only_after_the_gpu_is_done() -> None:
+def test_the_old_buffer_of_a_grown_ring_is_destroyed_only_after_its_last_use() -> None:
     ring, timeline, gpu = make_ring(256)
     ring.allocate(200, 1)
     old = ring.buffer

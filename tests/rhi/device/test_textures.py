@@ -1,4 +1,4 @@
-"""What textures refuse, on the null device; their texels are the conformance kit's."""
+"""Refusals of textures on the null device; the conformance kit tests their texels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fence of a device, and what waits for it."""
+"""The fence of a device, and the operations that wait for it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_waiting_for_a_value_never_signalled_is_refused(kit: Kit) -> None:
     assert caught.value.rule.id == "fence-value"
 
 
-def test_a_destroyed_buffer_is_given_back_only_after_a_later_fence(kit: Kit) -> None:
+def test_a_destroyed_buffer_lives_on_until_a_later_fence(kit: Kit) -> None:
     buffer = kit.device.buffer(16)
     buffer.destroy()
     assert not kit.ops(rhi.Op.DESTROY)
@@ -32,7 +32,7 @@ def test_a_destroyed_buffer_is_given_back_only_after_a_later_fence(kit: Kit) -> 
     assert [command["resource"] for command in kit.ops(rhi.Op.DESTROY)] == [buffer.id]
 
 
-def test_destroying_twice_gives_back_once(kit: Kit) -> None:
+def test_destroying_twice_destroys_once(kit: Kit) -> None:
     buffer = kit.device.buffer(16)
     buffer.destroy()
     buffer.destroy()
