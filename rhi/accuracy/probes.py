@@ -27,7 +27,7 @@ from rhi.shading.language.types import MATRICES, VECTORS
 __rhi_internal__ = True
 
 Array = NDArray[Any]
-Way = Literal["glsl", "exact", "fast", "numpy"]
+BoundName = Literal["glsl", "exact", "fast", "numpy"]
 """How results came about: the names of the bounds in `Error`."""
 
 WORK_GROUP: Final = 64
@@ -334,7 +334,7 @@ def _flush(probe: Probe, given: Array) -> Array | None:
     return np.where(small, given & 0x80000000, given).astype(np.uint32) if small.any() else None
 
 
-def judge(probe: Probe, given: Array, results: Array, way: Way) -> Array:
+def worst_units(probe: Probe, given: Array, results: Array, way: BoundName) -> Array:
     """The most units of each row's components (n,), to be compared with `getattr(probe.error, way)`; 0 for rows of
     which the bound says nothing: without a defined result, or out of its domain."""
     error = probe.error

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from rhi.accuracy.probes import PASSES, WORK_GROUP, Probe, Way, all_probes, count_units, judge
+from rhi.accuracy.probes import PASSES, WORK_GROUP, BoundName, Probe, all_probes, count_units, worst_units
 from rhi.accuracy.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program
@@ -39,7 +39,7 @@ Array = NDArray[Any]
 SAMPLES: Final = 1 << 16
 REPEATS: Final = 15
 LEAST_NANOSECONDS: Final = 0.01
-_WAYS: Final[dict[tuple[str, Precision], Way]] = {
+_WAYS: Final[dict[tuple[str, Precision], BoundName]] = {
     ("gl", Precision.EXACT): "glsl",
     ("cl", Precision.EXACT): "exact",
     ("cl", Precision.FAST): "fast",
@@ -48,7 +48,7 @@ _WAYS: Final[dict[tuple[str, Precision], Way]] = {
 
 
 @dataclass(frozen=True)
-class Row:
+class Measurement:
     """A built-in or operator on a backend.
 
     Attributes:
@@ -72,7 +72,7 @@ class Row:
     nanoseconds: float
 
 
-def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[Row]:
+def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[Measurement]:
     """Rows of all built-ins and operators that are not exact everywhere, or of those named. Backends that don't work
     here are left out."""
     probes: list[Probe | SampleProbe] = []
@@ -103,7 +103,7 @@ def _is_inexact(probe: Probe) -> bool:
 
 def _row(
     probe: Probe | SampleProbe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
-) -> Row:  # fmt: skip
+) -> Measurement:  # fmt: skip
     way = _WAYS[backend, precision]
     bound = getattr(probe.error, way)
     if isinstance(probe, SampleProbe):
@@ -111,9 +111,9 @@ def _row(
         keeps, columns = units <= bound, [given[:, :3]]
     else:
         units = count_units(probe, given, results).max(axis=1)
-        keeps, columns = judge(probe, given, results, way) <= bound, list(probe.columns(given).values())
+        keeps, columns = worst_units(probe, given, results, way) <= bound, list(probe.columns(given).values())
     worst = int(units.argmax())
-    return Row(
+    return Measurement(
         str(probe),
         backend,
         precision.value if backend == "cl" else "",
@@ -200,7 +200,7 @@ def _least(runs: Sequence[Callable[[], object]]) -> list[float]:
 # -- what it prints ----------------------------------------------------------------------------------------
 
 
-def write_table(rows: Sequence[Row]) -> str:
+def write_table(rows: Sequence[Measurement]) -> str:
     """Rows as a table in Markdown."""
     lines = ["| | backend | median ulp | max ulp | stated | worst at | ns |", "|---|---|---|---|---|---|---|"]
     for row in rows:
@@ -216,7 +216,7 @@ def write_table(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def plot(rows: Sequence[Row], path: str | Path) -> None:
+def plot(rows: Sequence[Measurement], path: str | Path) -> None:
     """Error against time of the built-ins that have a FAST form, a point a row, those of a built-in joined. Needs
     matplotlib."""
     from matplotlib.figure import Figure
@@ -232,7 +232,7 @@ def plot(rows: Sequence[Row], path: str | Path) -> None:
         ("cl", "fast"): ("tab:red", "o", "OpenCL, FAST"),
     }
 
-    def point(row: Row) -> tuple[float, float]:
+    def point(row: Measurement) -> tuple[float, float]:
         return max(row.nanoseconds, LEAST_NANOSECONDS), max(row.max_ulp, 0.1)
 
     for number, name in enumerate(dict.fromkeys(row.builtin for row in shown)):

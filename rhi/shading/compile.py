@@ -170,9 +170,9 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
         if stage is Stage.COMPUTE and language in _KERNEL_WIDTHS:
             return self._write_kernel(_KERNEL_WIDTHS[language])
         if stage is Stage.COMPUTE and language == "numpy":
-            from rhi.shading.numpy.kernel import write_kernel
+            from rhi.shading.numpy.kernel import write_numpy_kernel
 
-            return StageText(write_kernel(self._lower(0)), ())
+            return StageText(write_numpy_kernel(self._lower(0)), ())
         if stage is not Stage.COMPUTE and language == "opencl16":
             return self._write_function(stage)
         call = f"{self._options.name}: emit({language!r}, {stage})"
@@ -193,26 +193,26 @@ class _Texts(Mapping[Stage, tuple[tuple[str, int], ...]]):
     def _write_kernel(self, width: int) -> StageText:
         """The compute stage for `width` lanes."""
         from rhi.shading.ir.lanes import Code
-        from rhi.shading.opencl.writer import write_kernel
+        from rhi.shading.opencl.writer import write_opencl_kernel
 
         entry, options = self._stages[Stage.COMPUTE].entry, self._options
         if f"opencl{width}" in entry.native:
             nothing = Code(options.name, width, [], (), work_group=options.work_group)
-            return write_kernel(nothing, self._bindings, self._precision, entry)
-        return write_kernel(self._lower(width), self._bindings, self._precision)
+            return write_opencl_kernel(nothing, self._bindings, self._precision, entry)
+        return write_opencl_kernel(self._lower(width), self._bindings, self._precision)
 
     def _write_function(self, stage: Stage) -> StageText:
         """A vertex or fragment stage for 16 lanes."""
         from rhi.shading.lowering.bounds import bound_positions
         from rhi.shading.lowering.stages import lower_stage
-        from rhi.shading.opencl.stages import write_stage
+        from rhi.shading.opencl.stages import write_opencl_stage
 
         options = self._options
         code = lower_stage(
             self._stages[stage], options.name, options.interface, self._varyings, checked=self._checked
         )
         bounds = bound_positions(code) if stage is Stage.VERTEX else None
-        return write_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
+        return write_opencl_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
 
     def __getitem__(self, stage: Stage) -> tuple[tuple[str, int], ...]:
         if stage not in self._origins:

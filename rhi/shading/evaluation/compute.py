@@ -26,9 +26,9 @@ from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType
 from rhi.shading.lowering.functions import lower_function
 from rhi.shading.lowering.places import all_kinds, words_of
-from rhi.shading.numpy.kernel import NumpyKernel, Run, load_module
+from rhi.shading.numpy.kernel import LaneFunction, NumpyKernel, load_module
 from rhi.shading.numpy.textures import HostTexture
-from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.signatures import Callee
 from rhi.shading.parser.stage import StageParser
 
@@ -37,7 +37,7 @@ __rhi_internal__ = True
 Array = NDArray[Any]
 
 _DTYPES: Final = {ScalarKind.INT: np.int32, ScalarKind.UINT: np.uint32, ScalarKind.BOOL: np.bool_}
-_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, Run]] = (
+_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, LaneFunction]] = (
     weakref.WeakKeyDictionary()
 )
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
@@ -80,11 +80,11 @@ def evaluate(
     return assemble(tree_function.result, list(results), shape, dtype)  # type: ignore[arg-type]
 
 
-def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run]:
+def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, LaneFunction]:
     known = _functions.get(function)
     if known is None:
         callee = Callee(source_of(function), None, False)
-        parser = StageParser(_Nothing, Stage.COMPUTE)
+        parser = StageParser(_NoShader, Stage.COMPUTE)
         types = tuple(parameter.type for parameter in callee.signature.parameters)
         for parameter in callee.signature.parameters:
             if not isinstance(parameter.type, HostType):
@@ -94,11 +94,11 @@ def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run
         parser._compile(callee, types)  # type: ignore[arg-type]
         parsed = parser.finished[-1]
         code = lower_function(parsed)
-        known = _functions[function] = (parsed, code, load_module(write_numpy(code), code.name)["run"])
+        known = _functions[function] = (parsed, code, load_module(write_numpy_function(code), code.name)["run"])
     return known
 
 
-class _Nothing(Shader):
+class _NoShader(Shader):
     """Functions have no shader."""
 
 

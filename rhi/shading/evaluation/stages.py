@@ -27,9 +27,9 @@ from rhi.shading.language.shader import Shader
 from rhi.shading.language.types import VEC4
 from rhi.shading.lowering.places import words_of
 from rhi.shading.lowering.stages import lower_stage, takes_differences
-from rhi.shading.numpy.kernel import Run, load_module
+from rhi.shading.numpy.kernel import LaneFunction, load_module
 from rhi.shading.numpy.runtime import Invocations
-from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.interface import varyings_read, words_of_varyings
 
 __rhi_internal__ = True
@@ -59,14 +59,14 @@ class FragmentRun:
 
 
 @dataclass(frozen=True, slots=True)
-class _Compiled:
+class _CompiledStage:
     stage: tree.StageTree
     interface: Interface
     code: StageCode
-    run: Run
+    run: LaneFunction
 
 
-_stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _Compiled]] = weakref.WeakKeyDictionary()
+_stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _CompiledStage]] = weakref.WeakKeyDictionary()
 
 
 def run_vertex(
@@ -234,7 +234,7 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
         )
 
 
-def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _Compiled:
+def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:
     known = _stages.setdefault(shader, {})
     if stage not in known:
         trees = stage_trees(shader)
@@ -247,6 +247,6 @@ def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _Compiled:
         else:
             varyings = varyings_read(trees[stage], interface.varyings)
         code = lower_stage(trees[stage], shader.__name__, interface, varyings, 0, shader.checked)
-        run = load_module(f"import numpy as np\n{write_numpy(code.code)}", shader.__name__)["run"]
-        known[stage] = _Compiled(trees[stage], interface, code, run)
+        run = load_module(write_numpy_function(code.code), shader.__name__)["run"]
+        known[stage] = _CompiledStage(trees[stage], interface, code, run)
     return known[stage]

@@ -24,7 +24,7 @@ __rhi_internal__ = True
 
 Array = NDArray[Any]
 Four = tuple[Array, Array, Array, Array]
-Judge = Callable[[Array, Array], Array]
+TexelComparison = Callable[[Array, Array], Array]
 """From texels, and which of all places they are for, to what is filtered."""
 
 _COMPARISONS: Final[dict[Comparison, Callable[[Array, Array], Array]]] = {
@@ -271,7 +271,7 @@ class HostTexture:
 
     def _filter(
         self, dtype: Any, level: int, filter: Filter, chosen: Array, u: Array, v: Array, z: Array,
-        judge: Judge | None = None,
+        judge: TexelComparison | None = None,
     ) -> Array:  # fmt: skip
         """A level at places that are `chosen` of all; `judge` turns texels into what is filtered."""
         depth, height, width, _ = self.levels[level].shape
@@ -293,7 +293,7 @@ class HostTexture:
             means.append(_mix(a, b, near_y))
         return _mix(means[0], means[1], slices[2]) if solid else means[0]
 
-    def _walk(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any, judge: Judge | None = None) -> Array:
+    def _walk(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any, judge: TexelComparison | None = None) -> Array:
         """Filter each level for those that want it, and mix."""
         u, v, z = self._projected(dtype, u, v, z)
         lod = np.broadcast_to(np.asarray(lod, dtype), np.broadcast_shapes(np.shape(lod), u.shape))

@@ -32,7 +32,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, Bounds, StageCode, Uniformity
 from rhi.shading.ir.text import StageText
 from rhi.shading.language.builtins import Precision
-from rhi.shading.opencl.writer import Writer
+from rhi.shading.opencl.writer import OpenCLWriter
 
 __rhi_internal__ = True
 
@@ -47,7 +47,7 @@ _FRAGMENT: Final = (
 )
 
 
-def write_stage(
+def write_opencl_stage(
     stage: tree.StageTree, code: StageCode, bounds: Bounds | None, bindings: tuple[Binding, ...],
     precision: Precision,
 ) -> StageText:  # fmt: skip
@@ -56,10 +56,10 @@ def write_stage(
     `bounds` are those of a vertex stage's positions, where they have any (`rhi.shading.lowering.bounds`).
     """
     native = stage.entry if LANGUAGE in stage.entry.native else None
-    return _StageWriter(code, precision, native).stage(stage.stage, bounds, bindings)
+    return _OpenCLStageWriter(code, precision, native).stage(stage.stage, bounds, bindings)
 
 
-class _StageWriter(Writer):
+class _OpenCLStageWriter(OpenCLWriter):
     uniform_space = "global const"
 
     def __init__(self, code: StageCode, precision: Precision, native: tree.Function | None) -> None:

@@ -48,15 +48,15 @@ _LARGEST_POWER: Final = 64
 """An exponent up to which multiplying is faster than a logarithm, and more exact: a rounding for each factor."""
 
 
-def write_kernel(
+def write_opencl_kernel(
     code: Code, bindings: tuple[Binding, ...], precision: Precision, native: tree.Function | None = None
 ) -> StageText:
     """A compute stage as OpenCL C 1.2, a kernel named `compute`; `native`: its body is this function's in OpenCL C, and
     `code` is empty."""
-    return Writer(code, precision, native).kernel(bindings)
+    return OpenCLWriter(code, precision, native).kernel(bindings)
 
 
-class Writer:
+class OpenCLWriter:
     """Writes lane code; `rhi.shading.opencl.stages` adds the stages of a draw."""
 
     uniform_space = "constant"

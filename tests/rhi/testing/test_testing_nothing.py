@@ -170,7 +170,7 @@ def test_a_condition_is_suspicious(house) -> None:
 
 
 def test_only_draws_can_be_asked_about(house) -> None:
-    with pytest.raises(AssertionError, match="create_program is no draw"):
+    with pytest.raises(AssertionError, match="create_program is not a draw"):
         why_nothing(house.device.stream.filter(rhi.Op.CREATE_PROGRAM)[0])
 
 

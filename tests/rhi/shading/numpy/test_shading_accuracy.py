@@ -8,7 +8,7 @@ import pytest
 from glsl_runner import run_glsl
 from opencl_runner import run_opencl
 
-from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, judge
+from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, worst_units
 from rhi.shading import Precision, opencl_kernel, run_compute
 from rhi.shading.language.builtins import BUILTINS, Effect
 
@@ -48,7 +48,7 @@ def excess(way, probe):
         return ""
     given = np.concatenate([probe.sample(4096), probe.hard()])
     results = call(run, probe, given, precision)
-    units = judge(probe, given, results, name)
+    units = worst_units(probe, given, results, name)
     worst = int(units.argmax())
     if units[worst] <= getattr(probe.error, name):
         return ""
@@ -128,10 +128,10 @@ def test_what_is_not_a_number_must_not_be_one_and_denormals_may_be_zero(given, r
 
 
 def test_a_bound_says_nothing_of_results_that_are_undefined():
-    assert judge(LOG, words([-1.0]), np.array([[5.0]]), "exact")[0] == 0
-    assert judge(LOG, words([2.0]), np.array([[5.0]]), "exact")[0] > 1e6
-    assert judge(SINE, words([1e9]), np.array([[5.0]]), "fast")[0] == 0
-    assert judge(SINE, words([1e9]), np.array([[5.0]]), "exact")[0] > 1e6
+    assert worst_units(LOG, words([-1.0]), np.array([[5.0]]), "exact")[0] == 0
+    assert worst_units(LOG, words([2.0]), np.array([[5.0]]), "exact")[0] > 1e6
+    assert worst_units(SINE, words([1e9]), np.array([[5.0]]), "fast")[0] == 0
+    assert worst_units(SINE, words([1e9]), np.array([[5.0]]), "exact")[0] > 1e6
 
 
 @pytest.mark.parametrize("width", [1, 4, 8])
