@@ -1,4 +1,4 @@
-"""One frame against many devices that aren't there."""
+"""One frame checked against the profiles of many devices."""
 
 import dataclasses
 import functools
@@ -15,7 +15,7 @@ from rhi.testing.portability import check_portability
 
 
 def deferred_frame(device):
-    """Wants large, blended, floating-point targets and a compute program."""
+    """A frame with large, blended, floating-point targets and a compute program."""
     size = 512 if device.capabilities.device == "opencl-cpu" else 1500
     image = device.texture((size, size), Format.RGBA16F)
     mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
@@ -48,7 +48,7 @@ def test_a_frame_is_told_everything_that_stops_it_with_lines():
 
 
 def scattered_frame(device, changed=frozenset()):
-    """Needs the same things in several places each, but for the lines that were changed."""
+    """A frame that lacks the same capabilities at several lines each, except at the `changed` ones."""
     device.sampler(SamplerDescriptor(max_anisotropy=1 if 2 in changed else 8))
     for size in (4000, 5000):  # one line
         device.texture((4 if 4 in changed else size, 4), Format.R8)
@@ -103,7 +103,7 @@ def test_a_frame_sees_the_profile_as_it_is_whatever_was_granted():
 
 
 class TooMuch(Shader):
-    """More shared memory than most work-groups may have."""
+    """A shader with more shared memory than most devices allow."""
 
     work_group = (64,)
     results: StorageRW[float]
