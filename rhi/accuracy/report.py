@@ -49,7 +49,7 @@ _BOUNDS: Final[dict[tuple[str, Precision], BoundName]] = {
 
 
 @dataclass(frozen=True)
-class Measurement:
+class BuiltinAccuracy:
     """The error and the time of a built-in or operator on a backend.
 
     Attributes:
@@ -75,7 +75,7 @@ class Measurement:
 
 def measure(
     names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")
-) -> Iterator[Measurement]:
+) -> Iterator[BuiltinAccuracy]:
     """Measure the named built-ins and operators, by default all that aren't exact everywhere.
 
     Backends that don't work on this machine are left out, with a message.
@@ -85,7 +85,7 @@ def measure(
     probes += [probe for probe in SAMPLE_PROBES if probe.name in names or not names]
     for backend in backends:
         if backend == "numpy":
-            yield from (_measurement(probe, backend, Precision.EXACT, *_on_numpy(probe)) for probe in probes)
+            yield from (_accuracy_of(probe, backend, Precision.EXACT, *_on_numpy(probe)) for probe in probes)
             continue
         try:
             device = rhi.create_device(backend)
@@ -96,7 +96,7 @@ def measure(
             for probe in probes:
                 for precision in Precision:
                     if (backend, precision) in _BOUNDS:
-                        yield _measurement(probe, backend, precision, *_on_device(device, probe, precision))
+                        yield _accuracy_of(probe, backend, precision, *_on_device(device, probe, precision))
 
 
 def _is_inexact(probe: Probe) -> bool:
@@ -106,9 +106,9 @@ def _is_inexact(probe: Probe) -> bool:
     )
 
 
-def _measurement(
+def _accuracy_of(
     probe: Probe | SampleProbe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
-) -> Measurement:  # fmt: skip
+) -> BuiltinAccuracy:  # fmt: skip
     name = _BOUNDS[backend, precision]
     bound = getattr(probe.error, name)
     if isinstance(probe, SampleProbe):
@@ -118,7 +118,7 @@ def _measurement(
         units = count_units(probe, given, results).max(axis=1)
         keeps, columns = worst_units(probe, given, results, name) <= bound, list(probe.columns(given).values())
     worst = int(units.argmax())
-    return Measurement(
+    return BuiltinAccuracy(
         str(probe),
         backend,
         precision.value if backend == "cl" else "",
@@ -206,7 +206,7 @@ def _shortest_times(runs: Sequence[Callable[[], object]]) -> list[float]:
 # -- output ------------------------------------------------------------------------------------------------
 
 
-def write_table(rows: Sequence[Measurement]) -> str:
+def write_table(rows: Sequence[BuiltinAccuracy]) -> str:
     """Format measurements as a table in Markdown."""
     lines = ["| | backend | median ulp | max ulp | stated | worst at | ns |", "|---|---|---|---|---|---|---|"]
     for row in rows:
@@ -222,7 +222,7 @@ def write_table(rows: Sequence[Measurement]) -> str:
     return "\n".join(lines)
 
 
-def plot(rows: Sequence[Measurement], path: str | Path) -> None:
+def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
     """Plot error against time of the built-ins that have a FAST form, a point per measurement; needs matplotlib.
 
     An arrow leads from the EXACT to the FAST form of a built-in on OpenCL.
@@ -240,7 +240,7 @@ def plot(rows: Sequence[Measurement], path: str | Path) -> None:
         ("cl", "fast"): ("tab:red", "o", "OpenCL, FAST"),
     }
 
-    def point(row: Measurement) -> tuple[float, float]:
+    def point(row: BuiltinAccuracy) -> tuple[float, float]:
         return max(row.nanoseconds, LEAST_NANOSECONDS), max(row.max_ulp, 0.1)
 
     for number, name in enumerate(dict.fromkeys(row.builtin for row in shown)):
@@ -275,9 +275,9 @@ def main(arguments: Sequence[str]) -> int:
     accuracy = commands.add_parser("accuracy", help="the error and the time of each built-in on each backend")
     accuracy.add_argument("--json", action="store_true", help="print one JSON object")
     accuracy.add_argument("--plot", metavar="F.png", help="draw error against time")
-    accuracy.add_argument("--builtin", action="append", default=[], metavar="NAME", help="only this one")
+    accuracy.add_argument("--builtin", action="append", default=[], metavar="NAME", help="only this built-in; repeatable")
     accuracy.add_argument(
-        "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this one"
+        "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this backend; repeatable"
     )
     options = parser.parse_args(arguments)
     rows = []

@@ -75,13 +75,13 @@ class BufferTracker:
             pattern = np.full(size // 4, value & 0xFFFFFFFF, "<u4").view(np.uint8)
             self._set(buffer, offset, pattern, True)
         elif op is Op.COPY_BUFFER and values[2] in buffers:
-            source, start, target, place, size = values
+            source, source_offset, target, target_offset, size = values
             copied = buffers.get(source)
             if copied is None:
-                self._set(target, place, np.zeros(size, np.uint8), False)
+                self._set(target, target_offset, np.zeros(size, np.uint8), False)
             else:
-                part = slice(start, start + size)
-                self._set(target, place, copied.data[part].copy(), copied.known[part].copy())
+                part = slice(source_offset, source_offset + size)
+                self._set(target, target_offset, copied.data[part].copy(), copied.known[part].copy())
         elif op in DRAWS or op in DISPATCHES:
             for binding in _program_bindings(self.context.resources.get(self.context.program)):
                 bound = self.context.slots.get((binding.kind, binding.slot))

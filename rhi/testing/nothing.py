@@ -267,7 +267,7 @@ def _afterwards(draw: Command) -> Iterator[Cause]:
                     return
         values = command.arguments
         reads = [values.get("source"), values.get("texture")]
-        if any(texture in {place[0] for place in targets} for texture in reads):
+        if any(texture in {target[0] for target in targets} for texture in reads):
             return  # the target was read before it was cleared
 
 

@@ -182,8 +182,8 @@ def run_fragment(
     depth = results.pop() if compiled.code.has_depth else None
     outputs = {}
     for output in compiled.interface.outputs:
-        places = range(4 * output.location, 4 * output.location + output.components)
-        parts = [results[compiled.code.words.index(place)] for place in places]
+        words = range(4 * output.location, 4 * output.location + output.components)
+        parts = [results[compiled.code.words.index(word)] for word in words]
         outputs[output.name] = assemble(_output_type(compiled.stage, output.name), parts, shape, dtype)
     return FragmentRun(
         outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), kept, written

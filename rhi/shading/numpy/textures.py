@@ -263,12 +263,12 @@ class HostTexture:
         wrap_u, wrap_v, _ = self._wraps()
         x0, x1, near_x = self._around(dtype, wrap_u, width, u)
         y0, y1, near_y = self._around(dtype, wrap_v, height, v)
-        places = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
+        corners = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
         if self.kind is not TextureKind.CUBE:
-            return [compare(self._tap(dtype, level, layer, y, x)) for x, y in places], (near_x, near_y)
-        taps = [compare(self._values(dtype, level, *_cross_edges(width, layer, y, x))) for x, y in places]
+            return [compare(self._tap(dtype, level, layer, y, x)) for x, y in corners], (near_x, near_y)
+        taps = [compare(self._values(dtype, level, *_cross_edges(width, layer, y, x))) for x, y in corners]
         result = []
-        for tap, (x, y) in enumerate(places):  # where three faces meet, the missing texel is the mean of the others
+        for tap, (x, y) in enumerate(corners):  # where three faces meet, the missing texel is the mean of the others
             corner = ((x < 0) | (x >= width)) & ((y < 0) | (y >= height))
             mean = (taps[tap ^ 1] + taps[tap ^ 2] + taps[tap ^ 3]) / 3
             result.append(np.where(corner[..., None], mean.astype(taps[tap].dtype), taps[tap]))
@@ -354,8 +354,8 @@ def _wrap(dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
     elif wrap is Wrap.MIRROR:
         u = np.abs(u - 2 * np.floor(u / 2 + dtype(0.5)))
     beyond = 1 if wrap is Wrap.BORDER else 0.5
-    place: Array = np.fmin(np.fmax(u * dtype(size), dtype(-beyond)), dtype(size + beyond))
-    return place
+    texel: Array = np.fmin(np.fmax(u * dtype(size), dtype(-beyond)), dtype(size + beyond))
+    return texel
 
 
 def _face_of(at: Array) -> Array:

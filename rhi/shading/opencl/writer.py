@@ -279,22 +279,22 @@ class OpenCLWriter:
                 steps = f", {self.steps}" if self.steps else ""
                 text = f"{name}({self.name(memory)}, {self.value(first)}, {self.words(memory)}{steps})"
                 return self.cast(node.kind, True, text)
-        place = self.wide(self.address(index, node.scale, node.offset))
+        address = self.wide(self.address(index, node.scale, node.offset))
         if node.mask is not None:
-            place = f"{place} & {self.mask(node.mask)}"
-        return self.cast(node.kind, True, f"rhi_gather({self.name(memory)}, {place})")
+            address = f"{address} & {self.mask(node.mask)}"
+        return self.cast(node.kind, True, f"rhi_gather({self.name(memory)}, {address})")
 
     def load_private(self, node: lanes.Load) -> str:
         memory, index = node.memory, node.index
         if not self.is_vector(index):
             return f"{self.name(memory)}[{self.value(index)}]"
-        place = self.wide(index)
+        address = self.wide(index)
         if node.mask is not None:
-            place = f"({place} & {self.mask(node.mask)})"
+            address = f"({address} & {self.mask(node.mask)})"
         varying = memory.level is Uniformity.VARYING
         if varying:
-            place = f"{place} * {self.width} + RHI_LANES"
-        text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {place})")
+            address = f"{address} * {self.width} + RHI_LANES"
+        text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {address})")
         return text if varying or node.kind is not ScalarKind.BOOL else f"(-{text})"
 
     def mask(self, mask: lanes.Variable | None) -> str:
@@ -412,8 +412,8 @@ class OpenCLWriter:
             return
         name = f"rhi_scatter_{space}_{count}"
         self.helper(name, prelude.scatter_text(name, space, self.width, count))
-        place = self.wide(self.address(index, node.scale, node.offset))
-        self.add(node, f"{name}({self.name(memory)}, {place}, {mask}, {', '.join(values)});")
+        address = self.wide(self.address(index, node.scale, node.offset))
+        self.add(node, f"{name}({self.name(memory)}, {address}, {mask}, {', '.join(values)});")
 
     def store_scalar(self, node: lanes.Store) -> None:
         """Write a store of all lanes to one address; the last active lane wins."""
@@ -422,8 +422,8 @@ class OpenCLWriter:
             text = self.bits(value, self.is_vector(value))
             if self.is_vector(value):
                 text = f"rhi_last({text}, {self.mask(node.mask)})"
-            place = self.value(self.address(node.index, node.scale, node.offset + k))
-            sets.append(f"{self.name(node.memory)}[{place}] = {text};")
+            address = self.value(self.address(node.index, node.scale, node.offset + k))
+            sets.append(f"{self.name(node.memory)}[{address}] = {text};")
         if node.mask is None:
             self.add(node, " ".join(sets))
         else:
@@ -433,40 +433,40 @@ class OpenCLWriter:
         memory, index, (value,) = node.memory, node.index, node.values
         vector = memory.level is Uniformity.VARYING
         if not self.is_vector(index):
-            place = f"{self.name(memory)}[{self.value(index)}]"
+            element = f"{self.name(memory)}[{self.value(index)}]"
             text = self.wide(value, vector)
             if node.mask is not None and self.width > 1:
-                text = f"select({place}, {text}, {node.mask.name})"
-            self.add(node, f"{place} = {text};")
+                text = f"select({element}, {text}, {node.mask.name})"
+            self.add(node, f"{element} = {text};")
             return
         name = "rhi_scatter_private_1"
         self.helper(name, prelude.scatter_text(name, "private", self.width, 1))
-        place = f"{self.wide(index)} * {self.width} + RHI_LANES"
+        address = f"{self.wide(index)} * {self.width} + RHI_LANES"
         bits = self.bits(value, True)
-        self.add(node, f"{name}({self.pointer(memory)}, {place}, {self.mask(node.mask)}, {bits});")
+        self.add(node, f"{name}({self.pointer(memory)}, {address}, {self.mask(node.mask)}, {bits});")
 
     def atomic(self, node: lanes.Atomic) -> None:
         memory, space, kind = node.memory, _SPACES[node.memory.space], _NAMES[node.kind]
         operation = _ATOMICS.get(node.operation, node.operation)
-        place = self.address(node.index, node.scale, node.offset)
+        address = self.address(node.index, node.scale, node.offset)
         result = (
             f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
         )
         if self.width == 1:
             values = ", ".join(self.value(value) for value in node.values)
-            call = f"atomic_{operation}((volatile {space} {kind} *){self.name(memory)} + {self.value(place)}, {values})"
-            self.add(node, f"{result}{call};")
+            pointer = f"(volatile {space} {kind} *){self.name(memory)} + {self.value(address)}"
+            self.add(node, f"{result}atomic_{operation}({pointer}, {values});")
             return
         values = ", ".join(self.wide(value) for value in node.values)
         mask = self.mask(node.mask)
-        if operation == "add" and not self.is_vector(place):
+        if operation == "add" and not self.is_vector(address):
             name = f"rhi_atomic_add_all_{space}_{kind}"
             self.helper(name, prelude.atomic_add_text(name, space, self.width, kind))
-            target = self.value(place)
+            target = self.value(address)
         else:
             name = f"rhi_atomic_{operation}_{space}_{kind}"
             self.helper(name, prelude.atomic_text(name, space, self.width, operation, kind))
-            target = self.wide(place)
+            target = self.wide(address)
         call = f"{name}({self.name(memory)}, {target}, {mask}, {values});"
         self.add(node, result + call)
 
