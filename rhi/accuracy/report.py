@@ -249,8 +249,8 @@ def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
             arrow = {"arrowstyle": "->", "color": "0.6", "shrinkA": 5, "shrinkB": 5}
             axes.annotate("", points["cl", "fast"], points["cl", "exact"], arrowprops=arrow, zorder=2)
         for at in points.values():
-            text, place = name.partition("(")[0], (5, -9 if number % 2 else 4)
-            axes.annotate(text, at, place, textcoords="offset points", fontsize=7, color="0.3")
+            text, offset = name.partition("(")[0], (5, -9 if number % 2 else 4)
+            axes.annotate(text, at, offset, textcoords="offset points", fontsize=7, color="0.3")
     for key, (color, marker, label) in styles.items():
         drawn = [point(row) for row in shown if (row.backend, row.precision) == key]
         if drawn:
@@ -275,7 +275,9 @@ def main(arguments: Sequence[str]) -> int:
     accuracy = commands.add_parser("accuracy", help="the error and the time of each built-in on each backend")
     accuracy.add_argument("--json", action="store_true", help="print one JSON object")
     accuracy.add_argument("--plot", metavar="F.png", help="draw error against time")
-    accuracy.add_argument("--builtin", action="append", default=[], metavar="NAME", help="only this built-in; repeatable")
+    accuracy.add_argument(
+        "--builtin", action="append", default=[], metavar="NAME", help="only this built-in; repeatable"
+    )
     accuracy.add_argument(
         "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this backend; repeatable"
     )
