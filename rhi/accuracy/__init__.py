@@ -1,1 +1,1 @@
-"""How exact each built-in function of the shading language is on a device, and how long it takes."""
+"""Measurement of the error and the time of each built-in on each backend."""

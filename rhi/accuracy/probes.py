@@ -1,8 +1,9 @@
-"""Probes: a built-in or operator by itself, as a function on arrays and as compute shaders, and what it is given.
+"""Probes: single built-ins and operators, as functions on arrays and as compute shaders, with their arguments.
 
-A probe's shaders read the words of its arguments from a buffer and write those of its result to another, so that all
-languages compute from the same bits. `sample` and `hard` make the arguments. Float64 is the reference: it has 29 bits
-more than what is judged by it, so its own error, of a unit in its last place or two, is 1e-8 of one in theirs.
+- A probe's shaders read the words of its arguments from a buffer and write the words of its result to another, so that
+  all languages compute from the same bits. `sample` and `hard` generate the arguments.
+- Float64 is the reference. It has 29 bits more than float32, so its own error of one or two units in the last place is
+  1e-8 of a float32's unit.
 """
 
 from __future__ import annotations
@@ -27,12 +28,12 @@ from rhi.shading.language.types import MATRICES, VECTORS
 __rhi_internal__ = True
 
 Array = NDArray[Any]
-Way = Literal["glsl", "exact", "fast", "numpy"]
-"""How results came about: the names of the bounds in `ErrorBound`."""
+BoundName = Literal["glsl", "exact", "fast", "numpy"]
+"""The name of a bound in `ErrorBound`, which says how a result was computed."""
 
 WORK_GROUP: Final = 64
 PASSES: Final = 32
-"""How often a probe's `Often` reads its arguments."""
+"""Number of times that a probe's `Often` reads its arguments."""
 
 _FROM_WORD: Final = {FLOAT: "uint_bits_to_float({})", INT: "int({})", UINT: "{}", BOOL: "({} != 0)"}
 _TO_WORD: Final = {
@@ -43,17 +44,18 @@ _TO_WORD: Final = {
 }
 _TO_FLOAT: Final = {FLOAT: "{}", INT: "float({})", UINT: "float({})", BOOL: "(1.0 if {} else 0.0)"}
 _DTYPES: Final = {FLOAT: np.float32, INT: np.int32, UINT: np.uint32, BOOL: np.bool_}
-_MOST: Final = float(np.finfo(np.float32).max)
-_LEAST: Final = 2.0**-126
+_LARGEST: Final = float(np.finfo(np.float32).max)
+_SMALLEST_NORMAL: Final = 2.0**-126
 
 SMALLEST: Final = 1e-12
-"""Of built-ins made from others: products of three smaller numbers, as in a determinant, underflow."""
+"""Smallest magnitude of arguments for built-ins that are made from others: products of three smaller numbers, as in a
+determinant, underflow."""
 
 _ANCHORS: Final = np.array([0.5, 1, 2, np.e, 10, 100])
 _HARD_FLOATS: Final = np.array(
     [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -2.5, 3.0, 0.1, -0.7, 7.0, 100.25, -100.75, 1e-7, -1e-20, 1e20, 8388609.0,
      65504.0, 65520.0, 6e-8, 2.0**31, -(2.0**31), 1e-45, -1e-40, 1.17549435e-38,
-     _MOST, -_MOST, np.inf, -np.inf, np.nan],
+     _LARGEST, -_LARGEST, np.inf, -np.inf, np.nan],
     np.float32,
 )  # fmt: skip
 _HARD_INTS: Final = np.array(
@@ -63,7 +65,7 @@ _HARD_INTS: Final = np.array(
 
 
 def scalar_kind(type: HostType) -> ScalarType:
-    """What a value's components are."""
+    """Return the type of a value's components."""
     return FLOAT if isinstance(type, MatrixType) else type.scalar if isinstance(type, VectorType) else type  # type: ignore[return-value]
 
 
@@ -78,7 +80,7 @@ def _size(type: HostType) -> int:
 
 
 def _parts(type: HostType, name: str) -> list[str]:
-    """The components of a value as expressions."""
+    """Return the components of a value as expressions."""
     if isinstance(type, MatrixType):
         return [f"{name}[{row}].{'xyzw'[column]}" for row in range(type.size) for column in range(type.size)]
     return [f"{name}.{letter}" for letter in "xyzw"[: type.size]] if isinstance(type, VectorType) else [name]
@@ -86,7 +88,13 @@ def _parts(type: HostType, name: str) -> list[str]:
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """`expression` is the shading language's, of arguments a, b, c and d of the types `parameters`."""
+    """A built-in or operator, with the shaders and functions that evaluate it.
+
+    Attributes:
+        expression: an expression of the shading language in the arguments a, b, c and d.
+        parameters: the types of the arguments.
+        error: the stated error bounds.
+    """
 
     name: str
     expression: str
@@ -99,11 +107,11 @@ class Probe:
 
     @property
     def kinds(self) -> list[ScalarType]:
-        """The kind of each word of the arguments."""
+        """The type of each word of the arguments."""
         return [scalar_kind(type) for type in self.parameters for _ in range(_size(type))]
 
     @cached_property
-    def _made(self) -> dict[str, Any]:
+    def _namespace(self) -> dict[str, Any]:
         names = "abcd"[: len(self.parameters)]
         declared = ", ".join(f"{name}: {type}" for name, type in zip(names, self.parameters, strict=True))
         total, at, given = len(self.kinds), 0, []
@@ -148,33 +156,37 @@ class Probe:
         exec(compile(source, name, "exec", dont_inherit=True), space)
         return space
 
-    def shader(self, way: str = "Once", precision: Precision = Precision.EXACT) -> type[Shader]:
-        """`Once`: a result for each row of `given`; `Often`: sums of many, `Idle`: the same without the call, so
-        that the difference of their times is that of the calls."""
-        shader: type[Shader] = self._made[way]
-        return (
-            shader
-            if precision is Precision.EXACT
-            else type(f"Fast{way}", (shader,), {"precision": precision})
-        )
+    def shader(self, variant: str = "Once", precision: Precision = Precision.EXACT) -> type[Shader]:
+        """Return one of the probe's compute shaders.
+
+        Args:
+            variant: `Once` computes a result for each row of `given`. `Often` sums many results and `Idle` only their
+                arguments, so that the difference of their times is the time of the calls.
+            precision: the precision of the shader.
+        """
+        shader: type[Shader] = self._namespace[variant]
+        return with_precision(shader, precision)
 
     def evaluate(self, given: Array, dtype: Any) -> Array:
-        """On NumPy: words (n, words) to numbers (n, components)."""
+        """Evaluate words (n, words) on NumPy; returns numbers (n, components)."""
         columns = self.columns(given).values()
         values = [
             part.reshape(-1, *_shape(type)) for part, type in zip(columns, self.parameters, strict=True)
         ]
-        return np.asarray(evaluate(self._made["probe"], *values, dtype=dtype)).reshape(len(given), -1)
+        return np.asarray(evaluate(self._namespace["probe"], *values, dtype=dtype)).reshape(len(given), -1)
 
     def numbers(self, words: Array) -> Array:
-        """The results' words (n, components) as numbers."""
+        """Return the words of results, (n, components), as numbers."""
         kind = scalar_kind(self.result)
         return words != 0 if kind is BOOL else words.view(_DTYPES[kind])
 
     # -- arguments
 
     def columns(self, given: Array) -> dict[str, Array]:
-        """The arguments as numbers by name: (n,) each, (n, components) of vectors, (n, rows · columns) of matrices."""
+        """Return the arguments as numbers by name.
+
+        A scalar is (n,), a vector (n, components), a matrix (n, rows · columns).
+        """
         result, at = {}, 0
         for name, type in zip("abcd", self.parameters, strict=False):
             size, kind = _size(type), scalar_kind(type)
@@ -185,7 +197,7 @@ class Probe:
         return result
 
     def is_defined(self, given: Array) -> Array:
-        """Whether there is a result, for each row of words."""
+        """Whether the result is defined, for each row of words."""
         if not self.error.defined:
             return np.ones(len(given), bool)
         with np.errstate(all="ignore"):
@@ -194,7 +206,7 @@ class Probe:
         return defined
 
     def is_in_domain(self, given: Array) -> Array:
-        """Whether all floats of a row lie within the domain of the stated error; what isn't a number does not."""
+        """Whether all floats of a row lie within the domain of the stated error; a NaN does not."""
         inside = np.ones(len(given), bool)
         for number, values in enumerate(self.columns(given).values()):
             if values.dtype == np.float32:
@@ -206,8 +218,10 @@ class Probe:
         return inside
 
     def sample(self, count: int, seed: int = 0) -> Array:
-        """Words (count, words) for which there is a result, in the domain of the stated error: floats evenly, evenly in
-        magnitude, and close to numbers where functions change."""
+        """Generate words (count, words) with a defined result, in the domain of the stated error.
+
+        A third of the floats each is uniform, uniform in the logarithm, and close to numbers where functions change.
+        """
         batches: list[Array] = []
         while sum(map(len, batches)) < count:
             batch = self._sample(count, seed + len(batches))
@@ -224,7 +238,7 @@ class Probe:
         return np.stack(columns, axis=1)
 
     def hard(self) -> Array:
-        """Words (n, words): every pair of hard numbers for two components, a random choice of them for more."""
+        """Generate words (n, words) of hard numbers: all combinations for up to two words, random ones for more."""
         hard = [_hard(kind) for kind in self.kinds]
         if len(hard) <= 2:
             rows = list(itertools.product(*hard))
@@ -233,8 +247,15 @@ class Probe:
         return np.stack([rng.choice(column, 4096) for column in hard], axis=1)
 
 
+def with_precision(shader: type[Shader], precision: Precision) -> type[Shader]:
+    """Return a compute shader with another precision; shaders are EXACT by default."""
+    if precision is Precision.EXACT:
+        return shader
+    return type(f"{precision.value.capitalize()}{shader.__name__}", (shader,), {"precision": precision})
+
+
 def _repeat(name: str, words: int, lines: Sequence[str]) -> list[str]:
-    """A shader that does `lines` many times; four at once, so that what is measured is not how long a sum takes."""
+    """Write a shader that repeats `lines`; it keeps four sums, so that the latency of one isn't measured."""
     return [
         f"class {name}(Buffers):",
         "    def compute(self) -> None:",
@@ -266,8 +287,8 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
             0, 32, count
         ).astype(np.uint32)
     even = rng.uniform(low, high, count)
-    most = max(abs(low), abs(high))
-    magnitude = np.exp(rng.uniform(np.log(low if low > 0 else most * 1e-6), np.log(most), count))
+    largest = max(abs(low), abs(high))
+    magnitude = np.exp(rng.uniform(np.log(low if low > 0 else largest * 1e-6), np.log(largest), count))
     turns = rng.integers(1, 640, count) * (np.pi / 2)
     close = np.where(rng.random(count) < 0.5, rng.choice(_ANCHORS, count), turns)
     close *= 1 + rng.choice((-1, 1), count) * np.exp(rng.uniform(np.log(1e-8), 0, count))
@@ -276,17 +297,17 @@ def _sample(kind: ScalarType, low: float, high: float, count: int, rng: np.rando
     return np.clip(values, np.float32(low), np.float32(high)).view(np.uint32)
 
 
-# -- how far off -------------------------------------------------------------------------------------------
+# -- errors ------------------------------------------------------------------------------------------------
 
 
 def count_units(probe: Probe, given: Array, results: Array) -> Array:
-    """How far results lie from the exact ones, (n, components) in units of the error bound.
+    """Return the errors of results, (n, components), in the units of the error bound.
 
-    A unit is one in the last place (ulp) of the exact float32; for a built-in that is made from others it is also
-    what one such unit in each argument makes of the result, if that is more: a sum of products can't do better. A
-    result or argument below 2^-126 may count as zero, as devices have it. What is not a number, or infinite, in only
-    one of the two is infinitely far; so is every difference between whole numbers or bools, which may be those that
-    float32 leads to: a pack rounds a product.
+    - A unit is one unit in the last place (ulp) of the exact float32. For a built-in that is made from others it is the
+      change of the result by one ulp in each argument, if that is more: a sum of products can't do better.
+    - Results and arguments below 2^-126 may count as zero, since devices may flush them.
+    - The error is infinite if only one of the two is NaN or infinite, and for different whole numbers or bools. These
+      may also equal the result of float32: a pack rounds a product.
     """
     if scalar_kind(probe.result) is not FLOAT:
         same = [results == probe.evaluate(given, dtype) for dtype in (np.float64, np.float32)]
@@ -299,11 +320,11 @@ def count_units(probe: Probe, given: Array, results: Array) -> Array:
 def _distance(probe: Probe, given: Array, results: Array) -> Array:
     with np.errstate(all="ignore"):
         exact, got = probe.evaluate(given, np.float64), results.astype(np.float64)
-        unit = np.spacing(np.clip(np.abs(exact), _LEAST, _MOST).astype(np.float32)).astype(np.float64)
+        unit = np.spacing(np.clip(np.abs(exact), _SMALLEST_NORMAL, _LARGEST).astype(np.float32)).astype(np.float64)
         if probe.error.of_arguments:
             unit = np.maximum(unit, _spread(probe, given, exact))
         off = np.abs(got - exact)
-        off = np.where(np.abs(exact) < _LEAST, np.minimum(off, np.abs(got)), off) / unit
+        off = np.where(np.abs(exact) < _SMALLEST_NORMAL, np.minimum(off, np.abs(got)), off) / unit
         rounded = exact.astype(np.float32)
         same = (rounded == got) | (np.isnan(exact) & np.isnan(got))
         return np.where(
@@ -314,7 +335,7 @@ def _distance(probe: Probe, given: Array, results: Array) -> Array:
 
 
 def _spread(probe: Probe, given: Array, exact: Array) -> Array:
-    """What a unit in the last place of each argument makes of the result, all together."""
+    """Return the change of the result by a unit in the last place of each argument, summed over the arguments."""
     total = np.zeros_like(exact)
     for column, kind in enumerate(probe.kinds):
         if kind is FLOAT:
@@ -328,40 +349,45 @@ def _spread(probe: Probe, given: Array, exact: Array) -> Array:
 
 
 def _flush(probe: Probe, given: Array) -> Array | None:
-    """Arguments with zeros for numbers below 2^-126; None if there are none."""
+    """Return the arguments with numbers below 2^-126 replaced by zeros; None if there are none."""
     floats = np.array([kind is FLOAT for kind in probe.kinds])
     small = floats & ((given & 0x7F800000) == 0) & ((given & 0x7FFFFFFF) != 0)
     return np.where(small, given & 0x80000000, given).astype(np.uint32) if small.any() else None
 
 
-def judge(probe: Probe, given: Array, results: Array, way: Way) -> Array:
-    """The most units of each row's components (n,), to be compared with `getattr(probe.error, way)`; 0 for rows of
-    which the bound says nothing: without a defined result, or out of its domain."""
+def worst_units(probe: Probe, given: Array, results: Array, bound: BoundName) -> Array:
+    """Return the largest error of each row's components, (n,), for comparison with `getattr(probe.error, bound)`.
+
+    It is 0 for rows that the bound doesn't cover: without a defined result, or outside the domain.
+    """
     error = probe.error
     units = count_units(probe, given, results)
-    if way == "glsl" and error.glsl_absolute:
+    if bound == "glsl" and error.glsl_absolute:
         with np.errstate(all="ignore"):
             off = np.abs(results - probe.evaluate(given, np.float64))
         units = np.where(off <= error.glsl_absolute, 0, units)
-    stated = probe.is_defined(given)
-    if error.of_arguments or way in ("glsl", "fast"):
-        stated &= probe.is_in_domain(given)
-    most: Array = np.where(stated, units.max(axis=1), 0.0)
-    return most
+    covered = probe.is_defined(given)
+    if error.of_arguments or bound in ("glsl", "fast"):
+        covered &= probe.is_in_domain(given)
+    worst: Array = np.where(covered, units.max(axis=1), 0.0)
+    return worst
 
 
-# -- all of them -------------------------------------------------------------------------------------------
+# -- all probes --------------------------------------------------------------------------------------------
 
 
 def all_probes() -> list[Probe]:
-    """Every operator, and every built-in that is a function of its arguments; of the sizes, one."""
+    """Return probes of all operators and of all built-ins that depend on their arguments alone, in one size each."""
     return [*operator_probes(), *itertools.chain.from_iterable(map(builtin_probes, BUILTINS.values()))]
 
 
 def builtin_probes(row: Builtin) -> Iterator[Probe]:
-    """A built-in on floats, ints and uints, as far as it takes them: scalars, else vectors or matrices of three."""
+    """Yield probes of a built-in for floats, ints and uints, as far as it accepts them.
+
+    Arguments are scalars, or where there is no such overload vectors or matrices of three.
+    """
     if row.effect is not Effect.NONE or len(row.stages) == 1 or row.name == "uniform":
-        return  # uniform gives its argument only where all lanes have the same
+        return  # uniform returns its argument only where all lanes have the same
     chosen: dict[tuple[ScalarType, ...], tuple[tuple[HostType, ...], HostType]] = {}
     for overload in row.overloads:
         types: tuple[Any, ...] = tuple(parameter.type for parameter in overload.parameters)
@@ -375,7 +401,7 @@ def builtin_probes(row: Builtin) -> Iterator[Probe]:
 
 
 def operator_probes() -> Iterator[Probe]:
-    """Each operator on floats, ints, uints and bools, as far as it takes them."""
+    """Yield probes of each operator for floats, ints, uints and bools, as far as it accepts them."""
     vector, matrix = VECTORS[FLOAT, 3], MATRICES[3]
     for name, error in OPERATORS.items():
         unary = name in ("neg", "~", "not")

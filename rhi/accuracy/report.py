@@ -1,10 +1,11 @@
-"""`python -m rhi shading accuracy`: how exact each built-in is on each backend of this machine, and what it costs.
+"""`python -m rhi shading accuracy`: the error and the time of each built-in on each backend of this machine.
 
-Each is called on the same sample (`rhi.accuracy.probes`, and `sample_probes` of textures) and compared with float64.
-Its time is the difference between a kernel that calls it many times and one that reads the same arguments and
-doesn't. Both alternate, and of each the shortest run counts: of a difference this small, what else the machine does
-would be most. What is left is the time of all cores for a call; of functions that hide behind the reading it is next
-to nothing.
+- Each built-in is called on the same sample (`rhi.accuracy.probes`, and `sample_probes` for textures) and compared with
+  float64.
+- Its time is the difference between a kernel that calls it many times and a kernel that only reads the same arguments.
+  The two alternate and the shortest run of each counts, since other load on the machine would exceed a difference this
+  small. The result is the time of a call with all cores busy; it is close to 0 for functions whose cost is hidden by
+  reading the arguments.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rhi
-from rhi.accuracy.probes import PASSES, WORK_GROUP, Probe, Way, all_probes, count_units, judge
+from rhi.accuracy.probes import PASSES, WORK_GROUP, BoundName, Probe, all_probes, count_units, worst_units
 from rhi.accuracy.sample_probes import SAMPLE_PROBES, SHADERS, TURNS, SampleProbe
 from rhi.device.device import Device
 from rhi.device.resources.programs import Program
@@ -39,7 +40,7 @@ Array = NDArray[Any]
 SAMPLES: Final = 1 << 16
 REPEATS: Final = 15
 LEAST_NANOSECONDS: Final = 0.01
-_WAYS: Final[dict[tuple[str, Precision], Way]] = {
+_BOUNDS: Final[dict[tuple[str, Precision], BoundName]] = {
     ("gl", Precision.EXACT): "glsl",
     ("cl", Precision.EXACT): "exact",
     ("cl", Precision.FAST): "fast",
@@ -48,17 +49,17 @@ _WAYS: Final[dict[tuple[str, Precision], Way]] = {
 
 
 @dataclass(frozen=True)
-class Row:
-    """A built-in or operator on a backend.
+class BuiltinAccuracy:
+    """The error and the time of a built-in or operator on a backend.
 
     Attributes:
         precision: "exact" or "fast" where a shader can choose, else "".
-        median_ulp, max_ulp: units over the sample, as `rhi.accuracy.probes.count_units` counts them; of textures'
-            samples those of 2^-23.
-        bound_ulp: most units that the table of built-ins states.
-        keeps: whether the whole sample is within that, OpenGL's absolute bounds included.
-        worst_input: the arguments that gave `max_ulp`.
-        nanoseconds: of a call, all cores at work.
+        median_ulp, max_ulp: errors over the sample in the units of `rhi.accuracy.probes.count_units`; of 2^-23 for
+            samples of textures.
+        bound_ulp: the error bound that the table of built-ins states.
+        keeps: whether the whole sample is within the bound, including OpenGL's absolute bounds.
+        worst_input: the arguments whose error is `max_ulp`.
+        nanoseconds: the time of a call with all cores busy.
     """
 
     builtin: str
@@ -72,15 +73,19 @@ class Row:
     nanoseconds: float
 
 
-def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")) -> Iterator[Row]:
-    """Rows of all built-ins and operators that are not exact everywhere, or of those named. Backends that don't work
-    here are left out."""
+def measure(
+    names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "numpy")
+) -> Iterator[BuiltinAccuracy]:
+    """Measure the named built-ins and operators, by default all that aren't exact everywhere.
+
+    Backends that don't work on this machine are left out, with a message.
+    """
     probes: list[Probe | SampleProbe] = []
     probes += [probe for probe in all_probes() if (probe.name in names if names else _is_inexact(probe))]
     probes += [probe for probe in SAMPLE_PROBES if probe.name in names or not names]
     for backend in backends:
         if backend == "numpy":
-            yield from (_row(probe, backend, Precision.EXACT, *_on_numpy(probe)) for probe in probes)
+            yield from (_accuracy_of(probe, backend, Precision.EXACT, *_on_numpy(probe)) for probe in probes)
             continue
         try:
             device = rhi.create_device(backend)
@@ -90,8 +95,8 @@ def measure(names: Sequence[str] = (), backends: Sequence[str] = ("gl", "cl", "n
         with device:
             for probe in probes:
                 for precision in Precision:
-                    if (backend, precision) in _WAYS:
-                        yield _row(probe, backend, precision, *_on_device(device, probe, precision))
+                    if (backend, precision) in _BOUNDS:
+                        yield _accuracy_of(probe, backend, precision, *_on_device(device, probe, precision))
 
 
 def _is_inexact(probe: Probe) -> bool:
@@ -101,19 +106,19 @@ def _is_inexact(probe: Probe) -> bool:
     )
 
 
-def _row(
+def _accuracy_of(
     probe: Probe | SampleProbe, backend: str, precision: Precision, given: Array, results: Array, seconds: float
-) -> Row:  # fmt: skip
-    way = _WAYS[backend, precision]
-    bound = getattr(probe.error, way)
+) -> BuiltinAccuracy:  # fmt: skip
+    name = _BOUNDS[backend, precision]
+    bound = getattr(probe.error, name)
     if isinstance(probe, SampleProbe):
         units = probe.count_units(given, results)
         keeps, columns = units <= bound, [given[:, :3]]
     else:
         units = count_units(probe, given, results).max(axis=1)
-        keeps, columns = judge(probe, given, results, way) <= bound, list(probe.columns(given).values())
+        keeps, columns = worst_units(probe, given, results, name) <= bound, list(probe.columns(given).values())
     worst = int(units.argmax())
-    return Row(
+    return BuiltinAccuracy(
         str(probe),
         backend,
         precision.value if backend == "cl" else "",
@@ -131,7 +136,7 @@ def _row(
 
 def _on_numpy(probe: Probe | SampleProbe) -> tuple[Array, Array, float]:
     given = probe.sample(SAMPLES)
-    (seconds,) = _least([lambda: probe.evaluate(given, np.float32)])
+    (seconds,) = _shortest_times([lambda: probe.evaluate(given, np.float32)])
     return given, probe.evaluate(given, np.float32), seconds
 
 
@@ -150,15 +155,15 @@ def _on_device(
     words = results.read().reshape(SAMPLES, size)
     sums = device.storage(uint, SAMPLES // TURNS)
     runs = []
-    for way in ("Often", "Idle"):
-        program: Program[Any] = device.program(probe.shader(way, precision))
+    for variant in ("Often", "Idle"):
+        program: Program[Any] = device.program(probe.shader(variant, precision))
 
         def run(program: Program[Any] = program) -> None:
             device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, given=buffer, results=sums)
             device.finish()
 
         runs.append(run)
-    often, idle = _least(runs)
+    often, idle = _shortest_times(runs)
     return given, probe.numbers(words), (often - idle) / PASSES
 
 
@@ -174,20 +179,21 @@ def _sample_on_device(
     ):
         for level, texels in enumerate(levels):
             image.write(texels, level)
-        once, often, idle = (device.program(shader) for shader in SHADERS[precision])
+        programs: list[Program[Any]] = [device.program(shader) for shader in SHADERS[precision]]
+        once, often, idle = programs
         device.dispatch(once, SAMPLES // WORK_GROUP, image=image, at=at, results=results)
-        taken = results.read()
+        once_results = results.read()
 
         def run(program: Program[Any]) -> None:
             device.dispatch(program, SAMPLES // TURNS // WORK_GROUP, image=image, at=at, results=results)
             device.finish()
 
-        sampled, read = _least([partial(run, often), partial(run, idle)])
-    return given, taken, sampled - read
+        sampled, read = _shortest_times([partial(run, often), partial(run, idle)])
+    return given, once_results, sampled - read
 
 
-def _least(runs: Sequence[Callable[[], object]]) -> list[float]:
-    """The fewest seconds of each, alternating; the first run, which builds, doesn't count."""
+def _shortest_times(runs: Sequence[Callable[[], object]]) -> list[float]:
+    """Return the shortest time of each function in seconds; they alternate, and the first run, a build, is dropped."""
     times: list[list[float]] = [[] for _ in runs]
     for _ in range(REPEATS + 1):
         for run, seconds in zip(runs, times, strict=True):
@@ -197,28 +203,30 @@ def _least(runs: Sequence[Callable[[], object]]) -> list[float]:
     return [min(seconds[1:]) for seconds in times]
 
 
-# -- what it prints ----------------------------------------------------------------------------------------
+# -- output ------------------------------------------------------------------------------------------------
 
 
-def write_table(rows: Sequence[Row]) -> str:
-    """Rows as a table in Markdown."""
+def write_table(rows: Sequence[BuiltinAccuracy]) -> str:
+    """Format measurements as a table in Markdown."""
     lines = ["| | backend | median ulp | max ulp | stated | worst at | ns |", "|---|---|---|---|---|---|---|"]
     for row in rows:
         worst = ", ".join(f"{number:.6g}" for number in row.worst_input[:4]) + (
             " …" if len(row.worst_input) > 4 else ""
         )
-        way = f"{row.backend} {row.precision}".strip()
+        backend = f"{row.backend} {row.precision}".strip()
         kept = "" if row.keeps else " **broken**"
         lines.append(
-            f"| `{row.builtin}` | {way} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | {row.bound_ulp:g}{kept} | {worst} "
-            f"| {row.nanoseconds:.2f} |"
+            f"| `{row.builtin}` | {backend} | {row.median_ulp:.2g} | {row.max_ulp:.3g} | {row.bound_ulp:g}{kept} "
+            f"| {worst} | {row.nanoseconds:.2f} |"
         )
     return "\n".join(lines)
 
 
-def plot(rows: Sequence[Row], path: str | Path) -> None:
-    """Error against time of the built-ins that have a FAST form, a point a row, those of a built-in joined. Needs
-    matplotlib."""
+def plot(rows: Sequence[BuiltinAccuracy], path: str | Path) -> None:
+    """Plot error against time of the built-ins that have a FAST form, a point per measurement; needs matplotlib.
+
+    An arrow leads from the EXACT to the FAST form of a built-in on OpenCL.
+    """
     from matplotlib.figure import Figure
 
     fast_names = {name for name, row in BUILTINS.items() if row.fast}
@@ -232,21 +240,21 @@ def plot(rows: Sequence[Row], path: str | Path) -> None:
         ("cl", "fast"): ("tab:red", "o", "OpenCL, FAST"),
     }
 
-    def point(row: Row) -> tuple[float, float]:
+    def point(row: BuiltinAccuracy) -> tuple[float, float]:
         return max(row.nanoseconds, LEAST_NANOSECONDS), max(row.max_ulp, 0.1)
 
     for number, name in enumerate(dict.fromkeys(row.builtin for row in shown)):
-        ways = {(row.backend, row.precision): point(row) for row in shown if row.builtin == name}
-        if ("cl", "exact") in ways and ("cl", "fast") in ways:
+        points = {(row.backend, row.precision): point(row) for row in shown if row.builtin == name}
+        if ("cl", "exact") in points and ("cl", "fast") in points:
             arrow = {"arrowstyle": "->", "color": "0.6", "shrinkA": 5, "shrinkB": 5}
-            axes.annotate("", ways["cl", "fast"], ways["cl", "exact"], arrowprops=arrow, zorder=2)
-        for at in ways.values():
-            text, place = name.partition("(")[0], (5, -9 if number % 2 else 4)
-            axes.annotate(text, at, place, textcoords="offset points", fontsize=7, color="0.3")
+            axes.annotate("", points["cl", "fast"], points["cl", "exact"], arrowprops=arrow, zorder=2)
+        for at in points.values():
+            text, offset = name.partition("(")[0], (5, -9 if number % 2 else 4)
+            axes.annotate(text, at, offset, textcoords="offset points", fontsize=7, color="0.3")
     for key, (color, marker, label) in styles.items():
-        points = [point(row) for row in shown if (row.backend, row.precision) == key]
-        if points:
-            axes.scatter(*zip(*points, strict=True), s=30, color=color, marker=marker, label=label, zorder=3)
+        drawn = [point(row) for row in shown if (row.backend, row.precision) == key]
+        if drawn:
+            axes.scatter(*zip(*drawn, strict=True), s=30, color=color, marker=marker, label=label, zorder=3)
     axes.set(xscale="log", yscale="log", ylabel="greatest error, units in the last place")
     hidden = f"{LEAST_NANOSECONDS} and less: hidden behind reading the arguments"
     axes.set_xlabel(f"nanoseconds a call, all cores ({hidden})")
@@ -256,7 +264,7 @@ def plot(rows: Sequence[Row], path: str | Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> int:
-    """`python -m rhi shading accuracy …`; 1 if a stated error is not kept."""
+    """Run `python -m rhi shading accuracy …`; returns 1 if an error exceeds its stated bound."""
     parser = argparse.ArgumentParser(
         prog="python -m rhi shading",
         epilog="examples:\n  python -m rhi shading accuracy --builtin pow --builtin exp\n"
@@ -267,9 +275,11 @@ def main(arguments: Sequence[str]) -> int:
     accuracy = commands.add_parser("accuracy", help="the error and the time of each built-in on each backend")
     accuracy.add_argument("--json", action="store_true", help="print one JSON object")
     accuracy.add_argument("--plot", metavar="F.png", help="draw error against time")
-    accuracy.add_argument("--builtin", action="append", default=[], metavar="NAME", help="only this one")
     accuracy.add_argument(
-        "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this one"
+        "--builtin", action="append", default=[], metavar="NAME", help="only this built-in; repeatable"
+    )
+    accuracy.add_argument(
+        "--backend", action="append", default=[], choices=("gl", "cl", "numpy"), help="only this backend; repeatable"
     )
     options = parser.parse_args(arguments)
     rows = []

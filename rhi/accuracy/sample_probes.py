@@ -1,7 +1,7 @@
-"""Texture samples as probes: where they are taken, what float64 makes of them, and shaders that take them.
+"""Probes of texture sampling: coordinates, reference results in float64, and shaders that sample.
 
-Samples lie anywhere in and around a small texture of random texels, at any of its levels and between them. Errors are
-counted in units of 2^-23, float32's step at 1, of values from 0 to 1.
+Samples lie anywhere in and around a small texture of random texels, at its mip levels and between them. Values are from
+0 to 1; errors are counted in units of 2^-23, the spacing of float32 at 1.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.accuracy.probes import WORK_GROUP, with_precision
 from rhi.contract.formats import Format
 from rhi.shading import HostTexture, Precision, Shader, Storage, StorageRW, Texture2D, global_id, vec4
 from rhi.shading.language.builtins import ErrorBound
@@ -21,15 +22,15 @@ __rhi_internal__ = True
 
 Array = NDArray[Any]
 
-WORK_GROUP: Final = 64
 TURNS: Final = 64
-"""How many samples an invocation takes where they are timed."""
+"""Number of samples per invocation in the timed shaders."""
 UNIT: Final = 2.0**-23
+"""The unit of errors."""
 _SIZE: Final = 64  # texels along an edge
 
 
 class Once(Shader):
-    """A sample for each invocation."""
+    """A shader that takes one sample per invocation."""
 
     work_group = (WORK_GROUP,)
     image: Texture2D
@@ -43,7 +44,7 @@ class Once(Shader):
 
 
 class Often(Once):
-    """The sum of `TURNS` samples for each."""
+    """A shader that sums `TURNS` samples per invocation."""
 
     def compute(self) -> None:
         row = global_id().x
@@ -55,7 +56,7 @@ class Often(Once):
 
 
 class Idle(Once):
-    """The same without samples: reading where they would be."""
+    """A shader that sums the coordinates of `TURNS` samples instead, to measure the time of reading them."""
 
     def compute(self) -> None:
         row = global_id().x
@@ -65,30 +66,15 @@ class Idle(Once):
         self.results[row] = total
 
 
-class FastOnce(Once):
-    """With shorter curves."""
-
-    precision = Precision.FAST
-
-
-class FastOften(Often):
-    """With shorter curves."""
-
-    precision = Precision.FAST
-
-
-class FastIdle(Idle):
-    """With shorter curves."""
-
-    precision = Precision.FAST
-
-
-SHADERS: Final = {Precision.EXACT: (Once, Often, Idle), Precision.FAST: (FastOnce, FastOften, FastIdle)}
+SHADERS: Final = {
+    precision: tuple(with_precision(shader, precision) for shader in (Once, Often, Idle)) for precision in Precision
+}
+"""`Once`, `Often` and `Idle` by their precision."""
 
 
 @dataclass(frozen=True, eq=False)
 class SampleProbe:
-    """Trilinear samples of a texture of this format; `error` in units as `count_units` counts them."""
+    """Trilinear samples of a texture of one format; `error` is in the units of `count_units`."""
 
     format: Format
     error: ErrorBound
@@ -100,7 +86,7 @@ class SampleProbe:
 
     @cached_property
     def texture(self) -> HostTexture:
-        """Random texels, all levels."""
+        """A texture of random texels with all mip levels."""
         rng, levels = np.random.default_rng(0), []
         for level in range(_SIZE.bit_length()):
             shape = (_SIZE >> level, _SIZE >> level, self.format.channels)
@@ -111,7 +97,7 @@ class SampleProbe:
         return HostTexture(levels, self.format)
 
     def sample(self, count: int) -> Array:
-        """(count, 4) float32: u, v and level, the last one unused. Every other sample is of a whole level."""
+        """Generate coordinates (count, 4) float32: u, v, level, and an unused one; every other level is whole."""
         rng = np.random.default_rng(1)
         given = np.zeros((count, 4), np.float32)
         given[:, :2] = rng.uniform(-1, 2, (count, 2))
@@ -120,17 +106,17 @@ class SampleProbe:
         return given
 
     def evaluate(self, given: Array, dtype: type[np.floating[Any]]) -> Array:
-        """(n, 4) samples on NumPy in float32 or float64."""
+        """Sample on NumPy in float32 or float64; returns (n, 4)."""
         u, v, lod, _ = given.T.astype(dtype)
         return np.stack(np.broadcast_arrays(*self.texture.sample(dtype, u, v, dtype(0), lod)), axis=1)
 
     def count_units(self, given: Array, results: Array) -> Array:
-        """(n,) how far the worst component of each sample lies from float64's."""
+        """Return the largest error of each sample's components, (n,), relative to float64."""
         worst: Array = np.abs(results - self.evaluate(given, np.float64)).max(axis=1)
         return worst / UNIT
 
 
-_WHOLE: Final = ErrorBound(glsl=32, exact=32, fast=32, numpy=32)  # of which the coordinates' own rounding is most
+_WHOLE: Final = ErrorBound(glsl=32, exact=32, fast=32, numpy=32)  # mostly the rounding of the coordinates
 _SRGB_CURVE: Final = 11_000  # within 1.3e-3, a third of a stored step
 
 SAMPLE_PROBES: Final = (

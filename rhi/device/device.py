@@ -412,7 +412,7 @@ class Device(Encoder):
 
     @timing.setter
     def timing(self, on: bool) -> None:
-        if on and not self.capabilities.timestamps:
+        if on and not self._core.capabilities.timestamps:
             self._core.refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
         self._timers.enabled = on
 

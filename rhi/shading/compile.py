@@ -209,32 +209,32 @@ class _StageEmitter:
     def _write_kernel(self, width: int) -> StageText:
         """Write the compute stage as an OpenCL C kernel for `width` lanes."""
         from rhi.shading.ir.lanes import Code
-        from rhi.shading.opencl.writer import write_kernel
+        from rhi.shading.opencl.writer import write_opencl_kernel
 
         entry, options = self._stages[Stage.COMPUTE].entry, self._options
         if f"opencl{width}" in entry.native:
             empty = Code(options.name, width, [], (), work_group=options.work_group)
-            return write_kernel(empty, self._bindings, self._precision, entry)
-        return write_kernel(self.lower_compute(width), self._bindings, self._precision)
+            return write_opencl_kernel(empty, self._bindings, self._precision, entry)
+        return write_opencl_kernel(self.lower_compute(width), self._bindings, self._precision)
 
     def _write_numpy(self) -> StageText:
         """Write the compute stage as a NumPy module."""
-        from rhi.shading.numpy.kernel import write_kernel
+        from rhi.shading.numpy.kernel import write_numpy_kernel
 
-        return StageText(write_kernel(self.lower_compute(0)))
+        return StageText(write_numpy_kernel(self.lower_compute(0)))
 
     def _write_function(self, stage: Stage) -> StageText:
         """Write a vertex or fragment stage as an OpenCL C function for 16 lanes."""
         from rhi.shading.lowering.bounds import bound_positions
         from rhi.shading.lowering.stages import lower_stage
-        from rhi.shading.opencl.stages import write_stage
+        from rhi.shading.opencl.stages import write_opencl_stage
 
         options = self._options
         code = lower_stage(
             self._stages[stage], options.name, options.interface, self._varyings, checked=self._checked
         )
         bounds = bound_positions(code) if stage is Stage.VERTEX else None
-        return write_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
+        return write_opencl_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
 
 
 def _entries(shader: type[Shader]) -> dict[Stage, Callee]:

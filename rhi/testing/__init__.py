@@ -2,10 +2,11 @@
 
     expect(device.stream).draws(program="Shadow").within("sun").exactly(1)
 
-- `expect` narrows a stream condition by condition and then says how many commands are left (`expectation`).
-- `watch` compares what a block of code asked for with what was issued after state caching (`work`).
-- `contents` is what a uniform or storage binding holds at a command (`contents`).
-- `why_nothing` lists what could keep a draw from showing (`nothing`).
+- `expect` filters a stream by conditions and then checks how many commands are left (`expectation`).
+- `watch` compares the work that a block of code requested with the work that was issued after state caching (`work`).
+- `contents` returns the numbers in a uniform or storage binding at a command (`contents`).
+- `why_nothing` lists possible reasons why a draw isn't visible (`nothing`).
+- `portability` checks a frame against the capabilities of other devices.
 - `plugin` is the pytest plugin: fixtures and the option `--rhi-backend`.
 """
 

@@ -1,5 +1,5 @@
-"""Conditions on a command. Each can say what it wants and what a command has instead, so that a failed
-expectation can show the commands that came nearest.
+"""Conditions on a command. Each describes itself and how a command misses it, so that a failed expectation can show
+the commands that come nearest.
 """
 
 from __future__ import annotations
@@ -14,24 +14,24 @@ from typing import Any, Protocol
 from rhi.commands.ops import DRAWS, Op
 from rhi.commands.stream import Command
 from rhi.commands.text import describe
-from rhi.contract.descriptors import Binding, Id, ProgramDescriptor
+from rhi.contract.descriptors import Id, ProgramDescriptor
 from rhi.contract.states import MAX_TARGETS, PER_TARGET
-from rhi.testing.contents import Follower, UnknownContentsError, compare
+from rhi.testing.contents import BufferTracker, UnknownContentsError, bindings_of, describe_differences
 
 
 class Condition(Protocol):
-    """Something that holds for a command or doesn't."""
+    """A condition that a command meets or misses."""
 
     def miss(self, command: Command) -> str:
-        """What is different about the command; empty if the condition holds."""
+        """Describe how the command misses the condition; return "" if it meets it."""
 
     def __str__(self) -> str:
-        """What is wanted."""
+        """Describe the condition."""
 
 
 @dataclass(frozen=True)
 class IsOp:
-    """The command is one of these."""
+    """The condition that the command is of one of these kinds."""
 
     ops: frozenset[Op]
 
@@ -44,7 +44,7 @@ class IsOp:
 
 @dataclass(frozen=True)
 class Within:
-    """The command lies in these labels, nested in this order, whatever lies between."""
+    """The condition that the command lies in these labels, nested in this order; other labels may lie between."""
 
     labels: tuple[str, ...]
 
@@ -59,8 +59,8 @@ class Within:
 
 
 @dataclass(frozen=True)
-class Arguments:
-    """The command's arguments equal these; `pytest.approx` gives a tolerance."""
+class HasArguments:
+    """The condition that the command has these arguments; `pytest.approx` gives a tolerance."""
 
     wanted: Mapping[str, object]
 
@@ -78,8 +78,8 @@ class Arguments:
 
 
 @dataclass(frozen=True)
-class Uses:
-    """The bound program is this one: by its object, its id, or its shader's name."""
+class UsesProgram:
+    """The condition that this program is bound, given as an object, an id, or the shader's name."""
 
     program: object
 
@@ -101,25 +101,25 @@ class Uses:
 
 @dataclass(frozen=True)
 class HasStates:
-    """These states hold; their numbers within a tolerance."""
+    """The condition that these states are set, their numbers within a tolerance."""
 
     states: tuple[object, ...]
     tolerance: float
 
     def miss(self, command: Command) -> str:
-        held = command.states
+        current = command.states
         wrong = [
             f"{type(state).__name__} is {describe(found)}"
             for state in self.states
-            for found in self._held(held, state)
+            for found in self._current(current, state)
             if not is_near(found, state, self.tolerance)
         ]
         return ", ".join(dict.fromkeys(wrong))
 
     @staticmethod
-    def _held(held: Mapping[type, object], state: object) -> Iterable[object]:
-        """What holds in place of `state`: one value, or those of the targets it is for."""
-        value: Any = held.get(type(state))
+    def _current(current: Mapping[type, object], state: object) -> Iterable[object]:
+        """Return the current values to compare with `state`: one, or one for each target that it applies to."""
+        value: Any = current.get(type(state))
         if type(state) not in PER_TARGET:
             return (value,)
         target = getattr(state, "target", None)
@@ -131,7 +131,7 @@ class HasStates:
 
 @dataclass(frozen=True)
 class HasBindings:
-    """The bound program reads these resources, by the names of its bindings."""
+    """The condition that these resources are bound, by the names of the program's bindings."""
 
     wanted: Mapping[str, object]
 
@@ -148,8 +148,11 @@ class HasBindings:
 
     @staticmethod
     def _fits(command: Command, bound: tuple[int, ...], wanted: Any) -> bool:
-        """A label or an id names a resource; a range must be the bound one, a whole buffer or texture only
-        the owner of what is bound."""
+        """Whether a binding refers to the wanted resource.
+
+        A label or an id names a resource. A range or view must be exactly the bound one; a whole buffer or texture
+        matches any part of it.
+        """
         resource = bound[0]
         if isinstance(wanted, str):
             return getattr(command.resource(resource), "label", None) == wanted
@@ -170,21 +173,22 @@ class HasBindings:
 
 @dataclass(frozen=True)
 class HasContents:
-    """A uniform or storage binding holds these numbers."""
+    """The condition that a uniform or storage binding contains these numbers."""
 
     binding: str
     wanted: Mapping[str, object]
     tolerance: float
-    followers: list[Follower] = dataclasses.field(default_factory=list, compare=False, repr=False)
+    trackers: list[BufferTracker] = dataclasses.field(default_factory=list, compare=False, repr=False)
+    """The tracker of the latest command's stream, if any; kept so that each command is applied once."""
 
     def miss(self, command: Command) -> str:
-        if not self.followers or self.followers[0].stream is not command.stream:
-            self.followers[:] = [Follower(command.stream)]
+        if not self.trackers or self.trackers[0].stream is not command.stream:
+            self.trackers[:] = [BufferTracker(command.stream)]
         try:
-            values = self.followers[0].read(command, self.binding)
+            values = self.trackers[0].read(command, self.binding)
         except UnknownContentsError as error:
             return str(error)
-        wrong = compare(values, self.wanted, self.tolerance)
+        wrong = describe_differences(values, self.wanted, self.tolerance)
         return f"of {self.binding}, {wrong}" if wrong else ""
 
     def __str__(self) -> str:
@@ -195,7 +199,7 @@ class HasContents:
 
 @dataclass(frozen=True)
 class Where:
-    """A predicate of one's own, with a name for messages."""
+    """A custom predicate, with a name for messages."""
 
     name: str
     predicate: Callable[[Command], bool]
@@ -208,7 +212,7 @@ class Where:
 
 
 def is_near(found: object, wanted: object, tolerance: float) -> bool:
-    """Equal, numbers within `tolerance`; the target of a per-target state is left out of account."""
+    """Whether two states are equal, their numbers within `tolerance`; the target of a per-target state is ignored."""
     if type(found) is not type(wanted):
         return False
     if isinstance(wanted, enum.Enum) or not dataclasses.is_dataclass(wanted):
@@ -228,20 +232,14 @@ def is_near(found: object, wanted: object, tolerance: float) -> bool:
     return True
 
 
-def bindings_of(command: Command) -> tuple[Binding, ...]:
-    """The bindings of the bound program."""
-    program = command.resource(command.program)
-    return program.bindings if isinstance(program, ProgramDescriptor) else ()
-
-
 def name_program(command: Command, program: Id) -> str:
-    """A program's name, "" if it isn't known."""
+    """Return the name of a program, "" if it isn't known."""
     descriptor = command.resource(program)
     return descriptor.name if isinstance(descriptor, ProgramDescriptor) else ""
 
 
 def describe_resource(command: Command, resource: Id) -> str:
-    """A resource in a message: its label or name if it has one, and its id."""
+    """Describe a resource for a message: its label or name if it has one, and its id."""
     descriptor = command.resource(resource)
     label = getattr(descriptor, "label", "") or getattr(descriptor, "name", "")
     return f"{label!r} (id {resource})" if label and isinstance(label, str) else f"id {resource}"

@@ -1,14 +1,14 @@
-"""What a uniform or storage binding holds at a command, as far as the commands before it say.
+"""The contents of uniform and storage bindings at a command, derived from the commands before it.
 
-Bytes are followed through creations (which give zeros), writes, copies and clears. What a program wrote isn't known,
-nor what lies in a buffer from before the stream: that is said, never guessed.
+Bytes are tracked through creations (which zero them), writes, copies and clears. Bytes that a program wrote, and bytes
+of buffers that are older than the stream, are unknown: reading them raises an error, they are never guessed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,25 +20,31 @@ from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
 from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Struct, value_type_of
 
-_EXECUTE = DRAWS | {Op.DISPATCH, Op.DISPATCH_INDIRECT}
-_RANGES = (BindingKind.UNIFORM, BindingKind.STORAGE)
+DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
+_RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
 
 
 class UnknownContentsError(Exception):
-    """The stream doesn't say what is there; the text says why."""
+    """The contents can't be derived from the stream; the message says why."""
 
 
 @dataclass(slots=True)
 class _Bytes:
-    """A buffer's bytes, and which of them are known."""
+    """The bytes of a buffer, and which of them are known."""
 
     data: NDArray[np.uint8]
     known: NDArray[np.bool_]
 
 
 @dataclass(slots=True)
-class Follower:
-    """Follows a stream's buffers, from command to command."""
+class BufferTracker:
+    """Tracks the contents of a stream's buffers from command to command.
+
+    Attributes:
+        done: number of commands that have been applied.
+        context: program and bindings after these commands.
+        buffers: contents of each buffer that the stream created, by id.
+    """
 
     stream: CommandStream
     done: int = 0
@@ -46,7 +52,7 @@ class Follower:
     buffers: dict[Id, _Bytes] = field(default_factory=dict)
 
     def advance(self, index: int) -> None:
-        """To where the commands before `index` are done."""
+        """Apply all commands before `index`, starting over if some of the later ones have been applied."""
         if index < self.done:
             self.done, self.context, self.buffers = 0, StreamContext(), {}
         for each in range(self.done, index):
@@ -69,15 +75,15 @@ class Follower:
             pattern = np.full(size // 4, value & 0xFFFFFFFF, "<u4").view(np.uint8)
             self._set(buffer, offset, pattern, True)
         elif op is Op.COPY_BUFFER and values[2] in buffers:
-            source, start, target, place, size = values
-            taken = buffers.get(source)
-            if taken is None:
-                self._set(target, place, np.zeros(size, np.uint8), False)
+            source, source_offset, target, target_offset, size = values
+            copied = buffers.get(source)
+            if copied is None:
+                self._set(target, target_offset, np.zeros(size, np.uint8), False)
             else:
-                part = slice(start, start + size)
-                self._set(target, place, taken.data[part].copy(), taken.known[part].copy())
-        elif op in _EXECUTE:
-            for binding in _bindings(self.context):
+                part = slice(source_offset, source_offset + size)
+                self._set(target, target_offset, copied.data[part].copy(), copied.known[part].copy())
+        elif op in DRAWS or op in DISPATCHES:
+            for binding in _program_bindings(self.context.resources.get(self.context.program)):
                 bound = self.context.slots.get((binding.kind, binding.slot))
                 if binding.kind is BindingKind.STORAGE and binding.writes and bound and bound[0] in buffers:
                     buffers[bound[0]].known[bound[1] : bound[1] + bound[2]] = False
@@ -88,10 +94,9 @@ class Follower:
         self.buffers[buffer].known[part] = known
 
     def read(self, command: Command, name: str) -> NDArray[Any]:
-        """As `contents`."""
+        """Return the contents of a binding at a command, see `contents`."""
         self.advance(command.index)
-        program = command.resource(command.program)
-        bindings = program.bindings if isinstance(program, ProgramDescriptor) else ()
+        bindings = bindings_of(command)
         binding = next((each for each in bindings if each.name == name and each.kind in _RANGES), None)
         if binding is None:
             names = ", ".join(each.name for each in bindings if each.kind in _RANGES) or "none"
@@ -101,33 +106,33 @@ class Follower:
         buffer, offset, size = command.bindings[name]
         if buffer not in self.buffers:
             raise UnknownContentsError(f"{name!r} lies in buffer {buffer}, which is older than the stream")
-        held, dtype = self.buffers[buffer], _dtype(binding)
+        content, dtype = self.buffers[buffer], _dtype(binding)
         size = dtype.itemsize if binding.kind is BindingKind.UNIFORM else size - size % dtype.itemsize
         part = slice(offset, offset + size)
-        if not held.known[part].all():
-            first = int(np.flatnonzero(~held.known[part])[0])
+        if not content.known[part].all():
+            first = int(np.flatnonzero(~content.known[part])[0])
             raise UnknownContentsError(f"byte {first} of {name!r} was written on the device")
         base, shape = dtype.subdtype or (dtype, ())
-        values = held.data[part].copy().view(base).reshape(-1, *shape)
+        values = content.data[part].copy().view(base).reshape(-1, *shape)
         return values[0] if binding.kind is BindingKind.UNIFORM else values
 
 
 def contents(command: Command, name: str) -> Any:
-    """What the program of a draw or dispatch reads as its uniform or storage binding `name`.
+    """Return the numbers that the program of a draw or dispatch reads from its uniform or storage binding `name`.
 
     Returns:
-        Of a uniform one value, of storage (n,) elements, of the struct's std140 or std430 dtype.
+        One value of the struct's std140 dtype for a uniform, an array (n,) of its std430 dtype for storage.
 
     Raises:
-        UnknownContentsError: there is no such binding, or the stream doesn't say what it holds.
+        UnknownContentsError: there is no such binding, or its contents can't be derived from the stream.
     """
-    return Follower(command.stream).read(command, name)
+    return BufferTracker(command.stream).read(command, name)
 
 
-def compare(values: Any, wanted: Mapping[str, object], tolerance: float) -> str:
-    """How parts of a value differ from what is wanted by more than `tolerance`; empty if they don't.
+def describe_differences(values: Any, wanted: Mapping[str, object], tolerance: float) -> str:
+    """Describe the parts of a value that differ from the wanted ones by more than `tolerance`; "" if none does.
 
-    Parts are named by a path of fields and indices: "color", "lights.0.color".
+    A path of fields and indices names a part: "color", "lights.0.color".
     """
     wrong = []
     for path, value in wanted.items():
@@ -145,7 +150,7 @@ def compare(values: Any, wanted: Mapping[str, object], tolerance: float) -> str:
 
 
 def as_fields(wanted: Mapping[str, object] | Struct) -> Mapping[str, object]:
-    """The fields of a struct's value by name, or the mapping itself."""
+    """Return the fields of a struct's value by name; a mapping is returned as it is."""
     if isinstance(wanted, Struct):
         return {each.name: getattr(wanted, each.name) for each in type(wanted).shading_type.fields}
     return wanted
@@ -157,8 +162,12 @@ def _part(values: Any, path: str) -> Any:
     return values
 
 
-def _bindings(context: StreamContext) -> tuple[Binding, ...]:
-    program = context.resources.get(context.program)
+def bindings_of(command: Command) -> tuple[Binding, ...]:
+    """Return the bindings of the program that is bound at a command; none if no program is."""
+    return _program_bindings(command.resource(command.program))
+
+
+def _program_bindings(program: object) -> tuple[Binding, ...]:
     return program.bindings if isinstance(program, ProgramDescriptor) else ()
 
 

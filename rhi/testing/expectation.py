@@ -1,9 +1,9 @@
-"""`expect(stream)`: conditions, then a verdict.
+"""`expect(stream)`: assertions on the commands that meet some conditions.
 
-- An `Expectation` is a set of conditions on commands. Methods that narrow it give a new one, so a common
-  beginning can be kept and used twice; `exactly`, `at_least`, `at_most`, `before` and `costs` judge.
-- A failure is an AssertionError that lists the matching commands and those that missed the fewest
-  conditions, with what each of them has instead and the line that issued it.
+- An `Expectation` is a set of conditions on commands. Methods that add a condition return a new expectation, so a
+  common beginning can be kept and used twice; `exactly`, `at_least`, `at_most`, `before` and `costs` assert.
+- A failure is an AssertionError that lists the matching commands and those that miss the fewest conditions, each with
+  how it misses them and the line that issued it.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from rhi.contract.states import State
 from rhi.device.device import Device
 from rhi.shading import Struct
 from rhi.testing.conditions import (
-    Arguments,
     Condition,
+    HasArguments,
     HasBindings,
     HasContents,
     HasStates,
     IsOp,
-    Uses,
+    UsesProgram,
     Where,
     Within,
 )
-from rhi.testing.contents import as_fields
-from rhi.testing.work import DISPATCHES, Counts, cost_of, count
+from rhi.testing.contents import DISPATCHES, as_fields
+from rhi.testing.work import Costs, cost_of, total_costs
 
 SHOWN: Final = 5
-"""Commands of each kind in a message."""
+"""Maximum number of commands in each list of a message."""
 
 
 def expect(commands: Commands | Device) -> Expectation:
-    """What is expected of these commands: a stream, a slice or `frames(stream)[i]`, or a device's stream."""
+    """Begin an expectation on a stream, a part of it such as `frames(stream)[i]`, or the stream of a device."""
     return Expectation(commands.stream if isinstance(commands, Device) else commands, ())
 
 
 def frames(commands: Commands | Device) -> list[Commands]:
-    """The commands frame by frame; each ends with its `present`. What follows the last one is left out."""
+    """Split commands into frames, each ending with its `present`; commands after the last `present` are left out."""
     whole = commands.stream if isinstance(commands, Device) else commands
     result, start = [], 0
     for end, command in enumerate(whole, 1):
@@ -53,7 +53,7 @@ def frames(commands: Commands | Device) -> list[Commands]:
 
 
 class Expectation:
-    """Some conditions, and the commands that they are put to."""
+    """Commands, and conditions that select some of them."""
 
     __slots__ = ("_commands", "_conditions")
 
@@ -66,69 +66,73 @@ class Expectation:
 
     __repr__ = __str__
 
-    # -- narrowing ---------------------------------------------------------------------------------------
+    # -- conditions ---------------------------------------------------------------------------------------
 
     def draws(self, *, program: object = None, **arguments: object) -> Expectation:
-        """Draws, indirect ones included, with these arguments of `Backend.draw` or `draw_indirect`.
+        """Select draws, indirect ones included, with these arguments of `Backend.draw` or `draw_indirect`.
 
         Args:
             program: the program, its id or its shader's name.
-            arguments: values to be equal; use `pytest.approx` for a tolerance.
+            arguments: values to compare for equality; use `pytest.approx` for a tolerance.
         """
         return self._work(DRAWS, program, arguments)
 
     def dispatches(self, *, program: object = None, **arguments: object) -> Expectation:
-        """Dispatches of compute programs, as `draws`."""
+        """Select dispatches of compute programs; arguments as for `draws`."""
         return self._work(DISPATCHES, program, arguments)
 
     def commands(self, *ops: Op, **arguments: object) -> Expectation:
-        """Commands of these kinds (none given: of all kinds) with these arguments."""
+        """Select commands of these kinds (default: all kinds) with these arguments."""
         narrowed = self._and(IsOp(frozenset(ops))) if ops else self
-        return narrowed._and(Arguments(arguments)) if arguments else narrowed
+        return narrowed._and(HasArguments(arguments)) if arguments else narrowed
 
     def within(self, *labels: str) -> Expectation:
-        """Inside these labels, nested in this order; others may lie between and around."""
+        """Select commands inside these labels, nested in this order; other labels may lie between and around them."""
         return self._and(Within(labels))
 
     def with_states(self, *states: State, tolerance: float = 0.0) -> Expectation:
-        """While these states hold; `tolerance` is the most by which their numbers may differ."""
+        """Select commands issued while these states are set, their numbers within `tolerance`."""
         return self._and(HasStates(states, tolerance))
 
     def with_bindings(self, **resources: object) -> Expectation:
-        """While the program's bindings are these resources: objects as they are given to `device.draw`, a
-        buffer or texture of which any part will do, a label, or an id."""
+        """Select commands while these resources are bound.
+
+        Args:
+            resources: by the names of the program's bindings an object as passed to `device.draw`, a buffer or texture
+                any part of which matches, a label, or an id.
+        """
         return self._and(HasBindings(resources))
 
     def with_contents(
         self, binding: str, wanted: Mapping[str, object] | Struct, *, tolerance: float = 0.0
     ) -> Expectation:
-        """While a uniform or storage binding of the program holds these numbers.
+        """Select commands while a uniform or storage binding of the program contains these numbers.
 
         Args:
-            wanted: a value of the struct, or numbers by their names: `{"color": (1, 0, 0, 1)}`; in arrays and
-                nested structs by a path, `{"lights.0.color": …}`.
-            tolerance: by how much each number may differ.
+            wanted: a value of the struct, or numbers by name: `{"color": (1, 0, 0, 1)}`; in arrays and nested structs
+                by path, `{"lights.0.color": …}`.
+            tolerance: the maximum difference of each number.
 
-        What the stream doesn't say (written on the device, or before the stream) doesn't match; the message says so.
+        Unknown contents (written on the device, or before the stream) don't match; the message says so.
         """
         return self._and(HasContents(binding, as_fields(wanted), tolerance))
 
     def where(self, name: str, predicate: object) -> Expectation:
-        """For which `predicate(command)` is true; `name` stands for it in messages."""
+        """Select commands for which `predicate(command)` is true; `name` stands for it in messages."""
         assert callable(predicate)
         return self._and(Where(name, predicate))
 
     def _work(self, ops: Collection[Op], program: object, arguments: dict[str, object]) -> Expectation:
         narrowed = self.commands(*ops, **arguments)
-        return narrowed if program is None else narrowed._and(Uses(program))
+        return narrowed if program is None else narrowed._and(UsesProgram(program))
 
     def _and(self, condition: Condition) -> Expectation:
         return Expectation(self._commands, (*self._conditions, condition))
 
-    # -- verdicts ----------------------------------------------------------------------------------------
+    # -- assertions ----------------------------------------------------------------------------------------
 
     def matches(self) -> Commands:
-        """The commands that meet all conditions."""
+        """Return the commands that meet all conditions."""
         found = self._commands
         for condition in self._conditions:
             found = found.filter(condition.ops) if isinstance(condition, IsOp) else found.filter(
@@ -137,19 +141,19 @@ class Expectation:
         return found
 
     def exactly(self, number: int) -> Commands:
-        """There are so many; returns them."""
-        return self._judge(f"exactly {number}", number, number)
+        """Assert that exactly `number` commands match, and return them."""
+        return self._assert_number(f"exactly {number}", number, number)
 
     def at_least(self, number: int) -> Commands:
-        """There are so many or more; returns them."""
-        return self._judge(f"at least {number}", number, None)
+        """Assert that `number` or more commands match, and return them."""
+        return self._assert_number(f"at least {number}", number, None)
 
     def at_most(self, number: int) -> Commands:
-        """There are so many or fewer; returns them."""
-        return self._judge(f"at most {number}", 0, number)
+        """Assert that `number` or fewer commands match, and return them."""
+        return self._assert_number(f"at most {number}", 0, number)
 
     def before(self, other: Expectation) -> None:
-        """The last of these comes before the first of the others, and there are some of both."""
+        """Assert that all matching commands precede all of `other`, and that both match some."""
         first, second = self.at_least(1), other.at_least(1)
         last, next_one = first[-1], second[0]
         if last.index > next_one.index:
@@ -167,8 +171,8 @@ class Expectation:
         max_hardware_state_changes: int | None = None,
         max_upload_bytes: int | None = None,
         max_creations: int | None = None,
-    ) -> Counts:
-        """A budget for the commands: none of these numbers is exceeded. Returns what they come to.
+    ) -> Costs:
+        """Assert that the costs of the matching commands are within a budget, and return the costs.
 
         For a frame, `expect(frames(stream)[1]).costs(…)`; for a label, `expect(stream).within("sun").costs(…)`.
         """
@@ -180,19 +184,19 @@ class Expectation:
             "creations": max_creations,
         }
         found = self.matches()
-        counts = count(found)
-        over = []
+        counts = total_costs(found)
+        exceeded = []
         for name, most in budget.items():
             spent = getattr(counts, name)
             if most is not None and spent > most:
-                over.append(f"{name.replace('_', ' ')}: {spent:,}, allowed {most:,}\n{_spenders(found, name)}")
-        if over:
-            fail(f"{self} go over budget", *over)
+                exceeded.append(f"{name.replace('_', ' ')}: {spent:,}, allowed {most:,}\n{_show_spending(found, name)}")
+        if exceeded:
+            fail(f"{self} exceed the budget", *exceeded)
         return counts
 
-    def _judge(self, wanted: str, least: int, most: int | None) -> Commands:
+    def _assert_number(self, wanted: str, minimum: int, maximum: int | None) -> Commands:
         found = self.matches()
-        if len(found) < least or (most is not None and len(found) > most):
+        if len(found) < minimum or (maximum is not None and len(found) > maximum):
             fail(
                 f"expected {wanted}: {self}\nfound {len(found)} among {len(self._commands)} commands",
                 show_commands("matching", found),
@@ -201,7 +205,7 @@ class Expectation:
         return found
 
     def _show_nearest(self, found: Commands) -> str:
-        """The commands of the right kind that missed the fewest conditions."""
+        """Show the commands of the right kind that miss the fewest conditions."""
         matching = set(found.indices())
         kinds = [condition for condition in self._conditions if isinstance(condition, IsOp)]
         others = [condition for condition in self._conditions if condition not in kinds]
@@ -224,12 +228,12 @@ class Expectation:
 
 
 def show_command(command: Command) -> str:
-    """A command's line in a message."""
+    """Return the line of a message that shows a command."""
     return f"  {command.index:>6}  {command}"
 
 
 def show_commands(title: str, commands: Collection[Command]) -> str:
-    """Some lines under a title; nothing if there are no commands."""
+    """Return a titled list of commands for a message; "" if there are none."""
     if not len(commands):
         return ""
     lines = [show_command(command) for command in list(commands)[:SHOWN]]
@@ -239,13 +243,13 @@ def show_commands(title: str, commands: Collection[Command]) -> str:
 
 
 def fail(*parts: str) -> NoReturn:
-    """Raise an AssertionError of these parts."""
+    """Raise an AssertionError whose message is made of these parts, empty ones left out."""
     __tracebackhide__ = True
     raise AssertionError("\n".join(part for part in parts if part))
 
 
-def _spenders(commands: Commands, name: str) -> str:
-    """The lines that a cost came from, the most expensive ones first."""
+def _show_spending(commands: Commands, name: str) -> str:
+    """Show the lines of the program that caused a cost, the most expensive ones first."""
     by_line: Counter[str] = Counter()
     for command in commands:
         cost = getattr(cost_of(command), name)

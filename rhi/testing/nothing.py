@@ -1,7 +1,7 @@
-"""`why_nothing(draw)`: what could keep a recorded draw from showing.
+"""`why_nothing(draw)`: possible causes for a recorded draw not being visible.
 
-- Only what the commands say is looked at: no shader is run. So a cause is either *certain*, if nothing can
-  have come of the draw (an empty scissor), or a suspicion worth a look (back faces are culled).
+- Only the recorded commands are examined; no shader runs. So a cause is either *certain*, if the draw can't have
+  had any effect (an empty scissor), or *possible* and worth checking (back faces are culled).
 - Certain causes come first.
 """
 
@@ -39,9 +39,10 @@ from rhi.contract.states import (
     StencilTest,
     Viewport,
 )
-from rhi.testing.conditions import bindings_of, describe_resource
+from rhi.testing.conditions import describe_resource
+from rhi.testing.contents import DISPATCHES, bindings_of
 
-_LEAST: Final = {
+_MIN_VERTICES: Final = {
     Primitive.POINTS: 1,
     Primitive.LINES: 2,
     Primitive.LINE_STRIP: 2,
@@ -51,14 +52,18 @@ _LEAST: Final = {
     Primitive.QUADS: 4,
 }
 _FACES: Final = frozenset(Primitive) - {Primitive.POINTS, Primitive.LINES, Primitive.LINE_STRIP}
-_FILLS: Final = frozenset({
-    Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER, Op.DISPATCH, Op.DISPATCH_INDIRECT,
-})  # fmt: skip
+_FILLS: Final = DISPATCHES | {Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER}
 
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Something that could hide a draw: `what` names the thing (a state type, an argument), `text` tells it."""
+    """A cause that could hide a draw.
+
+    Attributes:
+        what: the name of the state type, argument or binding that is responsible.
+        text: the cause in a sentence.
+        certain: whether it hides the draw for sure.
+    """
 
     what: str
     text: str
@@ -69,13 +74,13 @@ class Cause:
 
 
 def why_nothing(draw: Command) -> list[Cause]:
-    """What could keep `draw` from showing, certain causes first; empty if nothing was found.
+    """List the causes that could keep `draw` from being visible, certain ones first; empty if none was found.
 
     Raises:
         AssertionError: the command isn't a draw.
-        ValidationError: `command-cleared` if its stream was cleared since.
+        ValidationError: `command-cleared` if the stream has been cleared since the draw.
     """
-    assert draw.op in DRAWS, f"a {draw.op.method} is no draw"
+    assert draw.op in DRAWS, f"a {draw.op.method} is not a draw"
     causes = [*_call(draw), *_coverage(draw), *_tests(draw), *_writes(draw), *_memory(draw), *_afterwards(draw)]
     return sorted(causes, key=lambda cause: not cause.certain)
 
@@ -84,35 +89,35 @@ def _certain(what: str, text: str) -> Cause:
     return Cause(what, text, True)
 
 
-def _perhaps(what: str, text: str) -> Cause:
+def _possible(what: str, text: str) -> Cause:
     return Cause(what, text, False)
 
 
 def _call(draw: Command) -> Iterator[Cause]:
-    """The call itself."""
+    """Yield causes in the arguments of the call."""
     if draw.failure is not None:
         yield _certain("failure", f"the call failed: {draw.failure.message.splitlines()[0]}")
     if draw.render_pass is None:
-        yield _certain("pass", "it lies in no render pass")
+        yield _certain("pass", "it isn't in a render pass")
     if draw.op is Op.DRAW:
-        least = _LEAST[draw["primitive"]]
-        if draw["count"] < least:
+        minimum = _MIN_VERTICES[draw["primitive"]]
+        if draw["count"] < minimum:
             yield _certain(
-                "count", f"count={draw['count']} is too few for {draw['primitive'].name}, which need {least}"
+                "count", f"count={draw['count']} is too few for {draw['primitive'].name}, which need {minimum}"
             )
         if draw["instances"] == 0:
-            yield _certain("instances", "instances=0 draws none")
+            yield _certain("instances", "instances=0 draws nothing")
     else:
         if draw["draws"] == 0:
-            yield _certain("draws", "draws=0 draws none")
+            yield _certain("draws", "draws=0 draws nothing")
         if draw["count_buffer"]:
-            yield _perhaps("count_buffer", "the number of draws comes from a buffer and may be 0")
+            yield _possible("count_buffer", "the number of draws comes from a buffer and may be 0")
     if _inside(draw, Op.BEGIN_CONDITIONAL, Op.END_CONDITIONAL):
-        yield _perhaps("conditional", "it is drawn under a condition: the query may have counted nothing")
+        yield _possible("conditional", "it is rendered conditionally: the query may have counted no samples")
 
 
 def _coverage(draw: Command) -> Iterator[Cause]:
-    """Where it may land."""
+    """Yield causes in scissor, viewport and culling."""
     target, states = draw.render_pass, draw.states
     scissor: Any = states[Scissor]
     viewport: Any = states[Viewport]
@@ -130,48 +135,48 @@ def _coverage(draw: Command) -> Iterator[Cause]:
     mode = states[CullMode]
     if mode is not CullMode.NONE and draw["primitive"] in _FACES:
         side = "back" if mode is CullMode.BACK else "front"
-        yield _perhaps("CullMode", f"{side} faces are culled; its triangles may be wound the other way")
+        yield _possible("CullMode", f"{side} faces are culled; its triangles may be wound the other way")
 
 
 def _tests(draw: Command) -> Iterator[Cause]:
-    """What may reject its fragments."""
+    """Yield causes in the fragment tests."""
     target, states = draw.render_pass, draw.states
     depth = target.depth if target is not None else None
     if depth is not None and states[DepthTest] is DepthTest.ON:
         function = states[DepthFunction]
         if function is DepthFunction.NEVER:
-            yield _certain("DepthFunction", "DepthFunction.NEVER lets nothing pass")
+            yield _certain("DepthFunction", "DepthFunction.NEVER rejects all fragments")
         elif depth.clear is not None and (function, depth.clear) in (
             (DepthFunction.GREATER, 1.0), (DepthFunction.LESS, 0.0),
         ):  # fmt: skip
             yield _certain(
                 "DepthFunction",
-                f"depth was cleared to {depth.clear:g}, and {function!s} lets nothing pass there "
+                f"depth was cleared to {depth.clear:g}, and {function!s} rejects all fragments there "
                 "(reversed depth is cleared to 0 and tested with GREATER)",
             )
         elif function is DepthFunction.EQUAL and not _drawn_before(draw):
-            yield _perhaps("DepthFunction", "it tests for EQUAL depth, but nothing was drawn before in this pass")
+            yield _possible("DepthFunction", "it tests for EQUAL depth, but it is the first draw of this pass")
         elif function is not DepthFunction.ALWAYS:
-            yield _perhaps("DepthFunction", f"it may lie behind what is there ({function!s})")
+            yield _possible("DepthFunction", f"it may be hidden by earlier draws ({function!s})")
     if states[StencilTest] is StencilTest.ON and depth is not None:
         front: Any = states[StencilFront]
         back: Any = states[StencilBack]
         if front.function is Comparison.NEVER and back.function is Comparison.NEVER:
             yield _certain("StencilFront", "the stencil test never passes")
         elif front.function is not Comparison.ALWAYS or back.function is not Comparison.ALWAYS:
-            yield _perhaps("StencilTest", "the stencil test may reject it")
+            yield _possible("StencilTest", "the stencil test may reject it")
     if states[AlphaTest] is AlphaTest.ON:
         if states[AlphaFunction] is AlphaFunction.NEVER:
-            yield _certain("AlphaFunction", "AlphaFunction.NEVER lets nothing pass")
+            yield _certain("AlphaFunction", "AlphaFunction.NEVER rejects all fragments")
         else:
-            yield _perhaps("AlphaTest", "the alpha test may reject it")
+            yield _possible("AlphaTest", "the alpha test may reject it")
     program = draw.resource(draw.program)
     if isinstance(program, ProgramDescriptor) and program.discards:
-        yield _perhaps("discard", f"program {program.name!r} may discard its fragments")
+        yield _possible("discard", f"program {program.name!r} may discard its fragments")
 
 
 def _writes(draw: Command) -> Iterator[Cause]:
-    """Whether anything of it is kept."""
+    """Yield causes in write masks, blending and depth writes."""
     target, states = draw.render_pass, draw.states
     if target is None:
         return
@@ -181,7 +186,7 @@ def _writes(draw: Command) -> Iterator[Cause]:
     program = draw.resource(draw.program)
     if isinstance(program, ProgramDescriptor):
         if program.writes_memory:
-            return  # it shows elsewhere
+            return  # its result may be in memory
         if Stage.FRAGMENT not in program.stages and count:
             yield _certain("fragment stage", f"program {program.name!r} has no fragment stage, so no color is written")
             count = 0
@@ -199,7 +204,7 @@ def _writes(draw: Command) -> Iterator[Cause]:
     if keeping:
         yield Cause(
             "BlendFunction",
-            f"blending keeps what is in target {', '.join(map(str, keeping))}",
+            f"blending keeps the old color of target {', '.join(map(str, keeping))}",
             keeping == open_targets and not writes_depth,
         )
     if not target.colors and not writes_depth:
@@ -207,7 +212,7 @@ def _writes(draw: Command) -> Iterator[Cause]:
 
 
 def _memory(draw: Command) -> Iterator[Cause]:
-    """Memory that nobody has written: zeros."""
+    """Yield causes in memory that was never written, and so is zero."""
     created: dict[int, Command] = {}
     written: set[int] = set()
     for command in _before(draw):
@@ -228,15 +233,15 @@ def _memory(draw: Command) -> Iterator[Cause]:
         if value is None:
             yield _certain(binding.name, f"nothing is bound as {binding.name}")
         elif binding.kind in (BindingKind.UNIFORM, BindingKind.STORAGE) and value[0] in unwritten:
-            yield _perhaps(
+            yield _possible(
                 binding.name,
-                f"{binding.name} reads {describe_resource(draw, value[0])}, which nobody has written: zeros",
+                f"{binding.name} reads {describe_resource(draw, value[0])}, which was never written: zeros",
             )
     vertex_array: Any = draw.resource(draw["vertex_array"])
     for stream in getattr(vertex_array, "streams", ()):
         if stream.buffer in unwritten:
-            yield _perhaps(
-                "vertices", f"its vertices in {describe_resource(draw, stream.buffer)} were never written: zeros"
+            yield _possible(
+                "vertices", f"the vertices in {describe_resource(draw, stream.buffer)} were never written: zeros"
             )
     arguments = draw["buffer"] if draw.op is Op.DRAW_INDIRECT else 0
     descriptor = draw.resource(arguments)
@@ -245,16 +250,16 @@ def _memory(draw: Command) -> Iterator[Cause]:
 
 
 def _afterwards(draw: Command) -> Iterator[Cause]:
-    """What wiped it away."""
+    """Yield later passes that clear the target before it is read."""
     target = draw.render_pass
     if target is None:
         return
-    mine = {(color.texture, color.level, color.layer) for color in target.colors}
+    targets = {(color.texture, color.level, color.layer) for color in target.colors}
     stream: CommandStream = draw._stream
     for command in stream[draw.index + 1 :]:
         if command.op is Op.BEGIN_PASS and command.failure is None:
             for color in command["descriptor"].colors:
-                if color.clear is not None and (color.texture, color.level, color.layer) in mine:
+                if color.clear is not None and (color.texture, color.level, color.layer) in targets:
                     yield _certain(
                         "clear",
                         f"{describe_resource(draw, color.texture)} is cleared again by a later pass, at {command.site}",
@@ -262,8 +267,8 @@ def _afterwards(draw: Command) -> Iterator[Cause]:
                     return
         values = command.arguments
         reads = [values.get("source"), values.get("texture")]
-        if any(texture in {place[0] for place in mine} for texture in reads):
-            return  # somebody has used it in time
+        if any(texture in {target[0] for target in targets} for texture in reads):
+            return  # the target was read before it was cleared
 
 
 # -- helpers -------------------------------------------------------------------------------------------------
@@ -283,7 +288,7 @@ def _inside(draw: Command, begin: Op, end: Op) -> bool:
 
 
 def _drawn_before(draw: Command) -> bool:
-    """Whether the pass that the draw lies in has draws before it."""
+    """Whether earlier draws of the same pass precede the draw."""
     drawn = False
     for command in _before(draw):
         if command.op is Op.BEGIN_PASS:

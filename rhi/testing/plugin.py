@@ -1,8 +1,8 @@
 """The pytest plugin: fixtures for tests of code that uses `rhi`, and the option `--rhi-backend`.
 
-- `null_device`: a null device. `command_stream`: its commands, from when the fixture is asked for.
-- `rhi_device`: a device on each backend that `--rhi-backend` names (default: `RHI_BACKEND`, else null), so
-  the same test runs without a GPU and, where there is one, with it. Its commands are recorded.
+- `null_device`: a null device. `command_stream`: the commands of that device.
+- `rhi_device`: a recording device on each backend that `--rhi-backend` names (default: `RHI_BACKEND`, else null), so
+  that the same test runs without a GPU and, where there is one, with it.
 """
 
 from __future__ import annotations
@@ -29,32 +29,32 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def get_backend_names(config: pytest.Config, default: str) -> list[str]:
-    """The backends to run on, each once."""
+    """Return the names of the backends to run on, without duplicates."""
     names = config.getoption(OPTION) or [os.environ.get("RHI_BACKEND") or default]
     return list(dict.fromkeys(names))
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Tests that take `rhi_device` run once per backend."""
+    """Run each test that takes `rhi_device` once per backend."""
     if "rhi_device" in metafunc.fixturenames:
         metafunc.parametrize("rhi_device", get_backend_names(metafunc.config, "null"), indirect=True)
 
 
 @pytest.fixture
 def null_device() -> Iterator[Device]:
-    """A null device of the test's own."""
+    """A null device for one test."""
     with create_device("null") as device:
         yield device
 
 
 @pytest.fixture
 def rhi_device(request: pytest.FixtureRequest) -> Iterator[Device]:
-    """A recording device of the test's own, on each backend asked for."""
+    """A recording device for one test, on each of the requested backends."""
     with create_device(request.param, record=True) as device:
         yield device
 
 
 @pytest.fixture
 def command_stream(null_device: Device) -> CommandStream:
-    """The commands of `null_device`."""
+    """The command stream of `null_device`."""
     return null_device.stream

@@ -1,36 +1,35 @@
-"""Would this frame run elsewhere? One frame against many devices, none of which is there.
+"""Checks one frame against the capabilities of many devices, none of which has to be present.
 
-A frame is a function of a device. It runs on null devices that pretend to be others (`rhi.backends.null.capabilities`),
-on each until nothing stops it any more: the call that was refused is noted, the capability that stopped it is granted
-to this one line of the program, and the frame runs again. So every line is found that the device would refuse, each
-with what it lacks; and a frame that asks `device.capabilities` and adapts is judged by what it then does, since all
-other lines see the device as it is.
+- A frame is a function of a device. It runs on null devices with the profiles of other devices
+  (`rhi.backends.null.capabilities`), on each profile until nothing refuses it any more: the refused call is noted, the
+  capability that it lacks is granted, and the frame runs again.
+- `device.capabilities` reports the plain profile in every run, whatever was granted. So a frame that reads it and
+  adapts is judged by what it would do on that device.
+- A capability is granted to the whole device. So each capability is reported once, at the first call that lacks it;
+  later calls that lack the same capability show when that call has been changed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from dataclasses import dataclass, fields, replace
 
+from rhi.backends.null import NullBackend
 from rhi.backends.null.capabilities import PROFILES, find_profile
+from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Capabilities
 from rhi.device.device import Device
-from rhi.device.registry import create_device
-from rhi.errors import RhiError, find_user_frame
+from rhi.errors import RhiError
 
 __rhi_internal__ = True
-
-Line: TypeAlias = tuple[str, int]
-Grants: TypeAlias = frozenset[tuple[Line, str]]
 
 
 @dataclass(frozen=True)
 class Obstacle:
-    """A call that stops a frame on a device.
+    """A call that a device with a given profile refuses.
 
     Attributes:
-        capability: the field of `Capabilities` without which it is refused.
+        capability: the field of `Capabilities` that the call lacks.
         error: the refusal, with rule, call, given, allowed and the user's line.
     """
 
@@ -46,14 +45,18 @@ class Obstacle:
 
 @dataclass(frozen=True)
 class Portability:
-    """By profile, what stops the frame there, in the order in which it is met: once for each line of the program and
-    capability. Prints as a table."""
+    """The result of `check_portability`; it prints as a table.
+
+    Attributes:
+        obstacles: for each profile the refused calls, in the order in which the frame reaches them. A capability
+            appears at most once, at the first call that lacks it.
+    """
 
     obstacles: Mapping[str, tuple[Obstacle, ...]]
 
     @property
     def runs_on(self) -> list[str]:
-        """The profiles on which nothing stops it."""
+        """The names of the profiles that refuse nothing."""
         return [name for name, found in self.obstacles.items() if not found]
 
     def __str__(self) -> str:
@@ -67,14 +70,16 @@ class Portability:
 def check_portability(
     frame: Callable[[Device], object], profiles: Mapping[str, Capabilities] = PROFILES
 ) -> Portability:
-    """Run `frame` against all profiles and say which calls would be refused where.
+    """Run `frame` against all profiles and report which calls each of them would refuse.
 
-    It is called several times, each with a new device. What it does may depend on the device only.
+    The frame is called several times, each time with a new device. It may depend on nothing but the device.
 
     Raises:
-        RhiError: what the frame breaks on a device that can do everything.
+        RhiError: the frame breaks a rule on a device that can do everything, or a profile refuses a call for a
+            reason that no single capability removes.
     """
-    error = _run(frame, find_profile("everything"), frozenset())
+    everything = find_profile("everything")
+    error = _run(frame, reported=everything, enforced=everything)
     if error is not None:
         raise error
     return Portability(
@@ -84,67 +89,56 @@ def check_portability(
 
 def _find_obstacles(frame: Callable[[Device], object], profile: Capabilities) -> tuple[Obstacle, ...]:
     found = []
+    enforced = profile
+    while (error := _run(frame, profile, enforced)) is not None:
+        granted = _find_missing(frame, profile, enforced, error)
+        if granted is None:
+            raise error
+        name, enforced = granted
+        found.append(Obstacle(name, error))
+    return tuple(found)
+
+
+def _find_missing(
+    frame: Callable[[Device], object], profile: Capabilities, enforced: Capabilities, error: RhiError
+) -> tuple[str, Capabilities] | None:
+    """Return the name of the one capability without which `error` occurs, and `enforced` with it granted."""
     everything = find_profile("everything")
     lacking = [
         field.name for field in fields(Capabilities)
         if field.name not in ("backend", "device", "driver")
-        and getattr(profile, field.name) != getattr(everything, field.name)
+        and getattr(enforced, field.name) != getattr(everything, field.name)
     ]  # fmt: skip
-    grants: Grants = frozenset()
-    while (error := _run(frame, profile, grants)) is not None:
-        if error.site is None:
-            raise error
-        line = error.site.file, error.site.line
-        allowed = error.allowed  # most messages name their capability: that one is tried first
-        for name in sorted(lacking, key=allowed.find, reverse=True):
-            more = grants | {(line, name)}
-            if more != grants and not _is_same(error, _run(frame, profile, more)):
-                break
-        else:
-            raise error  # not a matter of one capability
-        found.append(Obstacle(name, error))
-        grants = more
-    return tuple(found)
+    # Most messages name their capability: the ones that the message names are tried first.
+    for name in sorted(lacking, key=error.allowed.find, reverse=True):
+        more = replace(enforced, **{name: getattr(everything, name)})
+        if not _is_same(error, _run(frame, profile, more)):
+            return name, more
+    return None
 
 
 def _is_same(error: RhiError, other: RhiError | None) -> bool:
     return other is not None and (error.rule, error.call, error.site) == (other.rule, other.call, other.site)
 
 
-class _ByLine(Capabilities):
-    """A profile's capabilities, but where a line of the program was granted more."""
+class _ProfiledDevice(Device):
+    """A null device that reports one profile and enforces another, wider one."""
 
-    __slots__ = ("_everything", "_grants", "_names")
+    def __init__(self, reported: Capabilities, enforced: Capabilities) -> None:
+        super().__init__(Recorder(NullBackend(enforced)))
+        self._reported = reported
 
-    def __getattribute__(self, name: str) -> Any:
-        value = super().__getattribute__(name)
-        if name in super().__getattribute__("_names"):
-            user = find_user_frame()
-            if user is not None:
-                line = user.f_code.co_filename, user.f_lineno
-                if (line, name) in super().__getattribute__("_grants"):
-                    return getattr(super().__getattribute__("_everything"), name)
-        return value
+    @property
+    def capabilities(self) -> Capabilities:
+        """The reported profile."""
+        return self._reported
 
 
-class _UnsupportedStates(dict[type, str]):
-    """Which states the device lacks, as far as the line isn't granted them."""
-
-    def __init__(self, states: Mapping[type, str], capabilities: Capabilities) -> None:
-        super().__init__(states)
-        self._capabilities = capabilities
-
-    def __contains__(self, state_type: object) -> bool:
-        return super().__contains__(state_type) and not getattr(self._capabilities, self[state_type])  # type: ignore[index]
-
-
-def _run(frame: Callable[[Device], object], profile: Capabilities, grants: Grants) -> RhiError | None:
-    """The error that the frame ends in, with these capabilities of these lines beyond the profile's."""
-    device = create_device("null", profile=profile)
-    core = device._core
-    core.capabilities = _grant(core.capabilities, grants)
-    core.states.unsupported = _UnsupportedStates(core.states.unsupported, core.capabilities)
-    core.states.check_always()
+def _run(
+    frame: Callable[[Device], object], reported: Capabilities, enforced: Capabilities
+) -> RhiError | None:
+    """Run the frame and return the error that it ends in."""
+    device = _ProfiledDevice(reported, enforced)
     try:
         frame(device)
     except RhiError as error:
@@ -152,17 +146,3 @@ def _run(frame: Callable[[Device], object], profile: Capabilities, grants: Grant
     finally:
         device.close(quiet=True)
     return None
-
-
-def _grant(profile: Capabilities, grants: Grants) -> Capabilities:
-    granted = _ByLine.__new__(_ByLine)
-    more = {
-        "_everything": find_profile("everything"),
-        "_grants": grants,
-        "_names": {name for _, name in grants},
-    }
-    for name, value in more.items():
-        object.__setattr__(granted, name, value)
-    for field in fields(Capabilities):
-        object.__setattr__(granted, field.name, getattr(profile, field.name))
-    return granted

@@ -1,7 +1,7 @@
-"""What commands cost, and what was asked for next to what was issued.
+"""The costs of commands, and the work that code requested compared with the work that the device issued.
 
-`device.states` and `device.draw` say what shall hold; a device sends only what differs from what holds
-already. `watch` counts both sides over a block of code, so that a test can assert on the caching itself.
+`device.states` and `device.draw` request states, programs and bindings; the device sends only those that differ from
+the current ones. `watch` counts both over a block of code, so that a test can assert on the caching itself.
 """
 
 from __future__ import annotations
@@ -14,17 +14,16 @@ from typing import Final
 from rhi.commands.ops import DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.device.device import Device
-from rhi.testing.conditions import bindings_of
+from rhi.testing.contents import DISPATCHES, bindings_of
 
-DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
 CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
 BINDS: Final = frozenset({Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})
 
 
 @dataclass(frozen=True, slots=True)
-class Counts:
-    """What commands come to. A draw is one call, indirect or not; creations are those of all resources,
-    also of those that the device makes for itself (samplers, vertex arrays, rings)."""
+class Costs:
+    """The costs of some commands. A draw is one call, indirect or not; creations count all resources, including those
+    that the device creates for itself (samplers, vertex arrays, rings)."""
 
     draws: int = 0
     dispatches: int = 0
@@ -33,33 +32,33 @@ class Counts:
     creations: int = 0
 
 
-def cost_of(command: Command) -> Counts:
-    """What one command comes to; nothing if it failed."""
+def cost_of(command: Command) -> Costs:
+    """Return the costs of one command; a failed command costs nothing."""
     op = command.op
     if command.failure is not None:
-        return Counts()
+        return Costs()
     if op in DRAWS:
-        return Counts(draws=1)
+        return Costs(draws=1)
     if op in DISPATCHES:
-        return Counts(dispatches=1)
+        return Costs(dispatches=1)
     if op is Op.SET_STATES:
-        return Counts(hardware_state_changes=len(command["changes"]))
+        return Costs(hardware_state_changes=len(command["changes"]))
     if op in (Op.WRITE_BUFFER, Op.WRITE_TEXTURE):
-        return Counts(upload_bytes=len(command["data"]))
-    return Counts(creations=1) if op in CREATIONS else Counts()
+        return Costs(upload_bytes=len(command["data"]))
+    return Costs(creations=1) if op in CREATIONS else Costs()
 
 
-def count(commands: Iterable[Command]) -> Counts:
-    """What commands come to."""
+def total_costs(commands: Iterable[Command]) -> Costs:
+    """Return the summed costs of commands."""
     totals = [0] * 5
     for command in commands:
         totals = [a + b for a, b in zip(totals, astuple(cost_of(command)), strict=True)]
-    return Counts(*totals)
+    return Costs(*totals)
 
 
 @dataclass(frozen=True, slots=True)
 class Calls:
-    """How often a state was set, a program bound, and something bound for it."""
+    """Numbers of states that were set, programs that were bound, and resources that were bound for them."""
 
     states: int = 0
     programs: int = 0
@@ -68,12 +67,12 @@ class Calls:
 
 @dataclass(slots=True)
 class Work:
-    """What a block of code did; complete when the block has ended.
+    """The work of a block of code; complete when the block has ended.
 
     Attributes:
-        commands: what was issued.
-        requested: states set by scopes; of each draw and dispatch, its program and its bindings.
-        issued: what of that reached the backend.
+        commands: the issued commands.
+        requested: states set by scopes, and the program and the bindings of each draw and dispatch.
+        issued: the part of these that reached the backend.
     """
 
     commands: Commands
@@ -83,7 +82,7 @@ class Work:
 
 @contextmanager
 def watch(device: Device) -> Iterator[Work]:
-    """`with watch(device) as work:` counts what the block asks for and what is issued.
+    """Count the work that a block requests and the work that the device issues: `with watch(device) as work:`.
 
     Raises:
         ValidationError: `device-not-recording` if the device doesn't record.

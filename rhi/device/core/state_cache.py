@@ -153,10 +153,6 @@ class StateCache:
         self.hardware_changes += len(changes)
         return changes
 
-    def check_always(self) -> None:
-        """Check each scope every time it is entered, without memos."""
-        self._limit = 0
-
     def reset_counters(self) -> None:
         """Set both counters to zero."""
         self.software_changes = self.hardware_changes = 0
@@ -179,8 +175,7 @@ class StateCache:
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
-        if self._limit:
-            self.wanted.after[scope] = vector
+        self.wanted.after[scope] = vector
         return vector
 
     def _validate(self, states: tuple[State, ...]) -> None:

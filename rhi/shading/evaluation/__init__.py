@@ -1,1 +1,1 @@
-"""Shading functions and stages run on the CPU, on NumPy, in float32 or float64."""
+"""Execution of shading functions and stages on the CPU with NumPy, in float32 or float64."""

@@ -1,6 +1,7 @@
-"""Shading functions and compute shaders on NumPy, in float32 or float64: for tests, and as the reference of accuracy.
+"""Execution of shading functions and compute shaders on NumPy, for tests and as the reference of accuracy.
 
-`evaluate` calls a `@function` on whole arrays, `run_compute` runs a compute shader over a grid of work-groups.
+`evaluate` calls a `@function` on whole arrays, `run_compute` runs a compute shader over a grid of work-groups. Floats
+are float32 or float64.
 """
 
 from __future__ import annotations
@@ -26,9 +27,9 @@ from rhi.shading.language.structs import Struct
 from rhi.shading.language.types import ImageType, StorageType, TextureType
 from rhi.shading.lowering.components import all_kinds, words_of
 from rhi.shading.lowering.functions import lower_function
-from rhi.shading.numpy.kernel import NumpyKernel, Run, load_module
+from rhi.shading.numpy.kernel import LaneFunction, NumpyKernel, load_module
 from rhi.shading.numpy.textures import HostTexture
-from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.signatures import Callee
 from rhi.shading.parser.stage import StageParser
 
@@ -37,7 +38,7 @@ __rhi_internal__ = True
 Array = NDArray[Any]
 
 _DTYPES: Final = {ScalarKind.INT: np.int32, ScalarKind.UINT: np.uint32, ScalarKind.BOOL: np.bool_}
-_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, Run]] = (
+_functions: weakref.WeakKeyDictionary[FunctionType, tuple[tree.Function, Code, LaneFunction]] = (
     weakref.WeakKeyDictionary()
 )
 _shaders: weakref.WeakKeyDictionary[type[Shader], NumpyKernel] = weakref.WeakKeyDictionary()
@@ -56,11 +57,11 @@ def evaluate(
 
     Args:
         arguments, named: an array for each parameter: `(…)` for a number, `(…, 3)` for a `vec3`, `(…, 3, 3)` for
-            a `mat3`, a structured array or `Struct` for a struct. What stands for `…` broadcasts.
-        dtype: of floats, and of the result.
+            a `mat3`, a structured array or `Struct` for a struct. The axes `…` broadcast.
+        dtype: the type of floats, and of the result.
 
     Returns:
-        The results in the same form; a struct's as a structured array.
+        The results in the same form; a structured array for a struct.
 
     Raises:
         ValidationError `shading-arguments`: an argument is missing, unknown or has the wrong shape.
@@ -80,11 +81,11 @@ def evaluate(
     return assemble(tree_function.result, list(results), shape, dtype)  # type: ignore[arg-type]
 
 
-def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run]:
+def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, LaneFunction]:
     known = _functions.get(function)
     if known is None:
         callee = Callee(source_of(function), None, False)
-        parser = StageParser(_Nothing, Stage.COMPUTE)
+        parser = StageParser(_NoShader, Stage.COMPUTE)
         types = tuple(parameter.type for parameter in callee.signature.parameters)
         for parameter in callee.signature.parameters:
             if not isinstance(parameter.type, HostType):
@@ -94,12 +95,12 @@ def _compiled_function(function: FunctionType) -> tuple[tree.Function, Code, Run
         parser._compile(callee, types)  # type: ignore[arg-type]
         parsed = parser.finished[-1]
         code = lower_function(parsed)
-        known = _functions[function] = (parsed, code, load_module(write_numpy(code), code.name)["run"])
+        known = _functions[function] = (parsed, code, load_module(write_numpy_function(code), code.name)["run"])
     return known
 
 
-class _Nothing(Shader):
-    """Functions have no shader."""
+class _NoShader(Shader):
+    """A placeholder shader for functions, which belong to none."""
 
 
 def _by_name(
@@ -115,7 +116,7 @@ def _by_name(
 
 
 def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
-    """The components of an argument, each an array over the evaluations."""
+    """Split an argument into its components, each an array over all evaluations."""
     if isinstance(type, StructType):
         if isinstance(value, Struct):
             value = {field.name: getattr(value, field.name) for field in type.fields}
@@ -150,7 +151,7 @@ def scalars_of(type: HostType, value: Any, dtype: Any, call: str) -> list[Any]:
 
 
 def assemble(type: HostType, scalars: list[Any], shape: tuple[int, ...], dtype: Any) -> Any:
-    """A result's components as one array; a struct's as a structured array."""
+    """Join the components of a result into one array, a structured one for a struct."""
     if isinstance(type, StructType):
         formats = [(field.name, _field_dtype(field.type, dtype)) for field in type.fields]
         result = np.zeros(shape, np.dtype(formats))
@@ -186,14 +187,14 @@ def run_compute(
     """Run a compute shader on NumPy.
 
     Args:
-        groups: work-groups in 1 to 3 dimensions.
-        dtype: of floats in variables and shared memory; buffers hold float32.
+        groups: numbers of work-groups in 1 to 3 dimensions.
+        dtype: the type of floats in variables and shared memory; buffers hold float32.
         bindings: a `Struct`, number or array for each `Uniform`; for each `Storage` and `StorageRW` an array of
             the element's dtype (`Light.dtype`; a `vec3` is float32 (n, 4)), or a number of elements of zeros; a
             `HostTexture` for each texture and image.
 
     Returns:
-        What each `StorageRW` and image holds afterwards; the arrays given stay as they are.
+        The contents of each `StorageRW` and image afterwards; the given arrays aren't modified.
 
     Raises:
         ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
@@ -217,7 +218,7 @@ def run_compute(
 def bound_words(
     shader: type[Shader], bindings: dict[str, Any], call: str
 ) -> tuple[dict[str, Any], dict[str, Array]]:
-    """What is bound, as words by name; and the arrays among it that the shader writes.
+    """Return the words of all bindings by name, and the arrays among them that the shader writes.
 
     Raises:
         ValidationError `shading-arguments`: a binding is missing, unknown or has another layout.
@@ -265,10 +266,10 @@ def _compiled_shader(shader: type[Shader]) -> NumpyKernel:
 
 
 def storage_words(element: HostType, value: Any, call: str) -> tuple[Array, Array]:
-    """A copy of a storage buffer's contents, and the same as words.
+    """Return a copy of a storage buffer's contents, and a view of it as words.
 
     Raises:
-        ValidationError `shading-arguments`: not an array of the element's std430 dtype.
+        ValidationError `shading-arguments`: `value` is not an array of the element's std430 dtype.
     """
     wanted = element_dtype(element, Layout.STD430)
     base, shape = wanted.subdtype if wanted.subdtype is not None else (wanted, ())
@@ -287,10 +288,10 @@ def storage_words(element: HostType, value: Any, call: str) -> tuple[Array, Arra
 
 
 def host_texture(type: TextureType | ImageType, value: Any, call: str) -> HostTexture:
-    """A texture; of an image a copy, since shaders write into it.
+    """Return a texture, or a copy of an image, since shaders write into it.
 
     Raises:
-        ValidationError `shading-arguments`: not a `HostTexture` of the binding's shape and format.
+        ValidationError `shading-arguments`: `value` is not a `HostTexture` of the binding's kind and format.
     """
     if not isinstance(value, HostTexture) or value.kind is not type.kind:
         refuse(rules.WRONG_ARGUMENTS, call, repr(value), f"a HostTexture for a {type}")
@@ -302,7 +303,7 @@ def host_texture(type: TextureType | ImageType, value: Any, call: str) -> HostTe
 
 
 def uniform_words(type: HostType, value: Any, call: str) -> Array:
-    """A uniform block's contents as words.
+    """Return the contents of a uniform block as words.
 
     Raises:
         ValidationError `shading-arguments`: the value doesn't fit.

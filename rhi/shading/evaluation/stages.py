@@ -1,7 +1,7 @@
-"""Vertex and fragment stages on NumPy, in float32 or float64: for tests, and as a rasteriser's reference.
+"""Execution of vertex and fragment stages on NumPy, for tests and as the reference of a rasteriser.
 
-They run from the same lane code as on OpenCL, on arrays of any size: vertices of any shape, fragments in rows and
-columns, whose quads (2 by 2, from the first row and column) give differences between pixels.
+Stages run from the same lane code as on OpenCL, in float32 or float64, on arrays of any size: vertices of any shape,
+fragments in rows and columns. The quads for `ddx` and `ddy` are 2 by 2 fragments, from the first row and column on.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from rhi.shading.language.shader import Shader
 from rhi.shading.language.types import VEC4
 from rhi.shading.lowering.components import words_of
 from rhi.shading.lowering.stages import lower_stage, takes_differences
-from rhi.shading.numpy.kernel import Run, load_module
+from rhi.shading.numpy.kernel import LaneFunction, load_module
 from rhi.shading.numpy.runtime import Invocations
-from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.numpy.writer import write_numpy_function
 from rhi.shading.parser.interface import varyings_read, words_of_varyings
 
 __rhi_internal__ = True
@@ -40,7 +40,13 @@ Dtype = type[np.float32] | type[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class VertexRun:
-    """What a vertex stage gave: clip positions (…, 4), each varying by name, what each `StorageRW` holds."""
+    """The results of a vertex stage.
+
+    Attributes:
+        position: clip positions (…, 4).
+        varyings: the varyings by name.
+        memory: the contents of each `StorageRW` by name.
+    """
 
     position: Array
     varyings: dict[str, Array]
@@ -49,8 +55,14 @@ class VertexRun:
 
 @dataclass(frozen=True, slots=True)
 class FragmentRun:
-    """What a fragment stage gave: each output by name (…, rows, columns, components), the depth if it writes one, which
-    fragments are covered and not discarded, what each `StorageRW` holds. Others' outputs are undefined."""
+    """The results of a fragment stage.
+
+    Attributes:
+        outputs: the outputs by name, (…, rows, columns, components); undefined for fragments that aren't `kept`.
+        depth: the depth, if the stage writes it; undefined for fragments that aren't `kept`.
+        kept: whether each fragment is covered and not discarded.
+        memory: the contents of each `StorageRW` by name.
+    """
 
     outputs: dict[str, Array]
     depth: Array | None
@@ -59,14 +71,14 @@ class FragmentRun:
 
 
 @dataclass(frozen=True, slots=True)
-class _Compiled:
+class _CompiledStage:
     stage: tree.StageTree
     interface: Interface
     code: StageCode
-    run: Run
+    run: LaneFunction
 
 
-_stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _Compiled]] = weakref.WeakKeyDictionary()
+_stages: weakref.WeakKeyDictionary[type[Shader], dict[Stage, _CompiledStage]] = weakref.WeakKeyDictionary()
 
 
 def run_vertex(
@@ -85,10 +97,10 @@ def run_vertex(
     Args:
         attributes: an array for each attribute, or a structured one: `(…)` for a number, `(…, 3)` for a `vec3`. All
             broadcast.
-        vertex_index: of each vertex; counts from 0 by default.
+        vertex_index: the index of each vertex; counts from 0 by default.
         instance_index, draw_index: numbers, or one for each vertex.
-        dtype: of floats in variables; buffers hold float32.
-        bindings: as of `run_compute`.
+        dtype: the type of floats in variables; buffers hold float32.
+        bindings: as for `run_compute`.
 
     Raises:
         ValidationError `shading-arguments`: an attribute or binding is missing, unknown or has another shape.
@@ -127,15 +139,15 @@ def run_fragment(
     Args:
         varyings: an array for each varying that the stage reads, or a structured one: `(…, rows, columns)` for a
             number, `(…, rows, columns, 3)` for a `vec3`. All broadcast with `covered`.
-        covered: which fragments take part, (…, rows, columns). The others of their quads are helpers.
-        fragment_coordinate: (…, rows, columns, 4); by default the centres of pixels from 0, depth 0 and 1 / w = 1.
-        front_facing, primitive_index: of the primitive, or one for each fragment.
-        dtype: of floats in variables; buffers hold float32.
-        bindings: as of `run_compute`.
+        covered: which fragments are covered, (…, rows, columns). The others in their quads are helpers.
+        fragment_coordinate: (…, rows, columns, 4); by default pixel centres counted from 0, depth 0 and 1 / w = 1.
+        front_facing, primitive_index: one for the primitive, or one for each fragment.
+        dtype: the type of floats in variables; buffers hold float32.
+        bindings: as for `run_compute`.
 
     Raises:
         ValidationError `shading-arguments`: a varying or binding is missing, unknown or has another shape; or the stage
-            takes differences, and rows or columns are odd in number.
+            uses `ddx` or `ddy` and the number of rows or columns is odd.
         ShaderError: the shader has no fragment stage, or breaks a rule.
     """
     call = f"run_fragment({shader.__name__}, …)"
@@ -170,8 +182,8 @@ def run_fragment(
     depth = results.pop() if compiled.code.has_depth else None
     outputs = {}
     for output in compiled.interface.outputs:
-        places = range(4 * output.location, 4 * output.location + output.components)
-        parts = [results[compiled.code.words.index(place)] for place in places]
+        words = range(4 * output.location, 4 * output.location + output.components)
+        parts = [results[compiled.code.words.index(word)] for word in words]
         outputs[output.name] = assemble(_output_type(compiled.stage, output.name), parts, shape, dtype)
     return FragmentRun(
         outputs, None if depth is None else assemble(FLOAT, [depth], shape, dtype), kept, written
@@ -188,7 +200,7 @@ def _output_type(stage: tree.StageTree, name: str) -> HostType:
 def _fields(
     type: Any, position: str, results: list[Any], shape: tuple[int, ...], dtype: Any
 ) -> dict[str, Array]:
-    """The fields of a vertex stage's result by name, a plain position's being ""."""
+    """Return the fields of a vertex stage's result by name; a plain position has the name ""."""
     fields = [(field.name, field.type) for field in type.fields] if position else [("", type)]
     outputs, start = {}, 0
     for name, part in fields:
@@ -205,7 +217,7 @@ def _inputs(
     dtype: Any,
     call: str,
 ) -> list[Any]:
-    """The components of a stage's parameters, of those fields that are read."""
+    """Return the components of a stage's parameters, limited to the fields in `read` unless it is None."""
     if dtype not in (np.float32, np.float64):
         refuse(rules.WRONG_ARGUMENTS, call, f"dtype={dtype!r}", "np.float32, np.float64")
     types = [parameter.type for parameter in stage.entry.parameters]
@@ -234,7 +246,7 @@ def _broadcast(shapes: list[tuple[int, ...]], call: str) -> tuple[int, ...]:
         )
 
 
-def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _Compiled:
+def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _CompiledStage:
     known = _stages.setdefault(shader, {})
     if stage not in known:
         trees = stage_trees(shader)
@@ -247,6 +259,6 @@ def _compiled_stage(shader: type[Shader], stage: Stage, call: str) -> _Compiled:
         else:
             varyings = varyings_read(trees[stage], interface.varyings)
         code = lower_stage(trees[stage], shader.__name__, interface, varyings, 0, shader.checked)
-        run = load_module(f"import numpy as np\n{write_numpy(code.code)}", shader.__name__)["run"]
-        known[stage] = _Compiled(trees[stage], interface, code, run)
+        run = load_module(write_numpy_function(code.code), shader.__name__)["run"]
+        known[stage] = _CompiledStage(trees[stage], interface, code, run)
     return known[stage]

@@ -1,1 +1,1 @@
-"""From lane code to Python that computes with NumPy, and what it runs on."""
+"""Translation of lane code to Python that computes with NumPy, and the runtime that it needs."""

@@ -1,7 +1,8 @@
-"""A compute stage as the text of a Python module that runs on NumPy, and its launch over work-groups.
+"""Compute stages as Python modules that run on NumPy, and their launch over work-groups.
 
-- `ProgramDescriptor.emit("numpy", Stage.COMPUTE)` gives the text, so that a backend can have it as it has GLSL.
-- `NumpyKernel` runs it: many work-groups at a time, as many as hide Python's cost and stay in cache.
+- `ProgramDescriptor.emit("numpy", Stage.COMPUTE)` returns the text of the module, so that a backend gets it in the
+  same way as GLSL.
+- `NumpyKernel` runs it on many work-groups at a time: enough to hide Python's overhead, few enough to stay in cache.
 """
 
 from __future__ import annotations
@@ -15,18 +16,19 @@ import numpy as np
 
 from rhi.shading.ir.lanes import AddressSpace, Code
 from rhi.shading.numpy import runtime as numpy_runtime
-from rhi.shading.numpy.writer import write_numpy
+from rhi.shading.numpy.writer import write_numpy_function
 
 __rhi_internal__ = True
 
-Run = Callable[..., tuple[Any, ...]]
+LaneFunction = Callable[..., tuple[Any, ...]]
+"""A `run(F, M, P, arguments)` that `rhi.shading.numpy.writer` has written."""
 
 INVOCATIONS: Final = 1 << 18
-"""How many invocations run together."""
+"""Number of invocations that run together."""
 
 
-def write_kernel(code: Code) -> str:
-    """The module of a compute stage: `run`, and what its launch must know."""
+def write_numpy_kernel(code: Code) -> str:
+    """Return the text of a compute stage's module: `run`, `WORK_GROUP` and `SHARED`, the lengths of shared arrays."""
     shared = {memory.name: memory.length for memory in code.memories if memory.space is AddressSpace.SHARED}
     head = [
         "import numpy as np",
@@ -35,11 +37,11 @@ def write_kernel(code: Code) -> str:
         f"WORK_GROUP = {tuple(code.work_group)}",
         f"SHARED = {shared}",
     ]
-    return "\n".join(head) + "\n" + write_numpy(code)
+    return "\n".join(head) + "\n" + write_numpy_function(code)
 
 
 def load_module(text: str, name: str) -> dict[str, Any]:
-    """The names of a module, with its lines in tracebacks."""
+    """Execute the text of a module and return its names; tracebacks show its lines."""
     file = f"<lanes of {name} {id(text)}>"
     linecache.cache[file] = (len(text), None, text.splitlines(True), file)
     space: dict[str, Any] = {"np": np, "R": numpy_runtime, "__rhi_internal__": True}
@@ -48,11 +50,11 @@ def load_module(text: str, name: str) -> dict[str, Any]:
 
 
 class NumpyKernel:
-    """A compute stage that was written by `write_kernel`."""
+    """A compute stage loaded from the text that `write_numpy_kernel` returns."""
 
     def __init__(self, text: str, name: str = "") -> None:
         space = load_module(text, name)
-        self._run: Run = space["run"]
+        self._run: LaneFunction = space["run"]
         self._shared: dict[str, int] = space["SHARED"]
         self._invocations = math.prod(space["WORK_GROUP"])
 
@@ -65,15 +67,16 @@ class NumpyKernel:
         """Run work-groups.
 
         Args:
-            memory: by the names of the bindings; of uniforms and storage their words, arrays of uint32 that are
-                written in place, whose size says how many elements there are.
-            dtype: of floats in variables and shared memory.
+            groups: the number of work-groups along each axis.
+            memory: by the names of the bindings a uint32 array of words for uniforms and storage, which is written in
+                place and whose size gives the number of elements, or a `HostTexture`.
+            dtype: the type of floats in variables and shared memory.
         """
         total, size = math.prod(groups), self._invocations
         chunk = max(1, INVOCATIONS // size)
         for first in range(0, total, chunk):
             count = min(chunk, total - first)
-            places = numpy_runtime.Places(first, count, groups, size)
+            running = numpy_runtime.WorkGroups(first, count, groups, size)
             shared = {name: np.zeros((count, length), np.uint64) for name, length in self._shared.items()}
             with np.errstate(all="ignore"):
-                self._run(dtype, {**memory, **shared}, places, ())
+                self._run(dtype, {**memory, **shared}, running, ())

@@ -1,7 +1,8 @@
-"""What NumPy lane code needs beside NumPy: memory, atomics, conversions.
+"""The runtime of lane code on NumPy: memory, atomics and conversions.
 
-Memory is 32-bit words whatever the dtype of floats, as on a device; shared and private memory of floats keeps that
-dtype. All invocations of the groups that run together are at the same statement, so a barrier is nothing.
+- Buffers are 32-bit words whatever the dtype of floats, as on a device. Floats in shared and private memory keep their
+  dtype.
+- All invocations of the groups that run together execute the same statement, so a barrier needs no code.
 """
 
 from __future__ import annotations
@@ -20,14 +21,21 @@ Array = NDArray[Any]
 
 
 class Invocations:
-    """Those of a stage of a draw, an array of any shape; of fragments its last axes are rows and columns."""
+    """The invocations of a stage of a draw, an array of any shape; the last axes of fragments are rows and columns."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.shape = shape
 
 
-class Places(Invocations):
-    """Which groups run, and what each invocation knows of its place."""
+class WorkGroups(Invocations):
+    """The invocations of the work-groups that run together, of shape (groups, invocations of a group).
+
+    Attributes:
+        group_id: the groups' indices, three arrays (groups, 1).
+        group_count: the number of groups of the whole dispatch along each axis.
+        local_index: the invocations' indices in their group, (1, invocations).
+        rows: the groups' rows in shared memory, (groups, 1).
+    """
 
     def __init__(self, first: int, count: int, groups: tuple[int, int, int], invocations: int) -> None:
         flat = np.arange(first, first + count, dtype=np.int32)[:, None]
@@ -43,94 +51,94 @@ class Places(Invocations):
 
 
 def convert(value: Any, dtype: Any) -> Any:
-    """By value, towards zero."""
+    """Convert numbers by value, rounding towards zero."""
     return np.asarray(value).astype(dtype)[()]
 
 
 def as_float(value: Any, dtype: Any) -> Any:
-    """The same 32 bits as a float."""
+    """Reinterpret 32 bits as a float."""
     return np.asarray(value).view(np.float32).astype(dtype)[()]
 
 
 def as_integer(value: Any, dtype: Any) -> Any:
-    """The same 32 bits as an integer; of a float64, those of the nearest float32."""
+    """Reinterpret 32 bits as an integer; a float64 is rounded to float32 first."""
     array = np.asarray(value)
     return (array.astype(np.float32) if array.dtype.kind == "f" else array).view(dtype)[()]
 
 
 def floor_divide(a: Any, b: Any) -> Any:
-    """`//` on integers; a division by zero gives 0."""
+    """Return `a // b` of integers; a division by zero gives 0."""
     return np.floor_divide(a, b)
 
 
 def modulo(a: Any, b: Any) -> Any:
-    """`%` on integers, with the sign of `b`."""
+    """Return `a % b` of integers, with the sign of `b`."""
     return np.remainder(a, b)
 
 
 def bits_set(value: Any) -> Any:
-    """How many bits are 1."""
+    """Count the bits that are 1."""
     return np.bitwise_count(np.asarray(value).view(np.uint32)).astype(np.uint32)[()]
 
 
 def leading_zeros(value: Any) -> Any:
-    """Zeros above the highest 1, 32 of 0; of the argument's type."""
+    """Count the zeros above the highest 1, 32 for 0; the result has the argument's type."""
     array = np.asarray(value)
     _, exponent = np.frexp(array.view(np.uint32).astype(np.float64))
     return (32 - exponent).astype(array.dtype)[()]
 
 
 def half_bits(value: Any) -> Any:
-    """The bits of the nearest half float."""
+    """Return the bits of the nearest half float."""
     return np.asarray(value).astype(np.float16).view(np.uint16).astype(np.uint32)[()]
 
 
 def half_value(bits: Any, dtype: Any) -> Any:
-    """The value of a half float's bits."""
+    """Return the value of a half float, given as bits."""
     return np.asarray(bits).astype(np.uint16).view(np.float16).astype(dtype)[()]
 
 
 def fma(a: Any, b: Any, c: Any, dtype: Any) -> Any:
-    """a b + c; float32 through float64, where the product is exact."""
+    """Return a b + c; float32 is computed in float64, where the product is exact."""
     if dtype is np.float32:
         return (np.float64(1) * a * b + c).astype(np.float32)
     return a * b + c
 
 
 def constants(values: Sequence[float], dtype: Any) -> Array:
-    """A constant array."""
+    """Return a constant array."""
     return np.array(values, dtype)
 
 
-# -- differences between pixels, which come in quads of 2 by 2 ---------------------------------------------
+# -- differences between the pixels of a quad (2 by 2) -----------------------------------------------------
 
 
 def ddx(value: Any) -> Any:
-    """The change to the right, in each row of a quad."""
+    """Return the difference from left to right, in each row of a quad."""
     if np.ndim(value) < 1 or np.shape(value)[-1] == 1:
         return np.zeros_like(value)
     return np.repeat(value[..., 1::2] - value[..., 0::2], 2, axis=-1)
 
 
 def ddy(value: Any) -> Any:
-    """The change downwards, in each column of a quad."""
+    """Return the difference from top to bottom, in each column of a quad."""
     if np.ndim(value) < 2 or np.shape(value)[-2] == 1:
         return np.zeros_like(value)
     return np.repeat(value[..., 1::2, :] - value[..., 0::2, :], 2, axis=-2)
 
 
 def quads(mask: Any) -> Any:
-    """The lanes of all quads that the mask has a lane of."""
+    """Extend a mask to all lanes of each quad in which it has a lane."""
     rows = mask[..., 0::2, :] | mask[..., 1::2, :]
     both = rows[..., 0::2] | rows[..., 1::2]
     return np.repeat(np.repeat(both, 2, axis=-2), 2, axis=-1)
 
 
 def check(wrong: Any, given: Any, limit: Any, mask: Any, line: tuple[str, int]) -> None:
-    """Refuse an index that isn't below its limit.
+    """Check that no index reaches its limit.
 
     Raises:
-        ShaderError `shading-index`: with the line.
+        ShaderError `shading-index`: an index is out of range; the error names `line`, which reads it.
     """
     wrong, given = np.broadcast_arrays(wrong if mask is None else np.logical_and(wrong, mask), given)
     if wrong.any():
@@ -140,8 +148,8 @@ def check(wrong: Any, given: Any, limit: Any, mask: Any, line: tuple[str, int]) 
 # -- memory ------------------------------------------------------------------------------------------------
 
 
-def _inside(address: Any, mask: Any, size: int) -> Any:
-    """Addresses that can be read: those of lanes that don't take part are 0."""
+def _readable(address: Any, mask: Any, size: int) -> Any:
+    """Return addresses that are safe to read: clamped, and 0 in inactive lanes."""
     if mask is not None:
         address = np.where(mask, address, 0)
     elif size == 0:
@@ -150,13 +158,13 @@ def _inside(address: Any, mask: Any, size: int) -> Any:
 
 
 def load(memory: Array, address: Any, mask: Any) -> Any:
-    """Elements of an array."""
-    return memory[_inside(address, mask, len(memory))]
+    """Read elements of an array."""
+    return memory[_readable(address, mask, len(memory))]
 
 
 def load_words(memory: Array, address: Any, mask: Any, dtype: Any) -> Any:
-    """Words of a buffer, as numbers of `dtype`."""
-    address = _inside(address, mask, memory.size)
+    """Read words of a buffer as numbers of `dtype`."""
+    address = _readable(address, mask, memory.size)
     if memory.size == 0:
         return np.zeros(np.shape(address), dtype)
     words = memory[address]
@@ -166,13 +174,13 @@ def load_words(memory: Array, address: Any, mask: Any, dtype: Any) -> Any:
 _FLOATS: Final = (np.float32, np.float64)
 
 
-def load_shared(memory: Array, address: Any, mask: Any, places: Places, dtype: Any) -> Any:
-    """Words of each group's shared memory."""
-    return _from_shared(memory[places.rows, _inside(address, mask, memory.shape[1])], dtype)
+def load_shared(memory: Array, address: Any, mask: Any, invocations: WorkGroups, dtype: Any) -> Any:
+    """Read words of each group's shared memory."""
+    return _from_shared(memory[invocations.rows, _readable(address, mask, memory.shape[1])], dtype)
 
 
 def _from_shared(values: Array, dtype: Any) -> Array:
-    """Shared memory holds 64-bit words: a float64 as its bits, whatever is stored narrower in the low half."""
+    """Reinterpret 64-bit words of shared memory, which hold a float64, or a narrower type in the low half."""
     if dtype is np.float64:
         return values.view(np.float64)
     low = values.astype(np.uint32)
@@ -184,36 +192,36 @@ def _to_shared(values: Any) -> Array:
     return array.view(np.uint64) if array.dtype == np.float64 else array.view(np.uint32).astype(np.uint64)
 
 
-def private(length: int, dtype: Any, places: Invocations | None) -> list[Any]:
-    """An array that each invocation has for itself: a list, as long as its indices are single numbers."""
+def private(length: int, dtype: Any, invocations: Invocations | None) -> list[Any]:
+    """Create a private array: a list whose elements are single numbers until invocations differ."""
     return [np.zeros((), dtype)[()]] * length
 
 
 def load_private(memory: list[Any], address: Any, mask: Any) -> Any:
-    """Elements of each invocation's own array."""
+    """Read elements of each invocation's private array."""
     if np.ndim(address) == 0:
         return memory[int(np.clip(address, 0, len(memory) - 1))]
-    address = _inside(address, mask, len(memory))
+    address = _readable(address, mask, len(memory))
     result = np.broadcast_to(memory[0], np.broadcast_shapes(np.shape(address), np.shape(memory[0])))
     for index in np.unique(address).tolist():
         result = np.where(address == index, memory[index], result)
     return result
 
 
-def store_private(memory: list[Any], address: Any, value: Any, mask: Any, places: Invocations | None) -> None:
-    """Set elements of each invocation's own array."""
+def store_private(memory: list[Any], address: Any, value: Any, mask: Any, invocations: Invocations | None) -> None:
+    """Write elements of each invocation's private array."""
     if np.ndim(address) == 0:
         index = int(address)
         if 0 <= index < len(memory):
             memory[index] = value if mask is None else np.where(mask, value, memory[index])
         return
-    for index in np.unique(_inside(address, mask, len(memory))).tolist():
+    for index in np.unique(_readable(address, mask, len(memory))).tolist():
         chosen = address == index if mask is None else (address == index) & mask
         memory[index] = np.where(chosen, value, memory[index])
 
 
-def _taking_part(address: Any, value: Any, mask: Any, places: Invocations) -> tuple[Array, Array]:
-    """Addresses and values of the lanes that take part, in order."""
+def _active(address: Any, value: Any, mask: Any, invocations: Invocations) -> tuple[Array, Array]:
+    """Return the addresses and values of the active lanes, in order."""
     shapes = [np.shape(part) for part in (address, value, mask) if part is not None]
     shape = np.broadcast_shapes(*shapes)
     address, value = np.broadcast_to(address, shape), np.broadcast_to(value, shape)
@@ -228,23 +236,23 @@ def _words(values: Array) -> Array:
     return array.view(np.uint32)
 
 
-def store(memory: Array, address: Any, value: Any, mask: Any, places: Invocations) -> None:
-    """Set words of a buffer; outside it nothing happens. Of several values for a word the last one stays."""
-    address, value = _taking_part(address, value, mask, places)
+def store(memory: Array, address: Any, value: Any, mask: Any, invocations: Invocations) -> None:
+    """Write words of a buffer; writes outside it are dropped. The last of several values for a word stays."""
+    address, value = _active(address, value, mask, invocations)
     inside = (address >= 0) & (address < memory.size)
     memory[address[inside]] = _words(value)[inside]
 
 
-def store_shared(memory: Array, address: Any, value: Any, mask: Any, places: Places) -> None:
-    """Set words of each group's shared memory."""
-    address, value = _taking_part(_flat(memory, address, places), _to_shared(value), mask, places)
+def store_shared(memory: Array, address: Any, value: Any, mask: Any, invocations: WorkGroups) -> None:
+    """Write words of each group's shared memory."""
+    address, value = _active(_flat(memory, address, invocations), _to_shared(value), mask, invocations)
     flat = memory.reshape(-1)
     inside = (address >= 0) & (address < flat.size)
     flat[address[inside]] = value[inside]
 
 
-def _flat(memory: Array, address: Any, places: Places) -> Any:
-    return address + places.rows * memory.shape[1]
+def _flat(memory: Array, address: Any, invocations: WorkGroups) -> Any:
+    return address + invocations.rows * memory.shape[1]
 
 
 _UFUNCS: Final = {
@@ -263,16 +271,16 @@ def atomic(
     address: Any,
     values: tuple[Any, ...],
     mask: Any,
-    places: Invocations,
+    invocations: Invocations,
     shared: bool,
     dtype: Any,
     wanted: bool,
 ) -> Any:
-    """An atomic in the order of the invocations; the old values where they are wanted."""
-    shape = places.shape
+    """Execute an atomic operation in the order of the invocations; return the old values if they are `wanted`."""
+    shape = invocations.shape
     if shared:
-        assert isinstance(places, Places)
-        address = _flat(memory, address, places)
+        assert isinstance(invocations, WorkGroups)
+        address = _flat(memory, address, invocations)
     address = np.broadcast_to(address, shape)
     mask = np.broadcast_to(True if mask is None else mask, shape)
     chosen = address[mask]
@@ -306,7 +314,7 @@ def atomic(
 
 
 def _ordered_add(words: Array, address: Array, values: Array) -> Array:
-    """Adds and gives the old values, by sums over the runs of equal addresses."""
+    """Add values and return the old ones, by prefix sums over runs of equal addresses."""
     order = np.argsort(address, kind="stable")
     sorted_address, sorted_values = address[order], values[order]
     before = np.cumsum(sorted_values, dtype=values.dtype) - sorted_values

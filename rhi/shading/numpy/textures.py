@@ -1,7 +1,7 @@
-"""Textures in NumPy arrays, read through a sampler as OpenGL 4.3, chapter 8.14, says: the reference of accuracy.
+"""Textures in NumPy arrays, sampled as specified by OpenGL 4.3, chapter 8.14: the reference of accuracy.
 
-What a shader asks for comes as numbers or arrays that broadcast; coordinates have three components, of which a 2D
-texture ignores the third. Everything is computed in `dtype`, float32 or float64, with weights of full precision.
+Arguments are numbers or arrays that broadcast. Coordinates have three components, of which a 2D texture ignores the
+third. Everything is computed in `dtype`, float32 or float64, with weights of full precision.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from rhi.shading.language import rules
 __rhi_internal__ = True
 
 Array = NDArray[Any]
-Four = tuple[Array, Array, Array, Array]
-Judge = Callable[[Array, Array], Array]
-"""From texels, and which of all places they are for, to what is filtered."""
+FourArrays = tuple[Array, Array, Array, Array]
+TexelComparison = Callable[[Array, Array], Array]
+"""A function that compares texels with the references of the chosen samples; its results are filtered."""
 
 _COMPARISONS: Final[dict[Comparison, Callable[[Array, Array], Array]]] = {
     Comparison.NEVER: lambda reference, depth: np.zeros(np.shape(reference), bool),
@@ -37,7 +37,8 @@ _COMPARISONS: Final[dict[Comparison, Callable[[Array, Array], Array]]] = {
     Comparison.GREATER_EQUAL: np.greater_equal,
     Comparison.ALWAYS: lambda reference, depth: np.ones(np.shape(reference), bool),
 }
-# Of each face, which component s, t and the axis are, and with which sign; t down: OpenGL 4.3, table 8.19.
+# For each face, the components that s, t and the major axis come from, and their signs; t points down. OpenGL 4.3,
+# table 8.19.
 _AXES: Final = np.array([(2, 1, 0), (2, 1, 0), (0, 2, 1), (0, 2, 1), (0, 1, 2), (0, 1, 2)])
 _SIGNS: Final = np.array(
     [(-1, -1, 1), (1, -1, -1), (1, 1, 1), (1, -1, -1), (1, -1, 1), (-1, -1, -1)], np.float32
@@ -45,11 +46,11 @@ _SIGNS: Final = np.array(
 
 
 class HostTexture:
-    """A texture for `run_compute`, or an image.
+    """A texture or an image in host memory, for `run_compute` and its like.
 
     Attributes:
-        levels: texels of each level as (layers, height, width, channels), in the format's dtype.
-        format, kind, sampler: as of a texture of a device.
+        levels: texels of each mip level as (layers, height, width, channels), in the format's dtype.
+        format, kind, sampler: as for a texture of a device.
     """
 
     def __init__(
@@ -59,11 +60,16 @@ class HostTexture:
         kind: TextureKind = TextureKind.D2,
         sampler: SamplerDescriptor | None = None,
     ) -> None:
-        """`levels`: one level or all of them, largest first; (height, width, channels) and, of one channel,
-        (height, width) will do for one layer. Without a sampler it is the one that textures of a device have.
+        """Create a texture from copies of the given texels.
+
+        Args:
+            levels: one mip level or all of them, largest first. A single layer may be given as (height, width,
+                channels), and with one channel as (height, width).
+            format, kind: the format and the dimensions.
+            sampler: defaults to the sampler that a device's textures have by default.
 
         Raises:
-            ValidationError `shading-arguments`: another dtype or shape.
+            ValidationError `shading-arguments`: `levels` has another dtype or shape.
         """
         nearest = format.is_integer or format.is_depth
         default = (
@@ -77,18 +83,17 @@ class HostTexture:
         self.kind = kind
         self.sampler = sampler or default
 
-    # -- what shaders ask for ----------------------------------------------------------------------------
+    # -- operations of shaders -----------------------------------------------------------------------------
 
-    def sample(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any) -> Four:
-        """Filtered, at a level of detail."""
-        result = self._walk(dtype, u, v, z, lod)
+    def sample(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any) -> FourArrays:
+        """Sample the texture at a level of detail."""
+        result = self._sample_levels(dtype, u, v, z, lod)
         return tuple(result[..., c] for c in range(4))  # type: ignore[return-value]
 
     def sample_compare(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any, lod: Any) -> tuple[Array]:
-        """How much of the filtered texels passes."""
+        """Compare each texel with a reference, and return the filtered results."""
         u, v, z, reference, lod = np.broadcast_arrays(u, v, z, reference, lod)
-
-        result = self._walk(
+        result = self._sample_levels(
             dtype, u, v, z, lod, lambda texels, chosen: self._compare(dtype, reference[chosen], texels)
         )
         return (result[..., 0],)
@@ -107,7 +112,7 @@ class HostTexture:
         zy: Any,
         bias: Any,
     ) -> tuple[Array]:
-        """The level at which the longer of two steps is one texel (equations 8.5 and 8.8)."""
+        """Return the level at which the longer of two steps is one texel (equations 8.5 and 8.8)."""
         steps = [
             np.stack(np.broadcast_arrays(*step), -1).astype(dtype) for step in ((ux, vx, zx), (uy, vy, zy))
         ]
@@ -116,29 +121,29 @@ class HostTexture:
         if self.kind is TextureKind.CUBE:
             at = np.stack(np.broadcast_arrays(u, v, z), -1).astype(dtype)
             face = _face_of(at)
-            s, t, m = _turned(face, at)
-            turned = [_turned(face, step) for step in steps]
+            s, t, m = _project(face, at)
+            projected = [_project(face, step) for step in steps]
             steps = [
                 np.stack([(ds - s / m * dm) / (2 * m), (dt - t / m * dm) / (2 * m), 0 * ds], -1)
-                for ds, dt, dm in turned
+                for ds, dt, dm in projected
             ]
         squares = [np.sum((step * size) ** 2, axis=-1) for step in steps]
         return (dtype(0.5) * np.log2(np.maximum(*squares)) + bias,)
 
-    def gather(self, dtype: Any, component: int, u: Any, v: Any, z: Any) -> Four:
-        """One component of four texels, from the lower left one around, v being up."""
-        taps, _ = self._taps(dtype, 0, *self._projected(dtype, u, v, z))
+    def gather(self, dtype: Any, component: int, u: Any, v: Any, z: Any) -> FourArrays:
+        """Return one component of the four texels around a point: counterclockwise from the lower left, with v up."""
+        taps, _ = self._taps(dtype, 0, *self._locate(dtype, u, v, z))
         return tuple(taps[tap][..., int(component)] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
 
-    def gather_compare(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any) -> Four:
-        """The four comparisons."""
+    def gather_compare(self, dtype: Any, u: Any, v: Any, z: Any, reference: Any) -> FourArrays:
+        """Compare the four texels around a point with a reference, in the order of `gather`."""
         u, v, z, reference = np.broadcast_arrays(u, v, z, reference)
-        where = self._projected(dtype, u, v, z)
+        where = self._locate(dtype, u, v, z)
         taps, _ = self._taps(dtype, 0, *where, lambda texels: self._compare(dtype, reference, texels))
         return tuple(taps[tap][..., 0] for tap in (2, 3, 1, 0))  # type: ignore[return-value]
 
-    def load(self, dtype: Any, x: Any, y: Any, z: Any, level: Any) -> Four:
-        """One texel; zeros outside."""
+    def load(self, dtype: Any, x: Any, y: Any, z: Any, level: Any) -> FourArrays:
+        """Read one texel; zeros outside the texture."""
         x, y, z, level = np.broadcast_arrays(x, y, z, level)
         result = np.zeros((*x.shape, 4), self._value_dtype(dtype))
         for number in range(len(self.levels)):
@@ -152,7 +157,7 @@ class HostTexture:
     def store(
         self, x: Any, y: Any, z: Any, values: tuple[Any, ...], mask: Any, shape: tuple[int, ...]
     ) -> None:
-        """Set texels of level 0; outside nothing happens, and of several for one texel the last stays."""
+        """Write texels of level 0; writes outside are dropped, and the last of several values for a texel stays."""
         texels = self.levels[0]
         depth, height, width, channels = texels.shape
         x, y, z, mask, *parts = np.broadcast_arrays(
@@ -165,13 +170,13 @@ class HostTexture:
         texels[z[inside], y[inside], x[inside]] = stored
 
     def size(self, level: Any, axes: int) -> tuple[Array, ...]:
-        """Width, height, and depth or layers; of a level that isn't there, those of the nearest."""
+        """Return width, height, and depth or layers of a level, or of the nearest level that exists."""
         sizes = np.array([texels.shape[2::-1] for texels in self.levels], np.int32)
         level = np.clip(level, 0, len(sizes) - 1)
         return tuple(sizes[level, axis] for axis in range(axes))
 
     def count_levels(self) -> tuple[np.int32]:
-        """How many there are."""
+        """Return the number of mip levels."""
         return (np.int32(len(self.levels)),)
 
     # -- texels --------------------------------------------------------------------------------------------
@@ -182,7 +187,7 @@ class HostTexture:
         return dtype
 
     def _values(self, dtype: Any, level: int, z: Array, y: Array, x: Array) -> Array:
-        """Texels as shaders see them: four components."""
+        """Return texels as shaders read them: four components."""
         texels = self.levels[level][z, y, x]
         result = np.zeros((*texels.shape[:-1], 4), self._value_dtype(dtype))
         result[..., 3] = 1
@@ -190,7 +195,7 @@ class HostTexture:
         return result
 
     def _compare(self, dtype: Any, reference: Array, texels: Array) -> Array:
-        """Whether references pass depths, as texels of one component."""
+        """Compare references with depths; returns 1 or 0 as texels of one component."""
         depth = texels[..., :1]
         if self.sampler.compare is None:
             return depth
@@ -199,7 +204,7 @@ class HostTexture:
         return _COMPARISONS[self.sampler.compare](reference[..., None].astype(dtype), depth).astype(dtype)
 
     def _tap(self, dtype: Any, level: int, z: Array, y: Array, x: Array) -> Array:
-        """Texels, or the border outside."""
+        """Return texels, or the border color outside the level."""
         depth, height, width, _ = self.levels[level].shape
         i, j, k = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1), np.clip(z, 0, depth - 1)
         values = self._values(dtype, level, k, j, i)
@@ -208,12 +213,12 @@ class HostTexture:
 
     # -- coordinates ---------------------------------------------------------------------------------------
 
-    def _projected(self, dtype: Any, u: Any, v: Any, z: Any) -> tuple[Array, Array, Array]:
-        """A place in a layer: of a cube in a face."""
+    def _locate(self, dtype: Any, u: Any, v: Any, z: Any) -> tuple[Array, Array, Array]:
+        """Return normalized coordinates in a layer and the layer; for a cube, in a face and the face."""
         at = np.stack(np.broadcast_arrays(u, v, z), -1).astype(dtype)
         if self.kind is TextureKind.CUBE:
             face = _face_of(at)
-            s, t, m = _turned(face, at)
+            s, t, m = _project(face, at)
             return s / m * dtype(0.5) + dtype(0.5), t / m * dtype(0.5) + dtype(0.5), face
         u, v, z = (at[..., axis] for axis in range(3))
         if self.kind is TextureKind.D2:
@@ -224,16 +229,16 @@ class HostTexture:
         return u, v, z
 
     def _wraps(self) -> tuple[Wrap, Wrap, Wrap]:
-        if self.kind is TextureKind.CUBE:  # beyond an edge lies the next face
+        if self.kind is TextureKind.CUBE:  # no wrapping: beyond an edge lies the next face
             return Wrap.BORDER, Wrap.BORDER, Wrap.BORDER
         return self.sampler.wrap_u, self.sampler.wrap_v, self.sampler.wrap_w
 
     def _nearest(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
-        i = np.floor(_wrapped(dtype, wrap, size, u)).astype(np.int32)
+        i = np.floor(_wrap(dtype, wrap, size, u)).astype(np.int32)
         return i if wrap is Wrap.BORDER and self.kind is not TextureKind.CUBE else np.clip(i, 0, size - 1)
 
     def _around(self, dtype: Any, wrap: Wrap, size: int, u: Array) -> tuple[Array, Array, Array]:
-        x = _wrapped(dtype, wrap, size, u) - dtype(0.5)
+        x = _wrap(dtype, wrap, size, u) - dtype(0.5)
         whole = np.floor(x)
         i = whole.astype(np.int32)
         j = i + 1
@@ -250,20 +255,20 @@ class HostTexture:
         u: Array,
         v: Array,
         layer: Array,
-        judge: Callable[[Array], Array] | None = None,
+        compare: Callable[[Array], Array] | None = None,
     ) -> tuple[list[Array], tuple[Array, Array]]:
-        """The four texels around a place in a layer, or what is judged of them, and its distance from the first."""
-        judge = judge or (lambda texels: texels)
+        """Return the four texels around a point in a layer, or their comparisons, and the second ones' weights."""
+        compare = compare or (lambda texels: texels)
         _, height, width, _ = self.levels[level].shape
         wrap_u, wrap_v, _ = self._wraps()
         x0, x1, near_x = self._around(dtype, wrap_u, width, u)
         y0, y1, near_y = self._around(dtype, wrap_v, height, v)
-        places = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
+        corners = [(x0, y0), (x1, y0), (x0, y1), (x1, y1)]
         if self.kind is not TextureKind.CUBE:
-            return [judge(self._tap(dtype, level, layer, y, x)) for x, y in places], (near_x, near_y)
-        taps = [judge(self._values(dtype, level, *_crossed(width, layer, y, x))) for x, y in places]
+            return [compare(self._tap(dtype, level, layer, y, x)) for x, y in corners], (near_x, near_y)
+        taps = [compare(self._values(dtype, level, *_cross_edges(width, layer, y, x))) for x, y in corners]
         result = []
-        for tap, (x, y) in enumerate(places):  # where three faces meet, the missing texel is the others' mean
+        for tap, (x, y) in enumerate(corners):  # where three faces meet, the missing texel is the mean of the others
             corner = ((x < 0) | (x >= width)) & ((y < 0) | (y >= height))
             mean = (taps[tap ^ 1] + taps[tap ^ 2] + taps[tap ^ 3]) / 3
             result.append(np.where(corner[..., None], mean.astype(taps[tap].dtype), taps[tap]))
@@ -271,9 +276,9 @@ class HostTexture:
 
     def _filter(
         self, dtype: Any, level: int, filter: Filter, chosen: Array, u: Array, v: Array, z: Array,
-        judge: Judge | None = None,
+        compare: TexelComparison | None = None,
     ) -> Array:  # fmt: skip
-        """A level at places that are `chosen` of all; `judge` turns texels into what is filtered."""
+        """Filter a mip level at the coordinates of the `chosen` samples; `compare` is applied to texels before."""
         depth, height, width, _ = self.levels[level].shape
         wrap_u, wrap_v, wrap_w = self._wraps()
         solid = self.kind is TextureKind.D3
@@ -282,20 +287,22 @@ class HostTexture:
             j = self._nearest(dtype, wrap_v, height, v)
             k = self._nearest(dtype, wrap_w, depth, z) if solid else z
             texels = self._tap(dtype, level, k, j, i)
-            return judge(texels, chosen) if judge is not None else texels
+            return compare(texels, chosen) if compare is not None else texels
         slices = self._around(dtype, wrap_w, depth, z) if solid else (z, z, np.zeros(z.shape, dtype))
         means = []
         for layer in slices[: 2 if solid else 1]:
             taps, (near_x, near_y) = self._taps(
-                dtype, level, u, v, layer, judge and (lambda tap: judge(tap, chosen))
+                dtype, level, u, v, layer, compare and (lambda tap: compare(tap, chosen))
             )
             a, b = (_mix(taps[row], taps[row + 1], near_x) for row in (0, 2))
             means.append(_mix(a, b, near_y))
         return _mix(means[0], means[1], slices[2]) if solid else means[0]
 
-    def _walk(self, dtype: Any, u: Any, v: Any, z: Any, lod: Any, judge: Judge | None = None) -> Array:
-        """Filter each level for those that want it, and mix."""
-        u, v, z = self._projected(dtype, u, v, z)
+    def _sample_levels(
+        self, dtype: Any, u: Any, v: Any, z: Any, lod: Any, compare: TexelComparison | None = None
+    ) -> Array:
+        """Filter each mip level for the samples that use it, and mix the results."""
+        u, v, z = self._locate(dtype, u, v, z)
         lod = np.broadcast_to(np.asarray(lod, dtype), np.broadcast_shapes(np.shape(lod), u.shape))
         u, v, z = (np.broadcast_to(part, lod.shape) for part in (u, v, z))
         sampler, last = self.sampler, len(self.levels) - 1
@@ -313,7 +320,7 @@ class HostTexture:
                 chosen = (weight > 0) & lanes
                 if not chosen.any():
                     continue
-                value = self._filter(dtype, number, which, chosen, u[chosen], v[chosen], z[chosen], judge)
+                value = self._filter(dtype, number, which, chosen, u[chosen], v[chosen], z[chosen], compare)
                 if result is None:
                     result = np.zeros((*lod.shape, value.shape[-1]), value.dtype)
                 whole = weight[chosen][:, None] == 1
@@ -340,19 +347,19 @@ def _mix(a: Array, b: Array, at: Array) -> Array:
     return mixed
 
 
-def _wrapped(dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
-    """A coordinate in texels; far outside, where only the border is, just outside."""
+def _wrap(dtype: Any, wrap: Wrap, size: int, u: Array) -> Array:
+    """Return a wrapped coordinate in texels, clamped to just outside, beyond which is only the border."""
     if wrap is Wrap.REPEAT:
         u = u - np.floor(u)
     elif wrap is Wrap.MIRROR:
         u = np.abs(u - 2 * np.floor(u / 2 + dtype(0.5)))
     beyond = 1 if wrap is Wrap.BORDER else 0.5
-    place: Array = np.fmin(np.fmax(u * dtype(size), dtype(-beyond)), dtype(size + beyond))
-    return place
+    texel: Array = np.fmin(np.fmax(u * dtype(size), dtype(-beyond)), dtype(size + beyond))
+    return texel
 
 
 def _face_of(at: Array) -> Array:
-    """The face that a direction meets; of equal components z counts before y before x, as on llvmpipe."""
+    """Return the face that a direction hits; among equal components z precedes y, and y precedes x, as on llvmpipe."""
     size = np.abs(at)
     axis = np.where(
         (size[..., 2] >= size[..., 0]) & (size[..., 2] >= size[..., 1]),
@@ -363,22 +370,22 @@ def _face_of(at: Array) -> Array:
     return (2 * axis + (along < 0)).astype(np.int32)
 
 
-def _turned(face: Array, at: Array) -> tuple[Array, Array, Array]:
-    """(s, t, m) of directions on a face."""
-    turned = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(
+def _project(face: Array, at: Array) -> tuple[Array, Array, Array]:
+    """Return (s, t, m) of directions on a face; m is the length along the face's axis."""
+    projected = np.take_along_axis(at, np.broadcast_to(_AXES[face], at.shape), -1) * _SIGNS[face].astype(
         at.dtype
     )
-    return turned[..., 0], turned[..., 1], turned[..., 2]
+    return projected[..., 0], projected[..., 1], projected[..., 2]
 
 
-def _crossed(size: int, face: Array, j: Array, i: Array) -> tuple[Array, Array, Array]:
-    """(face, row, column) of texels that may lie across an edge: those in the direction of their center."""
+def _cross_edges(size: int, face: Array, j: Array, i: Array) -> tuple[Array, Array, Array]:
+    """Return (face, row, column) of texels; beyond an edge, of the texel that the direction of their center hits."""
     s, t = (2 * i + 1 - size) / size, (2 * j + 1 - size) / size
     at = np.empty((*s.shape, 3))
-    turned = np.stack([s, t, np.ones(s.shape)], -1) * _SIGNS[face]
-    np.put_along_axis(at, np.broadcast_to(_AXES[face], at.shape), turned, -1)
+    projected = np.stack([s, t, np.ones(s.shape)], -1) * _SIGNS[face]
+    np.put_along_axis(at, np.broadcast_to(_AXES[face], at.shape), projected, -1)
     next_face = _face_of(at)
-    x, y, m = _turned(next_face, at)
+    x, y, m = _project(next_face, at)
     outside = (i < 0) | (i >= size) | (j < 0) | (j >= size)
     column = np.clip(np.floor((x / m + 1) / 2 * size), 0, size - 1).astype(np.int32)
     row = np.clip(np.floor((y / m + 1) / 2 * size), 0, size - 1).astype(np.int32)

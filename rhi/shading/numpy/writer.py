@@ -1,8 +1,9 @@
-"""Lane code as Python that computes on NumPy arrays: one array element an invocation.
+"""Writes lane code as Python that computes on NumPy arrays, one array element per invocation.
 
-- Values broadcast: what is the same for a dispatch is one number, for a work-group of shape (groups, 1), and what
-  varies of shape (groups, invocations). A function evaluated on arrays takes any shapes that broadcast.
-- `R` is `rhi.shading.numpy.runtime`, `F` the dtype of floats.
+- Values broadcast. A value that is uniform over the dispatch is one number, a value that is uniform over a work-group
+  has the shape (groups, 1), and a varying one (groups, invocations). A function evaluated on arrays takes any shapes
+  that broadcast.
+- In the text, `R` is `rhi.shading.numpy.runtime` and `F` the dtype of floats.
 """
 
 from __future__ import annotations
@@ -30,15 +31,16 @@ _DTYPES: Final = {
 }
 
 
-def write_numpy(code: Code) -> str:
-    """The source of a module with `run(F, M, P, arguments)`.
+def write_numpy_function(code: Code) -> str:
+    """Return the text of a function `run(F, M, P, arguments)`.
 
-    `M` maps names to memory, `P` is the `Places` of a dispatch; it returns the tuple of results.
+    `M` maps names to memory, `P` is the `WorkGroups` of a dispatch or the `Invocations` of another stage. The function
+    returns the tuple of results.
     """
-    return _Writer(code).write()
+    return _NumpyWriter(code).write()
 
 
-class _Writer:
+class _NumpyWriter:
     def __init__(self, code: Code) -> None:
         self.code = code
         self.lines: list[str] = []
@@ -64,12 +66,9 @@ class _Writer:
         return "\n".join([*head, *self.lines, f"    return ({results})"]) + "\n"
 
     def name(self, memory: MemoryRegion) -> str:
-        """What a shader's class names ends in an underscore, since the module has names of its own."""
-        return (
-            memory.name
-            if memory.space in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
-            else f"{memory.name}_"
-        )
+        """Return the name of a memory region; a name from the shader's class gets a "_", so that it can't clash."""
+        is_local = memory.space in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
+        return memory.name if is_local else f"{memory.name}_"
 
     def add(self, depth: int, text: str) -> None:
         self.lines.append("    " * depth + text)
@@ -77,7 +76,7 @@ class _Writer:
     # -- values
 
     def value(self, node: Value) -> str:
-        """A value as an expression."""
+        """Return a value as an expression."""
         match node:
             case lanes.Literal(kind=kind, value=value):
                 return self.literal(kind, value)
@@ -85,8 +84,6 @@ class _Writer:
                 return variable.name
             case lanes.Argument(name=name):
                 return name
-            case lanes.Affine(base=base, stride=stride):
-                return f"({self.value(base)} + P.lanes * {stride})"
             case lanes.ElementCount(memory=memory):
                 return f"np.int32({self.name(memory)}.size // {memory.stride})"
             case lanes.Input(index=lanes.DispatchIndex.LOCAL_INDEX):
@@ -115,10 +112,13 @@ class _Writer:
         text = f"{text} * {scale}" if scale != 1 else text
         return f"{text} + {offset}" if offset else text
 
+    def mask(self, mask: lanes.Variable | None) -> str:
+        return mask.name if mask is not None else "None"
+
     def load(self, node: lanes.Load) -> str:
         memory = node.memory
         address = self.address(node.index, node.scale, node.offset)
-        mask = node.mask.name if node.mask is not None else "None"
+        mask = self.mask(node.mask)
         if memory.space is AddressSpace.PRIVATE:
             return f"R.load_private({self.name(memory)}, {address}, {mask})"
         if memory.space is AddressSpace.CONSTANT:
@@ -130,7 +130,7 @@ class _Writer:
     # -- statements
 
     def block(self, block: lanes.Block, depth: int) -> None:
-        """Statements, at least one."""
+        """Write a block, `pass` if it is empty."""
         if not block:
             self.add(depth, "pass")
         for statement in block:
@@ -157,8 +157,7 @@ class _Writer:
                 self.texture(node, depth)
             case lanes.Check(wrong=wrong, given=given, limit=limit, mask=mask):
                 values = f"{self.value(wrong)}, {self.value(given)}, {self.value(limit)}"
-                taking_part = mask.name if mask is not None else "None"
-                self.add(depth, f"R.check({values}, {taking_part}, {node.line!r})")
+                self.add(depth, f"R.check({values}, {self.mask(mask)}, {node.line!r})")
             case lanes.Barrier():
                 pass
             case lanes.If(condition=condition, then=then, otherwise=otherwise, any_lane=any_lane):
@@ -195,7 +194,7 @@ class _Writer:
         return f"{self.name(memory)}, {self.address(index, scale, offset)}"
 
     def store(self, node: lanes.Store, depth: int) -> None:
-        mask = node.mask.name if node.mask is not None else "None"
+        mask = self.mask(node.mask)
         function = {AddressSpace.PRIVATE: "store_private", AddressSpace.SHARED: "store_shared"}.get(
             node.memory.space, "store"
         )
@@ -204,7 +203,7 @@ class _Writer:
             self.add(depth, f"R.{function}({target}, {self.value(value)}, {mask}, P)")
 
     def atomic(self, node: lanes.Atomic, depth: int) -> None:
-        mask = node.mask.name if node.mask is not None else "None"
+        mask = self.mask(node.mask)
         target = self.target(node.memory, node.index, node.scale, node.offset)
         shared = node.memory.space is AddressSpace.SHARED
         values = ", ".join(map(self.value, node.values))
@@ -217,13 +216,11 @@ class _Writer:
         )
 
     def texture(self, node: lanes.TextureAccess, depth: int) -> None:
-        """A method of `rhi.shading.numpy.textures`."""
+        """Write the call of a method of `rhi.shading.numpy.textures.HostTexture`."""
         name, values = self.name(node.memory), [self.value(value) for value in node.arguments]
         if node.operation == "store":
-            mask = node.mask.name if node.mask is not None else "None"
-            self.add(
-                depth, f"{name}.store({', '.join(values[:3])}, ({', '.join(values[3:])}), {mask}, P.shape)"
-            )
+            mask, (x, y, z, *components) = self.mask(node.mask), values
+            self.add(depth, f"{name}.store({x}, {y}, {z}, ({', '.join(components)}), {mask}, P.shape)")
             return
         results = ", ".join(result.name for result in node.results)
         match node.operation:

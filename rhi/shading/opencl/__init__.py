@@ -1,1 +1,1 @@
-"""From lane code to OpenCL C."""
+"""Translation of lane code to OpenCL C."""

@@ -1,6 +1,7 @@
-"""Functions that OpenCL lane code calls, written once for every width: FLOAT, INT, UINT stand for scalars or vectors.
+"""The OpenCL C functions that lane code calls.
 
-Memory functions are made for the space, stride and operation that a kernel uses.
+- Arithmetic functions are written once for all widths: FLOAT, INT and UINT stand for scalars or vectors.
+- Memory functions are generated for the address space, stride and operation that a kernel uses.
 """
 
 from __future__ import annotations
@@ -16,10 +17,10 @@ _HEAD: Final = "inline __attribute__((overloadable, always_inline)) "
 
 
 def _estimate_text(width: int) -> str:
-    """1 / sqrt(x) to 11 bits at least, by the instruction of the machine; elsewhere as OpenCL has it."""
+    """Write 1 / sqrt(x) to at least 11 bits: the machine's instruction where there is one, else OpenCL's function."""
     suffix = str(width) if width > 1 else ""
     head = f"{_HEAD}float{suffix} rhi_inversesqrt_estimate(float{suffix} x)"
-    ways = {
+    native = {
         16: """#ifdef __AVX512F__
 HEAD { return __builtin_ia32_rsqrt14ps512_mask(x, (float16)(0.0f), (ushort)0xffff); }
 #elif defined(__AVX__)
@@ -27,23 +28,27 @@ HEAD { return (float16)(__builtin_ia32_rsqrtps256(x.lo), __builtin_ia32_rsqrtps2
         8: "#ifdef __AVX__\nHEAD { return __builtin_ia32_rsqrtps256(x); }",
         4: "#ifdef __SSE__\nHEAD { return __builtin_ia32_rsqrtps(x); }",
     }
-    otherwise = f"{head} {{ return native_rsqrt(x); }}"
-    if width not in ways:
-        return otherwise
-    return f"{ways[width].replace('HEAD', head)}\n#else\n{otherwise}\n#endif"
+    fallback = f"{head} {{ return native_rsqrt(x); }}"
+    if width not in native:
+        return fallback
+    return f"{native[width].replace('HEAD', head)}\n#else\n{fallback}\n#endif"
 
 
-def _turn_text(function: str) -> Callable[[int], str]:
-    """sin, cos or tan. PoCL's vector forms (3.1) are wrong by .008 in all lanes if one is above 1e7: those go alone."""
+def _trigonometry_text(function: str) -> Callable[[int], str]:
+    """Return a writer of sin, cos or tan.
+
+    PoCL's vector forms (3.1) are wrong by .008 in all lanes if one lane is above 1e7, so lanes far from 0 are computed
+    one by one.
+    """
 
     def text(width: int) -> str:
         if width == 1:
             return f"{_HEAD}float rhi_{function}(float x) {{ return {function}(x); }}"
-        alone = " ".join(f"if (far.s{HEX[i]}) r.s{HEX[i]} = {function}(x.s{HEX[i]});" for i in range(width))
+        one_by_one = " ".join(f"if (far.s{HEX[i]}) r.s{HEX[i]} = {function}(x.s{HEX[i]});" for i in range(width))
         return f"""{_HEAD}float{width} rhi_{function}(float{width} x) {{
     int{width} far = fabs(x) > 1e5f;
     float{width} r = {function}(select(x, (float{width})(0.0f), far));
-    if (rhi_any(far)) {{ {alone} }}
+    if (rhi_any(far)) {{ {one_by_one} }}
     return r;
 }}"""
 
@@ -51,7 +56,7 @@ def _turn_text(function: str) -> Callable[[int], str]:
 
 
 def _uniform_text(width: int) -> str:
-    """The value of the first lane that takes part, of the first of all where the mask is a scalar."""
+    """Write the selection of the first active lane's value; with a scalar mask, of the first lane's."""
     if width == 1:
         return ""
     texts = []
@@ -68,7 +73,7 @@ def _uniform_text(width: int) -> str:
 
 
 def _check_text(width: int) -> str:
-    """Writes down the first fault of a launch: its line in the text, and what was given instead of what."""
+    """Write the check that records the first fault of a launch: its line in the text, the given value and the limit."""
     if width == 1:
         kind, condition, first = "int", "wrong", "given"
     else:
@@ -81,14 +86,14 @@ def _check_text(width: int) -> str:
 }}"""
 
 
-# name -> (text, or what writes it for a width; names it calls)
+# name -> (text, or a function that writes it for a width; names of the functions that it calls)
 _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]] = {
     "rhi_abs": (
         """FLOAT rhi_abs(FLOAT x) { return fabs(x); }
 #INT rhi_abs(INT x) { return as_INT(abs(x)); }""",
         (),
     ),
-    # One instruction for vectors; PoCL's own are not.
+    # One instruction for vectors, unlike PoCL's own functions.
     "rhi_min": (
         """FLOAT rhi_min(FLOAT x, FLOAT y) { return y < x ? y : x; }
 #INT rhi_min(INT x, INT y) { return min(x, y); }
@@ -101,7 +106,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 #UINT rhi_max(UINT x, UINT y) { return max(x, y); }""",
         (),
     ),
-    # The remainder's sign says whether truncating was flooring. Division never traps: / 0 and INT_MIN / -1 by 1.
+    # The sign of the remainder tells whether truncation equals flooring. Division never traps: x / 0 and INT_MIN / -1
+    # divide by 1 instead.
     "rhi_floor_divide": (
         """SINT rhi_floor_divide(SINT a, SINT b) {
     int d = b == 0 || (b == -1 && a == (int)0x80000000) ? 1 : b;
@@ -122,7 +128,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 #UINT rhi_modulo(UINT a, UINT b) { return a - rhi_floor_divide(a, b) * b; }""",
         ("rhi_floor_divide",),
     ),
-    # To half floats and back, halves to even: F. Giesen, float_to_half_fast3_rtne and half_to_float.
+    # Half floats and back, rounding to nearest even: F. Giesen, float_to_half_fast3_rtne and half_to_float.
     "rhi_half_bits": (
         """UINT rhi_half_bits(FLOAT x) {
     UINT sign = as_UINT(x) & 0x80000000u, bits = as_UINT(x) ^ sign;
@@ -145,8 +151,8 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         (),
     ),
-    # The mantissa, m + 1, in 2/3…4/3; log2(1 + m) / m by a polynomial whose greatest relative error is least. Zero,
-    # infinity and what is not a number aside.
+    # The mantissa, m + 1, is in 2/3…4/3; log2(1 + m) / m is a minimax polynomial in relative error. Zero, infinity and
+    # NaN are not handled.
     "rhi_fast_log2_finite": (
         """FLOAT rhi_fast_log2_finite(FLOAT x) {
     INT whole = (as_INT(x) - 0x3f2aaaab) & (int)0xff800000;
@@ -165,7 +171,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         ("rhi_fast_log2_finite",),
     ),
-    # t's low bits are the nearest whole number + 127, which shifted up are a power of two: 0 and infinity at the ends.
+    # The low bits of t are the nearest integer + 127, which shifted up are a power of two: 0 and infinity at the ends.
     "rhi_fast_exp2": (
         """FLOAT rhi_fast_exp2(FLOAT x) {
     x = rhi_min(rhi_max(x, (FLOAT)-127.0f), (FLOAT)128.0f);
@@ -177,7 +183,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         ("rhi_min", "rhi_max"),
     ),
-    # As exp2, log(2) taken off in two parts.
+    # Like exp2; log(2) is subtracted in two parts.
     "rhi_fast_exp": (
         """FLOAT rhi_fast_exp(FLOAT x) {
     x = rhi_min(rhi_max(x, (FLOAT)-88.02f), (FLOAT)88.8f);
@@ -190,7 +196,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         ("rhi_min", "rhi_max"),
     ),
-    # 0 to a power is 0, 1 or infinity, as its logarithm were that of 1e-38 to the power 1e28.
+    # The logarithm of 0 is replaced by -1e30, so that 0 to a power is 0, 1 or infinity.
     "rhi_fast_pow": (
         """FLOAT rhi_fast_pow(FLOAT x, FLOAT y) {
     FLOAT l = SELECT(rhi_fast_log2_finite(x), (FLOAT)-1e30f, x == 0.0f);
@@ -198,7 +204,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 }""",
         ("rhi_fast_log2_finite", "rhi_fast_exp2"),
     ),
-    # The machine's estimate and one step of Newton's method, which 0 and infinity do without.
+    # The machine's estimate and one step of Newton's method, which is skipped for 0 and infinity.
     "rhi_fast_inversesqrt": (
         """FLOAT rhi_fast_inversesqrt(FLOAT x) {
     FLOAT y = rhi_inversesqrt_estimate(x), rest = fma(-x * y, y, (FLOAT)1.0f);
@@ -209,11 +215,11 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
     "rhi_inversesqrt_estimate": (_estimate_text, ()),
     "rhi_uniform": (_uniform_text, ()),
     "rhi_check": (_check_text, ("rhi_uniform",)),
-    "rhi_sin": (_turn_text("sin"), ()),
-    "rhi_cos": (_turn_text("cos"), ()),
-    "rhi_tan": (_turn_text("tan"), ()),
-    # Quarter turns off in three steps, then Cephes' polynomials: for |x| up to some thousands. What is left of larger
-    # ones is limited, so that results are never above 1.
+    "rhi_sin": (_trigonometry_text("sin"), ()),
+    "rhi_cos": (_trigonometry_text("cos"), ()),
+    "rhi_tan": (_trigonometry_text("tan"), ()),
+    # Range reduction by quarter turns in three steps, then the polynomials of Cephes: for |x| up to some thousands. The
+    # reduced argument is clamped, so that results for larger ones don't exceed 1.
     "rhi_fast_turn": (
         """FLOAT rhi_fast_turn(FLOAT x, int more) {
     FLOAT whole = fma(x, (FLOAT)0.636619772f, (FLOAT)12582912.0f) - 12582912.0f;
@@ -237,7 +243,7 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
 
 
 def functions_in(text: str) -> list[str]:
-    """The prelude's functions that a kernel calls, those that they call first."""
+    """Return the names of the prelude's functions that a kernel needs, each after the functions that it calls."""
     found: dict[str, None] = {}
 
     def add(name: str) -> None:
@@ -252,7 +258,7 @@ def functions_in(text: str) -> list[str]:
 
 
 def function_text(name: str, width: int) -> str:
-    """A function for scalars, and for vectors of `width`."""
+    """Return the text of a function, for scalars and for vectors of `width`."""
     texts = []
     for lanes in sorted({1, width}):
         text = _FUNCTIONS[name][0]
@@ -267,11 +273,11 @@ def function_text(name: str, width: int) -> str:
                 body = body[1:].replace("(SINT", "(INT").replace(" SINT", " INT").replace("(VINT", "(INT")
                 body = body.replace(" VINT", " INT").replace("(SUINT", "(UINT").replace(" SUINT", " UINT")
                 body = body.replace("(VUINT", "(UINT").replace(" VUINT", " UINT")
-            texts.append(_HEAD + _sized(body, lanes))
+            texts.append(_HEAD + _for_width(body, lanes))
     return "\n".join(texts)
 
 
-def _sized(body: str, lanes: int) -> str:
+def _for_width(body: str, lanes: int) -> str:
     suffix = "" if lanes == 1 else str(lanes)
     body = body.replace("SELECT(", "rhi_select(" if lanes == 1 else "select(")
     return (
@@ -288,7 +294,7 @@ SCALAR_SELECT: Final = """#pragma clang diagnostic ignored "-Wparentheses-equali
 
 QUAD_NAMES: Final = ("rhi_ddx(", "rhi_ddy(", "rhi_quads(")
 
-# 16 lanes are 4 by 4 pixels, lane = x + 4 y; quads are 2 by 2 of them. Each row and column has its own difference.
+# 16 lanes are 4 by 4 pixels, lane = x + 4 y; a quad is 2 by 2 pixels. Each row and column has its own difference.
 QUADS: Final = f"""{_HEAD}float16 rhi_ddx(float16 v) {{ return v.s1133557799bbddff - v.s0022446688aaccee; }}
 {_HEAD}float16 rhi_ddy(float16 v) {{ return v.s45674567cdefcdef - v.s0123012389ab89ab; }}
 {_HEAD}int16 rhi_quads(int16 mask) {{
@@ -298,7 +304,7 @@ QUADS: Final = f"""{_HEAD}float16 rhi_ddx(float16 v) {{ return v.s1133557799bbdd
 
 
 def any_text(width: int) -> str:
-    """Whether a mask has a lane. The reduction compiles to one instruction where the compiler has it."""
+    """Write the tests for any and all lanes of a mask; the reduction is one instruction where the compiler has it."""
     return f"""{_HEAD}int rhi_any(int{width} mask) {{
 #if __has_builtin(__builtin_reduce_min)
     return __builtin_reduce_min(mask) != 0;
@@ -310,22 +316,25 @@ def any_text(width: int) -> str:
 
 
 def lanes_text(width: int) -> str:
-    """The lanes' numbers, and words that lie side by side at any address."""
+    """Write the vector of lane numbers, and the type of a vector of words at any address."""
     numbers = ", ".join(map(str, range(width)))
     words = f"typedef uint{width} rhi_words __attribute__((aligned(4)));"
     return f"{words}\n#define RHI_LANES ((int{width})({numbers}))"
 
 
 def gather_text(space: str, width: int) -> str:
-    """A word for each lane."""
+    """Write the gather of a word per lane."""
     parts = ", ".join(f"p[i.s{HEX[lane]}]" for lane in range(width))
     return f"{_HEAD}uint{width} rhi_gather({space} const uint *p, int{width} i) {{ return (uint{width})({parts}); }}"
 
 
 def load_text(name: str, space: str, width: int, stride: int, offset: int, has_steps: bool = False) -> str:
-    """Words `first + lane * stride + offset`: vector loads and a transpose, or one by one near the buffer's ends.
+    """Write the load of the words `first + lane * stride + offset`.
 
-    `has_steps`: it is told how far each lane lies behind the first, and may not find them side by side.
+    It uses vector loads and a transpose, and loads word by word near the ends of the buffer.
+
+    Args:
+        has_steps: whether the function gets each lane's distance from the first, since lanes may not be consecutive.
     """
     registers = [f"*({space} const rhi_words *)(p + first + {width * k})" for k in range(stride)]
     declared = ", ".join(f"r{k} = {text}" for k, text in enumerate(registers))
@@ -344,7 +353,7 @@ def load_text(name: str, space: str, width: int, stride: int, offset: int, has_s
 
 
 def store_text(name: str, space: str, width: int, count: int) -> str:
-    """`count` words for each lane, side by side in memory: transposed vector stores if all lanes take part."""
+    """Write the store of `count` consecutive words per lane: transposed vector stores if all lanes are active."""
     values = ", ".join(f"uint{width} v{k}" for k in range(count))
     fast = []
     for k in range(count):
@@ -364,7 +373,7 @@ def store_text(name: str, space: str, width: int, count: int) -> str:
 
 
 def scatter_text(name: str, space: str, width: int, count: int) -> str:
-    """`count` words for each lane that takes part, at any addresses, in the lanes' order."""
+    """Write the scatter of `count` words per active lane, at any addresses, in the order of the lanes."""
     values = ", ".join(f"uint{width} v{k}" for k in range(count))
     lines = []
     for lane in range(width):
@@ -376,7 +385,7 @@ def scatter_text(name: str, space: str, width: int, count: int) -> str:
 
 
 def last_text(width: int) -> str:
-    """The value of the last lane that takes part."""
+    """Write the selection of the last active lane's value."""
     lines = [f"    if (mask.s{HEX[lane]}) return v.s{HEX[lane]};" for lane in reversed(range(width))]
     return (
         f"{_HEAD}uint rhi_last(uint{width} v, int{width} mask) {{\n" + "\n".join(lines) + "\n    return 0;\n}"
@@ -384,7 +393,7 @@ def last_text(width: int) -> str:
 
 
 def atomic_text(name: str, space: str, width: int, operation: str, kind: str) -> str:
-    """An atomic for each lane that takes part, in order."""
+    """Write an atomic operation for each active lane, in order."""
     exchange = operation == "cmpxchg"
     values = f"{kind}{width} v" + (f", {kind}{width} w" if exchange else "")
     lines = []
@@ -401,7 +410,10 @@ def atomic_text(name: str, space: str, width: int, operation: str, kind: str) ->
 
 
 def atomic_add_text(name: str, space: str, width: int, kind: str) -> str:
-    """Adds to one address: the lanes' sum at once, each lane's old value from the sums before it."""
+    """Write an atomic addition of all lanes to one address.
+
+    The sum is added at once; the old value of each lane follows from the sums before it.
+    """
     lines = [f"    before.s{HEX[lane]} = sum; sum += v.s{HEX[lane]};" for lane in range(width)]
     body = "\n".join(lines)
     return f"""{_HEAD}{kind}{width} {name}({space} uint *p, int i, int{width} mask, {kind}{width} v) {{

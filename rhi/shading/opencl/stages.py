@@ -1,4 +1,4 @@
-"""Vertex and fragment stages as OpenCL C functions for 16 lanes, which a rasteriser's kernels call.
+"""Writes vertex and fragment stages as OpenCL C functions for 16 lanes, which a rasteriser's kernels call.
 
     void rhi_vertex(BINDINGS, const uint16 *inputs, int16 vertex, int instance, int draw, int16 mask, uint16 *outputs);
     void rhi_bounds(BINDINGS, const uint16 *inputs, const uint *reaches, int16 vertex, int instance, int draw,
@@ -6,21 +6,21 @@
     int16 rhi_fragment(BINDINGS, const uint16 *inputs, const uint *flat, float16 x, float16 y, float16 z, float16 w,
                        int front, int primitive, int16 mask, uint16 *outputs, float16 *depth);
 
-- BINDINGS are those of the program in order, as for a compute kernel, but uniforms are `global const uint *`. A
-  texture or image is its texels, and words that describe it. A checked program's last one is `global int *`
-  (`rhi.shading.ir.faults`).
-- A vertex stage takes its attributes' components as words, one attribute after the other, and gives the clip position
-  in words 0 to 3 and the fragment stage's varyings from word 4 on. Its vertices may be any; it reads buffers by their
-  index with vector loads if they are consecutive.
-- Where the clip position is an affine function of attributes, `RHI_BOXED(WORD)` is WORD(i) for each word of `inputs`
-  that it depends on, and `rhi_bounds` a vertex stage that gives the position alone, and in words 4 to 7 its slacks
-  (`rhi.shading.lowering.bounds`). `reaches`: floats, how large inputs get.
-- The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It takes smooth and linear varyings for all lanes,
-  also for those outside the mask, as they are compared with; flat varyings as the first vertex has them; the pixels'
-  centres, window depth and 1 / clip w. `front` is 1 or 0. It gives component c of location l in word 4 l + c, the
-  depth where the stage writes one, and the lanes that remain.
+- BINDINGS are the program's bindings in order, as for a compute kernel, but uniforms are `global const uint *`. A
+  texture or image is passed as its texels and the words that describe it. A checked program has a last parameter
+  `global int *` (`rhi.shading.ir.faults`).
+- A vertex stage gets the components of its attributes as words, one attribute after the other. It returns the clip
+  position in words 0 to 3 and the fragment stage's varyings from word 4 on. The vertices may be any; buffers that are
+  indexed by the vertex are read with vector loads if the vertices are consecutive.
+- Where the clip position is an affine function of attributes, `RHI_BOXED(WORD)` expands to WORD(i) for each word of
+  `inputs` that it depends on, and `rhi_bounds` is a vertex stage that returns only the position and, in words 4 to 7,
+  its slacks (`rhi.shading.lowering.bounds`). `reaches` are floats, the largest magnitudes of the inputs.
+- The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It gets smooth and linear varyings for all lanes,
+  including those outside the mask, since differences need them; flat varyings of the first vertex; and the pixels'
+  centres, window depth and 1 / clip w. `front` is 1 or 0. It writes component c of location l to word 4 l + c and the
+  depth if the stage has one, and returns the lanes that remain.
 - Arrays are indexed by constants, so that they live in registers once a function is inlined.
-- Contraction is off in a vertex stage: the same position in two programs is the same bits.
+- Contraction is off in a vertex stage, so that two programs compute the same position to the bit.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from rhi.contract.descriptors import Binding, Stage, StageText
 from rhi.shading.ir import tree
 from rhi.shading.ir.lanes import FIRST_VERTEX, WIDTH, Argument, PositionBounds, StageCode, Uniformity
 from rhi.shading.language.builtins import Precision
-from rhi.shading.opencl.writer import Writer
+from rhi.shading.opencl.writer import OpenCLWriter
 
 __rhi_internal__ = True
 
@@ -46,19 +46,21 @@ _FRAGMENT: Final = (
 )
 
 
-def write_stage(
+def write_opencl_stage(
     stage: tree.StageTree, code: StageCode, bounds: PositionBounds | None, bindings: tuple[Binding, ...],
     precision: Precision,
 ) -> StageText:  # fmt: skip
-    """A stage's function and all that it calls; of a stage with a body in OpenCL C, `code` is empty.
+    """Return the text of a stage's function and of all functions that it calls.
 
-    `bounds` are those of a vertex stage's positions, where they have any (`rhi.shading.lowering.bounds`).
+    Args:
+        code: the lane code of the stage; empty for a stage whose body is written in OpenCL C.
+        bounds: the bounds of a vertex stage's positions, where there are any (`rhi.shading.lowering.bounds`).
     """
     native = stage.entry if LANGUAGE in stage.entry.native else None
-    return _StageWriter(code, precision, native).stage(stage.stage, bounds, bindings)
+    return _OpenCLStageWriter(code, precision, native).stage(stage.stage, bounds, bindings)
 
 
-class _StageWriter(Writer):
+class _OpenCLStageWriter(OpenCLWriter):
     uniform_space = "global const"
 
     def __init__(self, code: StageCode, precision: Precision, native: tree.Function | None) -> None:
@@ -83,7 +85,7 @@ class _StageWriter(Writer):
         return self.finish()
 
     def function(self, head: str, parameters: list[str]) -> None:
-        """One function, of what `code` says."""
+        """Write one function from the current `code`."""
         is_vertex = bool(self.steps)
         with self.lines.braces(f"{_INLINE} {head}({', '.join(parameters)})"):
             if is_vertex:

@@ -1,14 +1,14 @@
-// Textures and images in lane code (rhi.shading.opencl.textures gives the whole picture).
+// Textures and images in lane code; rhi.shading.opencl.textures describes the design.
 //
-// FLOAT, INT and UINT are scalars or vectors of a kernel's width; a condition on them is an INT, all bits set in a
-// vector where it holds, 1 in a scalar. ANY, NOT, BOTH, EITHER and SELECT act on conditions. Texel coordinates and
-// addresses never leave the texture whatever is asked for, so lanes that take no part need no mask to read.
+// FLOAT, INT and UINT are scalars or vectors of a kernel's width. A condition is an INT: all bits set where it holds in
+// a vector, 1 in a scalar. ANY, NOT, BOTH, EITHER and SELECT operate on conditions. Texel coordinates and addresses are
+// always clamped to the texture, so that inactive lanes can read without a mask.
 //
-// A texel is four UINT words: the bits of floats, or integers. PoCL unrolls only the loops that it is told to.
+// A texel is four UINT words: the bits of floats, or integers. PoCL unrolls only loops with a pragma.
 
 // -- formats -----------------------------------------------------------------------------------------------
 
-// Half floats' bits as floats: the exponent moved by a product, which is exact and takes care of denormals.
+// Converts half floats: a product adjusts the exponent, which is exact and also right for denormals.
 static RHI_INLINE FLOAT rhi_from_half(UINT bits) {
 #ifdef RHI_FROM_HALF
     return RHI_FROM_HALF(bits);
@@ -20,14 +20,14 @@ static RHI_INLINE FLOAT rhi_from_half(UINT bits) {
 #endif
 }
 
-// A stored value of sRGB, 0 … 255, decoded (IEC 61966-2-1): within 2e-6; FAST within 1.3e-3, as llvmpipe's.
+// Decodes a stored sRGB value, 0 … 255 (IEC 61966-2-1): within 2e-6; FAST within 1.3e-3, like llvmpipe.
 static RHI_INLINE FLOAT rhi_from_srgb(FLOAT c) {
     FLOAT curve = RHI_FAST ? FAST_SRGB_CURVE : SRGB_CURVE;
     float slope = 1.0f / (RHI_FAST ? 12.6f * 255.0f : 12.92f * 255.0f);
     return SELECT(curve, c * slope, c < (RHI_FAST ? 15.5f : 10.5f));
 }
 
-// Words as they are stored to one word for each channel.
+// Decodes stored words to one word per channel.
 static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     switch (stored) {
     case RHI_UNORM8:
@@ -74,7 +74,7 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     if (channels < 4) r[3] = (UINT)(stored >= RHI_WHOLE8 ? 1u : 0x3f800000u);
 }
 
-// Texel number `i` of each lane.
+// Reads texel number `i` of each lane.
 static RHI_INLINE void rhi_texel(rhi_texture p, rhi_description w, INT i, UINT *r) {
     r[1] = r[2] = r[3] = (UINT)0u;
     switch (w[RHI_TEXEL]) {
@@ -87,7 +87,7 @@ static RHI_INLINE void rhi_texel(rhi_texture p, rhi_description w, INT i, UINT *
     rhi_decode(w[RHI_STORED], w[RHI_CHANNELS], r);
 }
 
-// The same, where it is one of several.
+// The same, not inlined: for callers that read several texels.
 static RHI_CALLED void rhi_fetch(rhi_texture p, rhi_description w, INT i, UINT *r) { rhi_texel(p, w, i, r); }
 
 // -- coordinates -------------------------------------------------------------------------------------------
@@ -103,26 +103,26 @@ static RHI_INLINE FLOAT rhi_wrap(int wrap, FLOAT u) {
     return u;
 }
 
-// A place in texels, or one as good where it is far outside, or no number.
+// Clamps a coordinate in texels that is far outside or NaN.
 static RHI_INLINE FLOAT rhi_near(FLOAT x, float low, float high) {
     x = SELECT((FLOAT)low, x, x > low);
     return SELECT((FLOAT)high, x, x < high);
 }
 
-// The texel that a coordinate lies in.
+// Returns the texel that contains a coordinate.
 static RHI_INLINE INT rhi_nearest(int wrap, int size, FLOAT u) {
     INT i = convert_INT(rhi_floor(rhi_near(rhi_wrap(wrap, u) * (float)size, -1.0f, size)));
     return wrap == RHI_BORDER ? i : rhi_within(i, size);
 }
 
-// The texel before a coordinate, and how near that is to the next one; far outside, both lie there.
+// Finds the texel before a coordinate; returns the weight of the next one. Far outside, both lie outside.
 static RHI_INLINE FLOAT rhi_before(int wrap, int size, FLOAT u, INT *i) {
     FLOAT x = rhi_near(fma(rhi_wrap(wrap, u), (FLOAT)(float)size, (FLOAT)-0.5f), -2.0f, size), whole = rhi_floor(x);
     *i = convert_INT(whole);
     return x - whole;
 }
 
-// The texels that a texel before a coordinate, and the next one, stand for where they lie outside.
+// Applies the wrap mode to the texel before a coordinate, and to the next one.
 static RHI_INLINE void rhi_edge(int wrap, int size, INT *i0, INT *i1) {
     INT i = *i0, j = i + 1;
     if (wrap == RHI_REPEAT) {
@@ -136,17 +136,17 @@ static RHI_INLINE void rhi_edge(int wrap, int size, INT *i0, INT *i1) {
     *i1 = j;
 }
 
-// Whether a texel and the next one lie inside, for all lanes.
+// Whether a texel and the next one lie inside, in all lanes.
 static RHI_INLINE int rhi_inside(int size, INT i) { return !ANY(as_UINT(i) >= (uint)(size - 1)); }
 
-// The two texels around a coordinate, and how near it is to the second.
+// Finds the two texels around a coordinate; returns the weight of the second.
 static RHI_INLINE FLOAT rhi_around(int wrap, int size, FLOAT u, INT *i0, INT *i1) {
     FLOAT at = rhi_before(wrap, size, u, i0);
     rhi_edge(wrap, size, i0, i1);
     return at;
 }
 
-// A direction as (s, t) on a cube's face and how far along its axis: OpenGL 4.3, table 8.19, with t down.
+// Projects a direction on a cube's face: (s, t), and m along the face's axis. OpenGL 4.3, table 8.19, with t down.
 static RHI_INLINE void rhi_turn(
     INT is_y, INT is_z, INT negative, FLOAT x, FLOAT y, FLOAT z, FLOAT *s, FLOAT *t, FLOAT *m
 ) {
@@ -156,7 +156,7 @@ static RHI_INLINE void rhi_turn(
     *m = SELECT(along, -along, negative);
 }
 
-// Which axis is longest (x if neither y nor z is), and whether the direction points down it.
+// Finds the major axis (x if neither y nor z), and whether the direction is negative along it.
 static RHI_INLINE void rhi_axis(FLOAT x, FLOAT y, FLOAT z, INT *is_y, INT *is_z, INT *negative) {
     FLOAT ax = fabs(x), ay = fabs(y), az = fabs(z);
     *is_z = BOTH(az >= ax, az >= ay);
@@ -164,7 +164,7 @@ static RHI_INLINE void rhi_axis(FLOAT x, FLOAT y, FLOAT z, INT *is_y, INT *is_z,
     *negative = SELECT(SELECT(x, y, *is_y), z, *is_z) < 0.0f;
 }
 
-// The face of a cube that a direction meets, and where, 0 … 1.
+// Returns the face of a cube that a direction hits, and replaces (u, v) by the coordinates there, 0 … 1.
 static RHI_INLINE INT rhi_face(FLOAT *u, FLOAT *v, FLOAT z) {
     INT is_y, is_z, negative;
     FLOAT s, t, m;
@@ -175,7 +175,7 @@ static RHI_INLINE INT rhi_face(FLOAT *u, FLOAT *v, FLOAT z) {
     return SELECT(SELECT((INT)0, (INT)2, is_y), (INT)4, is_z) + SELECT((INT)0, (INT)1, negative);
 }
 
-// Texels that lie across an edge of their face: those of the next face, found in the direction of their center.
+// Replaces texels beyond an edge of their face by those of the next face that the direction of their center hits.
 static RHI_CALLED void rhi_cross(int size, INT *face, INT *i, INT *j) {
     float texel = 1.0f / size;
     FLOAT s = convert_FLOAT(*i * 2 + 1 - size) * texel, t = convert_FLOAT(*j * 2 + 1 - size) * texel;
@@ -191,7 +191,7 @@ static RHI_CALLED void rhi_cross(int size, INT *face, INT *i, INT *j) {
     *j = SELECT(*j, rhi_within(convert_INT(y * (float)size), size), outside);
 }
 
-// An array's layer, or a cube's face (0 … 5).
+// Returns an array's layer, or a cube's face (0 … 5).
 static RHI_INLINE INT rhi_layer(rhi_description w, rhi_description level, FLOAT z) {
     if (w[RHI_SHAPE] == RHI_FLAT) return (INT)0;
     FLOAT last = (FLOAT)(level[RHI_DEPTH] - 1);
@@ -202,7 +202,7 @@ static RHI_INLINE INT rhi_layer(rhi_description w, rhi_description level, FLOAT 
 
 // -- one level ---------------------------------------------------------------------------------------------
 
-// A texel, or the border where it lies outside.
+// Reads a texel, or the border color where it lies outside.
 static RHI_CALLED void rhi_tap(
     rhi_texture t, rhi_description w, rhi_description level, INT x, INT y, INT layer, UINT *r
 ) {
@@ -215,7 +215,7 @@ static RHI_CALLED void rhi_tap(
     }
 }
 
-// Whether a reference passes; without a comparison, the depth itself.
+// Compares a reference with a depth: 1 or 0, or the depth itself without a comparison.
 static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT depth) {
     if (w[RHI_CLAMPED]) {
         reference = SELECT((FLOAT)1.0f, reference, reference < 1.0f);
@@ -235,8 +235,8 @@ static RHI_INLINE FLOAT rhi_passes(rhi_description w, FLOAT reference, FLOAT dep
     return depth;
 }
 
-// The four texels around a place in one layer: (0, 0), (1, 0), (0, 1), (1, 1), or whether the reference passes them;
-// and how near the place is to the last. Inside the layer, two texels of 4 or 8 bytes that lie side by side are one load.
+// Reads the four texels around a point in one layer: (0, 0), (1, 0), (0, 1), (1, 1), or compares them with the reference;
+// `near` gets the weights of the second column and row. Inside the layer, adjacent texels of 4 or 8 bytes are one load.
 static RHI_CALLED void rhi_taps(
     rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, int compared,
     FLOAT reference, UINT *taps, FLOAT *near
@@ -286,7 +286,7 @@ static RHI_CALLED void rhi_taps(
             taps[4 * tap] = as_UINT(rhi_passes(w, reference, as_FLOAT(taps[4 * tap])));
         }
     }
-    if (seams) {  // at a cube's corners three texels meet: the fourth is their mean
+    if (seams) {  // three texels meet at a cube's corner: the fourth is their mean
         for (int tap = 0; tap < 4; ++tap) {
             INT i = x[tap & 1], j = y[tap >> 1];
             INT corner = BOTH(EITHER(i < 0, i >= width), EITHER(j < 0, j >= height));
@@ -302,7 +302,7 @@ static RHI_CALLED void rhi_taps(
 
 static RHI_INLINE FLOAT rhi_mix(FLOAT a, FLOAT b, FLOAT at) { return fma(at, b - a, a); }
 
-// Bilinear, four channels of 8 bits, no border: two texels that lie side by side are one load.
+// Bilinear filter for four channels of 8 bits without a border: two adjacent texels are one load.
 static RHI_INLINE void rhi_bilinear8(
     rhi_texture t, rhi_description w, rhi_description level, FLOAT u, FLOAT v, INT layer, UINT *r
 ) {
@@ -349,7 +349,7 @@ static RHI_INLINE void rhi_bilinear8(
     }
 }
 
-// A level at a place, or how much of it passes: in 2D and arrays `z` is the layer, in a cube the face.
+// Filters one level, or comparisons of its texels. In 2D and arrays `z` is the layer, in a cube the face.
 static RHI_CALLED void rhi_filter(
     rhi_texture t, rhi_description w, rhi_description level, int linear, int compared, FLOAT u, FLOAT v, FLOAT z,
     FLOAT reference, UINT *r
@@ -387,7 +387,8 @@ static RHI_CALLED void rhi_filter(
 
 // -- levels ------------------------------------------------------------------------------------------------
 
-// Each level that a lane wants, for all lanes; a lane mixes two of them. A weight of 1 copies: integers, infinities.
+// Filters each level that any lane needs, for all lanes; a lane mixes two. A weight of 1 copies, so that integers and
+// infinities are kept.
 static RHI_CALLED void rhi_walk(
     rhi_texture t, rhi_description w, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, FLOAT lod, UINT *r
 ) {
@@ -402,7 +403,7 @@ static RHI_CALLED void rhi_walk(
     UINT one[4];
     int number = rhi_least(convert_INT(first));
     level += number * RHI_LEVEL_WORDS;
-    if (minify == magnify && !ANY(first > (float)number)) {  // all lanes are between the same two
+    if (minify == magnify && !ANY(first > (float)number)) {  // all lanes are between the same two levels
         rhi_filter(t, w, level, minify, compared, u, v, z, reference, r);
         if (!ANY(part > 0.0f)) return;
         rhi_filter(t, w, level + RHI_LEVEL_WORDS, minify, compared, u, v, z, reference, one);
@@ -417,7 +418,7 @@ static RHI_CALLED void rhi_walk(
         FLOAT weight = SELECT((FLOAT)0.0f, 1.0f - part, first == (float)number);
         weight = SELECT(weight, part, first == (float)(number - 1));
         if (!ANY(weight > 0.0f)) continue;
-        for (int pass = 0; pass < 2; ++pass) {  // lanes that minify, those that magnify
+        for (int pass = 0; pass < 2; ++pass) {  // first the lanes that minify, then those that magnify
             INT these = BOTH(weight > 0.0f, pass ? magnified : NOT(magnified));
             if (minify == magnify) {
                 if (pass) break;
@@ -451,7 +452,7 @@ static RHI_INLINE void rhi_sample_compare(
     rhi_sampled(t, w, 1, u, v, z, reference, lod, r);
 }
 
-// log2 of what is positive, within 1.2e-4, FAST within 0.087; large of infinity and NaN, small of 0.
+// log2 of positive numbers, within 1.2e-4, FAST within 0.087; large for infinity and NaN, small for 0.
 static RHI_INLINE FLOAT rhi_level_log2(FLOAT x) {
     INT bits = as_INT(x);
     if (RHI_FAST) return fma(convert_FLOAT(bits), (FLOAT)0x1p-23f, (FLOAT)-127.0f);
@@ -459,11 +460,11 @@ static RHI_INLINE FLOAT rhi_level_log2(FLOAT x) {
     return convert_FLOAT((bits >> 23) - 127) + LOG2_CURVE;
 }
 
-// The level at which a step to the next pixel, in either direction, is a texel.
+// Returns the level at which the longer of the steps to the next pixels is one texel.
 static RHI_CALLED FLOAT rhi_level_of_detail(
     rhi_description w, FLOAT u, FLOAT v, FLOAT z, FLOAT ux, FLOAT vx, FLOAT zx, FLOAT uy, FLOAT vy, FLOAT zy, FLOAT bias
 ) {
-    if (w[RHI_ONE_FILTER]) return (FLOAT)0.0f;  // nobody asks
+    if (w[RHI_ONE_FILTER]) return (FLOAT)0.0f;  // the level is not used
     rhi_description level = w + RHI_LEVELS;
     float width = level[RHI_WIDTH], height = level[RHI_HEIGHT];
     float depth = RHI_SOLIDS && w[RHI_SHAPE] == RHI_SOLID ? level[RHI_DEPTH] : 0;
@@ -493,7 +494,7 @@ static RHI_CALLED FLOAT rhi_level_of_detail(
 
 // -- single texels -----------------------------------------------------------------------------------------
 
-// The four texels around a place, as a square from its lower left corner on against the clock, seen with v up.
+// Reads one component of the four texels around a point: counterclockwise from the lower left, with v up.
 static RHI_CALLED void rhi_square(
     rhi_texture t, rhi_description w, int component, int compared, FLOAT u, FLOAT v, FLOAT z, FLOAT reference, UINT *r
 ) {
@@ -520,7 +521,7 @@ static RHI_INLINE void rhi_gather_compare(
     rhi_square(t, w, 0, 1, u, v, z, reference, r);
 }
 
-// Outside the texture: zeros.
+// Reads a texel; zeros outside the texture.
 static RHI_CALLED void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, INT z, int number, UINT *r) {
     int count = w[RHI_LEVEL_COUNT];
     rhi_description level = w + RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, count - 1);
@@ -530,7 +531,7 @@ static RHI_CALLED void rhi_load(rhi_texture t, rhi_description w, INT x, INT y, 
     for (int c = 0; c < 4; ++c) r[c] = number >= 0 && number < count ? SELECT((UINT)0u, r[c], inside) : (UINT)0u;
 }
 
-// Each lane from a level of its own.
+// Reads a texel from a different level in each lane.
 static RHI_CALLED void rhi_load_each(rhi_texture t, rhi_description w, INT x, INT y, INT z, INT number, UINT *r) {
     UINT one[4];
     for (int c = 0; c < 4; ++c) r[c] = (UINT)0u;
@@ -542,7 +543,7 @@ static RHI_CALLED void rhi_load_each(rhi_texture t, rhi_description w, INT x, IN
     }
 }
 
-// Along an axis; of a level that isn't there, that of the nearest one.
+// Returns the size along an axis of a level, or of the nearest level that exists.
 static RHI_INLINE INT rhi_size_each(rhi_description w, INT number, int axis) {
     INT level = rhi_within(number, w[RHI_LEVEL_COUNT]);
     return as_INT(rhi_gather32((rhi_texture)(w + RHI_LEVELS + RHI_WIDTH + axis), level * RHI_LEVEL_WORDS));
@@ -550,12 +551,12 @@ static RHI_INLINE INT rhi_size_each(rhi_description w, INT number, int axis) {
 
 static RHI_INLINE UINT rhi_scaled(UINT value, float low, float scale) {
     FLOAT x = as_FLOAT(value);
-    x = SELECT((FLOAT)low, x, x > low);  // of NaN, too, where low is 0
+    x = SELECT((FLOAT)low, x, x > low);  // NaN becomes `low`
     x = SELECT((FLOAT)1.0f, x, x < 1.0f);
     return as_UINT(convert_INT(rhi_round(x * scale)));
 }
 
-// Writes a texel for the lanes of a mask that lie inside.
+// Writes a texel for the lanes of the mask whose coordinates lie inside.
 static RHI_CALLED void rhi_store(
     rhi_image t, INT mask, rhi_description w, INT x, INT y, INT z, UINT r0, UINT r1, UINT r2, UINT r3
 ) {

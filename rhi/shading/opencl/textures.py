@@ -1,9 +1,9 @@
-"""Textures and images in OpenCL lane code: the functions of `opencl_textures.cl`, for a kernel's lanes.
+"""Textures and images in OpenCL lane code: the functions of `textures.cl`, written for the width of a kernel.
 
-- What a texture is (sizes, format, filters, wraps) is words in memory (`rhi.shading.ir.texture_words`), the same for
-  all lanes: branches on it are real, and a kernel's text doesn't depend on what will be bound.
-- Functions aren't inlined, so that a kernel holds each of them once however often it samples.
-- Two texels that lie side by side are one load; lanes that want different levels take turns, all others waiting.
+- A texture is described by words in memory (sizes, format, filters, wraps; `rhi.shading.ir.texture_words`). They are
+  uniform over the lanes: branches on them are real, and the text of a kernel doesn't depend on the bound textures.
+- Functions aren't inlined, so that a kernel contains each of them once however often it samples.
+- Two adjacent texels are one load. Lanes that need different mip levels are served level by level.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ static RHI_INLINE int rhi_size(rhi_description w, int number, int axis) {
     return w[RHI_LEVELS + RHI_LEVEL_WORDS * clamp(number, 0, w[RHI_LEVEL_COUNT] - 1) + RHI_WIDTH + axis];
 }"""
 
-# Minimax: sRGB's curve at the 256 stored values above its straight part, within 1.8e-6, 1 at 1; llvmpipe's, within a
-# third of a stored step; and log2 of 1…2, within 1.2e-4, exact at both ends.
+# Minimax polynomials: the sRGB curve at the 256 stored values above its straight part, within 1.8e-6 and 1 at 1; the
+# curve of llvmpipe, within a third of a stored step; and log2 of 1…2, within 1.2e-4 and exact at both ends.
 _SRGB: Final[tuple[float, ...]] = (
     0.000873782, 0.034559786319732666, 0.4953084886074066, 0.7994788289070129, -0.6501849293708801,
     0.5261836647987366, -0.264753520488739, 0.058533925563097,
@@ -55,16 +55,18 @@ _LOG2: Final = (-0.43872565031051636, 0.23905783891677856, -0.08213036507368088)
 
 
 def textures_text(width: int, shapes: Iterable[TextureKind], precision: Precision) -> str:
-    """The functions for so many lanes and what serves textures of these shapes. FAST has shorter curves for sRGB and
-    for levels."""
-    known = set(shapes)
-    knows = {
-        "SOLIDS": TextureKind.D3 in known,
-        "CUBES": TextureKind.CUBE in known,
+    """Return the functions for textures of these kinds, `width` lanes wide.
+
+    With FAST precision, sRGB and levels of detail use shorter polynomials.
+    """
+    used = set(shapes)
+    options = {
+        "SOLIDS": TextureKind.D3 in used,
+        "CUBES": TextureKind.CUBE in used,
         "FAST": precision is Precision.FAST,
     }
-    has = "enum { " + ", ".join(f"RHI_{name} = {int(value)}" for name, value in knows.items()) + " };"
-    return "\n".join([enumerations(), has, _HEAD, _text(width)])
+    constants = "enum { " + ", ".join(f"RHI_{name} = {int(value)}" for name, value in options.items()) + " };"
+    return "\n".join([enumerations(), constants, _HEAD, _text(width)])
 
 
 @cache
@@ -75,7 +77,7 @@ def _text(width: int) -> str:
         template = template.replace(name, _polynomial(scaled, "c"))
     curve = _polynomial(_LOG2, "m")
     template = template.replace("LOG2_CURVE", f"m * fma(m - 1.0f, {curve}, (FLOAT)1.0f)")
-    return _sized("\n".join([_memory_text(width), template]), width)
+    return _specialized("\n".join([_memory_text(width), template]), width)
 
 
 def _polynomial(coefficients: tuple[float, ...], name: str) -> str:
@@ -85,7 +87,7 @@ def _polynomial(coefficients: tuple[float, ...], name: str) -> str:
     return text
 
 
-def _sized(text: str, width: int) -> str:
+def _specialized(text: str, width: int) -> str:
     vector = width > 1
     for name, wide, scalar in (
         ("SELECT", "select", "rhi_select"),
@@ -101,7 +103,7 @@ def _sized(text: str, width: int) -> str:
 
 
 def _memory_text(width: int) -> str:
-    """What differs from lane to lane: loads and stores, written out."""
+    """Write the loads and stores whose addresses differ from lane to lane."""
     lanes = [f"i.s{HEX[lane]}" for lane in range(width)] if width > 1 else ["i"]
     texts = [_machine_text(width)]
     for bits, type in ((8, "uchar"), (16, "ushort"), (32, "uint")):
@@ -114,13 +116,16 @@ def _memory_text(width: int) -> str:
             f"static RHI_INLINE void rhi_scatter{bits}(rhi_image p, INT i, INT mask, UINT v) {{\n"
             f"    global {type} *q = (global {type} *)p;\n    {stores}\n}}"
         )
-    texts += [_pair_text(lanes), _long_pair_text(lanes), _least_text(width)]
+    texts += [_pair_text(lanes), _long_pair_text(lanes), _minimum_text(width)]
     return "\n".join(texts)
 
 
 def _machine_text(width: int) -> str:
-    """What some machines do in one instruction and OpenCL C has no word for. Of loads that it finds by itself, the
-    compiler gathers a part and inserts the others; and `vload_half` goes through memory."""
+    """Write operations that some machines do in one instruction and OpenCL C can't express.
+
+    Without them, the compiler gathers only a part of the loads and inserts the others; and `vload_half` goes through
+    memory.
+    """
     texts = []
     if width == 16:
         texts.append("""#if defined(__AVX512F__) && __has_builtin(__builtin_ia32_gathersiv8di)
@@ -136,7 +141,7 @@ typedef __fp16 rhi_halves __attribute__((ext_vector_type({width})));
 
 
 def _pair_text(lanes: list[str]) -> str:
-    """The two words from each lane's word number on."""
+    """Write the load of two adjacent words per lane, from word number `i` on."""
     head = "static RHI_INLINE void rhi_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
     half = len(lanes) // 2
     if not half:
@@ -157,7 +162,7 @@ def _pair_text(lanes: list[str]) -> str:
 
 
 def _long_pair_text(lanes: list[str]) -> str:
-    """The two pairs of words from each lane's number of pairs on."""
+    """Write the load of two adjacent pairs of words per lane, from pair number `i` on."""
     head = "static RHI_INLINE void rhi_long_pair(rhi_texture p, INT i, UINT *left, UINT *right) {"
     lines = ["    global const ulong *q = (global const ulong *)p;"]
     half = len(lanes) // 2
@@ -175,21 +180,21 @@ def _long_pair_text(lanes: list[str]) -> str:
     return "\n".join([head, *lines, "}"])
 
 
-def _least_text(width: int) -> str:
-    """The least of all lanes."""
+def _minimum_text(width: int) -> str:
+    """Write the minimum over all lanes."""
     head = "static RHI_INLINE int rhi_least(INT x) {"
     if width == 1:
         return f"{head} return x; }}"
-    least = "x.s0"
+    minimum = "x.s0"
     for lane in range(1, width):
-        least = f"min({least}, x.s{HEX[lane]})"
+        minimum = f"min({minimum}, x.s{HEX[lane]})"
     return "\n".join(
         [
             head,
             "#if __has_builtin(__builtin_reduce_min)",
             "    return __builtin_reduce_min(x);",
             "#else",
-            f"    return {least};",
+            f"    return {minimum};",
             "#endif",
             "}",
         ]

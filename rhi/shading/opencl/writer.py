@@ -1,10 +1,10 @@
-"""Lane code as OpenCL C: scalars for what the lanes share, vectors for what varies.
+"""Writes lane code as OpenCL C: scalars for uniform values, vectors for varying ones.
 
-- A kernel's arguments are the shader's bindings in order: `constant uint *` for a uniform block, `global uint *` and
-  the number of elements for a buffer. Its work-items are a work-group's invocations divided by the width, in one
+- A kernel's parameters are the shader's bindings in order: `constant uint *` for a uniform block, `global uint *` and
+  the number of elements for a buffer. It has a work-item for every `width` invocations of a work-group, in one
   dimension; the groups may have three.
-- MemoryRegion is words, cast by `as_float` and `as_int`. A mask is an int vector of 0 and -1.
-- With a width of 1 there are no masks: loops, branches and returns are C's.
+- Memory consists of words, which `as_float` and `as_int` cast. A mask is an int vector of 0 and -1.
+- With a width of 1 there are no masks: loops, branches and returns are those of C.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from rhi.shading.ir.lanes import (
 from rhi.shading.ir.primitives import spelling
 from rhi.shading.ir.text import Lines, power_steps
 from rhi.shading.language.builtins import Precision
-from rhi.shading.opencl import prelude as prelude
+from rhi.shading.opencl import prelude
 from rhi.shading.opencl.textures import textures_text
 
 __rhi_internal__ = True
@@ -45,23 +45,26 @@ _SPACES: Final = {
 }
 _LONGEST_STRIDE: Final = 8
 _LARGEST_POWER: Final = 64
-"""An exponent up to which multiplying is faster than a logarithm, and more exact: a rounding for each factor."""
+"""The largest exponent for which multiplications are faster than a logarithm, and more exact: one rounding each."""
 
 
-def write_kernel(
+def write_opencl_kernel(
     code: Code, bindings: tuple[Binding, ...], precision: Precision, native: tree.Function | None = None
 ) -> StageText:
-    """A compute stage as OpenCL C 1.2, a kernel named `compute`; `native`: its body is this function's in OpenCL C, and
-    `code` is empty."""
-    return Writer(code, precision, native).kernel(bindings)
+    """Return a compute stage as OpenCL C 1.2, a kernel named `compute`.
+
+    Args:
+        native: the function whose body is written in OpenCL C, if there is one; `code` is empty then.
+    """
+    return OpenCLWriter(code, precision, native).kernel(bindings)
 
 
-class Writer:
-    """Writes lane code; `rhi.shading.opencl.stages` adds the stages of a draw."""
+class OpenCLWriter:
+    """A writer of compute kernels; `rhi.shading.opencl.stages` derives the writer of a draw's stages from it."""
 
     uniform_space = "constant"
     steps = ""
-    """Of a stage whose lanes may lie anywhere: the variable with how far each lies behind the first."""
+    """The variable with each lane's distance from the first, in a stage whose lanes may not be consecutive."""
 
     def __init__(self, code: Code, precision: Precision, native: tree.Function | None = None) -> None:
         self.code = code
@@ -89,7 +92,7 @@ class Writer:
         return self.finish()
 
     def body(self) -> None:
-        """What the stage does."""
+        """Write the body of the stage."""
         self.block(self.code.block)
         if self.native is not None:
             for number, line in enumerate(self.native.body.splitlines()):
@@ -97,10 +100,10 @@ class Writer:
                 self.lines.add(line, self.native_file if first else "", first + number if first else 0)
 
     def finish(self) -> StageText:
-        """What was written, and what it calls in front of it."""
+        """Return the written text, preceded by the functions that it calls."""
         head = self.head()
         lines = [*head, *self.lines.text]
-        if self.code.checked:  # a rasteriser puts text in front, which __LINE__ would count
+        if self.code.checked:  # __LINE__ would count the text that a rasteriser puts in front
             lines = [line.replace("RHI_HERE", str(number)) for number, line in enumerate(lines, 1)]
         text = "\n".join(lines) + "\n"
         return StageText(text, (("", 0),) * len(head) + tuple(self.lines.origins))
@@ -149,7 +152,7 @@ class Writer:
         return value.uniformity is Uniformity.VARYING and self.width > 1
 
     def wide(self, value: Value, vector: bool = True) -> str:
-        """A value as a vector, if that is wanted."""
+        """Return a value as an expression, as a vector unless `vector` is false."""
         text = self.value(value)
         if not vector or self.is_vector(value) or self.width == 1:
             return text
@@ -158,7 +161,7 @@ class Writer:
         return f"({self.type(value.kind, True)})({text})"
 
     def value(self, node: Value) -> str:
-        """A value as an expression that needs no parentheses around it."""
+        """Return a value as an expression that needs no parentheses."""
         match node:
             case Literal():
                 return self.literal(node)
@@ -185,7 +188,7 @@ class Writer:
         raise TypeError(f"no OpenCL C for {node}")
 
     def argument(self, node: lanes.Argument) -> str:
-        """What the caller passes in."""
+        """Return the expression of an argument that the caller passes."""
         return node.name
 
     def literal(self, node: Literal) -> str:
@@ -224,7 +227,7 @@ class Writer:
         return template.format(*texts, type=self.type(node.kind, vector))
 
     def whole_power(self, base: Value, exponent: int) -> str:
-        """Squares and factors, from the exponent's highest bit down."""
+        """Return a power by repeated squaring, from the exponent's highest bit down."""
         name = f"rhi_power_{exponent}"
         type = self.type(ScalarKind.FLOAT, self.is_vector(base))
         head = f"inline __attribute__((overloadable, always_inline)) {type} {name}({type} x)"
@@ -234,7 +237,7 @@ class Writer:
     # -- memory
 
     def name(self, memory: MemoryRegion) -> str:
-        """What a shader's class names ends in an underscore, since C has names of its own, such as `signed`."""
+        """Return the name of memory; a name from the shader's class gets a "_", since C has names like `signed`."""
         named = memory.space not in (AddressSpace.PRIVATE, AddressSpace.CONSTANT)
         return f"{memory.name}_" if named else memory.name
 
@@ -276,22 +279,22 @@ class Writer:
                 steps = f", {self.steps}" if self.steps else ""
                 text = f"{name}({self.name(memory)}, {self.value(first)}, {self.words(memory)}{steps})"
                 return self.cast(node.kind, True, text)
-        place = self.wide(self.address(index, node.scale, node.offset))
+        address = self.wide(self.address(index, node.scale, node.offset))
         if node.mask is not None:
-            place = f"{place} & {self.mask(node.mask)}"
-        return self.cast(node.kind, True, f"rhi_gather({self.name(memory)}, {place})")
+            address = f"{address} & {self.mask(node.mask)}"
+        return self.cast(node.kind, True, f"rhi_gather({self.name(memory)}, {address})")
 
     def load_private(self, node: lanes.Load) -> str:
         memory, index = node.memory, node.index
         if not self.is_vector(index):
             return f"{self.name(memory)}[{self.value(index)}]"
-        place = self.wide(index)
+        address = self.wide(index)
         if node.mask is not None:
-            place = f"({place} & {self.mask(node.mask)})"
+            address = f"({address} & {self.mask(node.mask)})"
         varying = memory.uniformity is Uniformity.VARYING
         if varying:
-            place = f"{place} * {self.width} + RHI_LANES"
-        text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {place})")
+            address = f"{address} * {self.width} + RHI_LANES"
+        text = self.cast(node.kind, True, f"rhi_gather({self.pointer(memory)}, {address})")
         return text if varying or node.kind is not ScalarKind.BOOL else f"(-{text})"
 
     def mask(self, mask: lanes.Variable | None) -> str:
@@ -354,7 +357,7 @@ class Writer:
     def check(
         self, node: lanes.Statement, wrong: Value, given: Value, limit: Value, mask: lanes.Variable | None
     ) -> None:
-        """Host programs know the Python line of a text's line."""
+        """Write a check that records the number of its line, for which the host knows the line in Python."""
         bad = self.wide(wrong) if mask is None else f"{self.wide(wrong)} & {self.mask(mask)}"
         self.add(node, f"rhi_check({bad}, {self.wide(given)}, {self.value(limit)}, rhi_faults, RHI_HERE);")
 
@@ -409,18 +412,18 @@ class Writer:
             return
         name = f"rhi_scatter_{space}_{count}"
         self.helper(name, prelude.scatter_text(name, space, self.width, count))
-        place = self.wide(self.address(index, node.scale, node.offset))
-        self.add(node, f"{name}({self.name(memory)}, {place}, {mask}, {', '.join(values)});")
+        address = self.wide(self.address(index, node.scale, node.offset))
+        self.add(node, f"{name}({self.name(memory)}, {address}, {mask}, {', '.join(values)});")
 
     def store_scalar(self, node: lanes.Store) -> None:
-        """All lanes mean one address."""
+        """Write a store of all lanes to one address; the last active lane wins."""
         sets = []
         for k, value in enumerate(node.values):
             text = self.bits(value, self.is_vector(value))
             if self.is_vector(value):
                 text = f"rhi_last({text}, {self.mask(node.mask)})"
-            place = self.value(self.address(node.index, node.scale, node.offset + k))
-            sets.append(f"{self.name(node.memory)}[{place}] = {text};")
+            address = self.value(self.address(node.index, node.scale, node.offset + k))
+            sets.append(f"{self.name(node.memory)}[{address}] = {text};")
         if node.mask is None:
             self.add(node, " ".join(sets))
         else:
@@ -430,46 +433,48 @@ class Writer:
         memory, index, (value,) = node.memory, node.index, node.values
         vector = memory.uniformity is Uniformity.VARYING
         if not self.is_vector(index):
-            place = f"{self.name(memory)}[{self.value(index)}]"
+            element = f"{self.name(memory)}[{self.value(index)}]"
             text = self.wide(value, vector)
             if node.mask is not None and self.width > 1:
-                text = f"select({place}, {text}, {node.mask.name})"
-            self.add(node, f"{place} = {text};")
+                text = f"select({element}, {text}, {node.mask.name})"
+            self.add(node, f"{element} = {text};")
             return
         name = "rhi_scatter_private_1"
         self.helper(name, prelude.scatter_text(name, "private", self.width, 1))
-        place = f"{self.wide(index)} * {self.width} + RHI_LANES"
+        address = f"{self.wide(index)} * {self.width} + RHI_LANES"
         bits = self.bits(value, True)
-        self.add(node, f"{name}({self.pointer(memory)}, {place}, {self.mask(node.mask)}, {bits});")
+        self.add(node, f"{name}({self.pointer(memory)}, {address}, {self.mask(node.mask)}, {bits});")
 
     def atomic(self, node: lanes.Atomic) -> None:
         memory, space, kind = node.memory, _SPACES[node.memory.space], _NAMES[node.kind]
         operation = _ATOMICS.get(node.operation, node.operation)
-        place = self.address(node.index, node.scale, node.offset)
+        address = self.address(node.index, node.scale, node.offset)
         result = (
             f"{self.type(node.kind, self.width > 1)} {node.result.name} = " if node.result is not None else ""
         )
         if self.width == 1:
             values = ", ".join(self.value(value) for value in node.values)
-            call = f"atomic_{operation}((volatile {space} {kind} *){self.name(memory)} + {self.value(place)}, {values})"
-            self.add(node, f"{result}{call};")
+            pointer = f"(volatile {space} {kind} *){self.name(memory)} + {self.value(address)}"
+            self.add(node, f"{result}atomic_{operation}({pointer}, {values});")
             return
         values = ", ".join(self.wide(value) for value in node.values)
         mask = self.mask(node.mask)
-        if operation == "add" and not self.is_vector(place):
+        if operation == "add" and not self.is_vector(address):
             name = f"rhi_atomic_add_all_{space}_{kind}"
             self.helper(name, prelude.atomic_add_text(name, space, self.width, kind))
-            target = self.value(place)
+            target = self.value(address)
         else:
             name = f"rhi_atomic_{operation}_{space}_{kind}"
             self.helper(name, prelude.atomic_text(name, space, self.width, operation, kind))
-            target = self.wide(place)
+            target = self.wide(address)
         call = f"{name}({self.name(memory)}, {target}, {mask}, {values});"
         self.add(node, result + call)
 
     def texture(self, node: lanes.TextureAccess) -> None:
-        """A call of the function of `opencl_textures.cl` that has the operation's name. Those that read texels are
-        made for the lanes alone: what all lanes want is the first one's."""
+        """Write a call of the function in `textures.cl` that has the operation's name.
+
+        Functions that read texels exist for vectors only: a uniform result is that of the first lane.
+        """
         operation, name, results = node.operation, node.memory.name, node.results
         self.textures.add(node.memory.shape)
         each = self.width > 1

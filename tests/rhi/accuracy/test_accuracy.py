@@ -1,4 +1,4 @@
-"""`python -m rhi shading accuracy`: rows of error and time, a table, a picture, and what it says of broken bounds."""
+"""`python -m rhi shading accuracy`: measurements of error and time, the table, the plot, and broken bounds."""
 
 import json
 from dataclasses import replace

@@ -1,5 +1,5 @@
-"""Runs compute shaders on a bare OpenGL context, on OpenCL and on NumPy: no part of rhi but the shading language
-is involved."""
+"""Fixtures that run compute shaders on a bare OpenGL context, on OpenCL and on NumPy, using no part of rhi but the
+shading language."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ Run = Callable[..., dict[str, Any]]
 
 @pytest.fixture
 def run(context: moderngl.Context) -> Run:
-    """`run(shader, groups=1, name=array_or_count_or_struct…)` gives each storage buffer's contents after."""
+    """`run(shader, groups=1, name=array_or_count_or_struct…)` returns each storage buffer's contents afterwards."""
 
     return partial(run_glsl, context)
 
 
 @pytest.fixture(params=["glsl", "opencl 1", "opencl 4", "opencl 16", "numpy 32", "numpy 64"])
 def run_everywhere(request: pytest.FixtureRequest, context: moderngl.Context) -> Run:
-    """As `run`, once for each language, and for OpenCL with one lane and with 16."""
+    """`run` once for each language, and for OpenCL with one lane and with 16."""
     language, _, number = request.param.partition(" ")
     if language == "glsl":
         return partial(run_glsl, context)
@@ -51,7 +51,7 @@ def run_everywhere(request: pytest.FixtureRequest, context: moderngl.Context) ->
 
 @pytest.fixture
 def link(context: moderngl.Context) -> Callable[[type[Shader]], ProgramDescriptor]:
-    """Compile a shader's graphics stages on the driver; gives the descriptor."""
+    """Compile a shader's graphics stages on the driver and return its descriptor."""
 
     def link(shader: type[Shader]) -> ProgramDescriptor:
         program = compile_shader(shader)

@@ -1,4 +1,4 @@
-"""Runs compute shaders through moderngl: the shading language and a driver, nothing else of rhi."""
+"""Runs compute shaders through moderngl, using only rhi's shading language and a driver."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rhi.shading import Shader, Struct, compile_shader, value_type_of
 def run_glsl(
     context: moderngl.Context, shader: type[Shader], groups: Any = 1, **values: Any
 ) -> dict[str, Any]:
-    """Run a compute shader on OpenGL; gives each storage buffer's contents after."""
+    """Run a compute shader on OpenGL and return the contents of each storage buffer afterwards."""
     program = compile_shader(shader)
     compute = context.compute_shader(program.emit("glsl", Stage.COMPUTE).text)
     buffers = {}

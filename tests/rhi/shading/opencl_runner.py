@@ -1,4 +1,4 @@
-"""Runs compute shaders through pyopencl: the shading language and a driver, nothing else of rhi."""
+"""Runs compute shaders through pyopencl, using only rhi's shading language and a driver."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PROBE = "kernel void probe(global int *p) { p[get_global_id(0)] = (int)get_globa
 
 @cache
 def queue() -> cl.CommandQueue:
-    """A queue on the first device that builds and runs a kernel, not the first that says it could."""
+    """Return a queue on the first device that does build and run a kernel."""
     for platform in cl.get_platforms():
         for device in platform.get_devices():
             try:
@@ -40,14 +40,14 @@ def queue() -> cl.CommandQueue:
 
 @lru_cache(64)
 def built(shader: type[Shader], width: int) -> tuple[StageText, cl.Program]:
-    """A kernel's text and program."""
+    """Return the text and the program of a kernel."""
     text = opencl_kernel(shader, width)
     flush = ["-cl-denorms-are-zero"] if compile_shader(shader).flushes_denormals else []
     return text, cl.Program(queue().context, text.text).build(["-w", *flush])
 
 
 class Kernel:
-    """A compute shader for `width` lanes, its arguments set once."""
+    """A compute shader for `width` lanes, whose arguments are set once."""
 
     def __init__(self, shader: type[Shader], width: int, **bindings: Any) -> None:
         self.queue = queue()
@@ -87,7 +87,7 @@ class Kernel:
         return cl.Buffer(queue().context, flags, hostbuf=padded)
 
     def launch(self, groups: Any = 1) -> None:
-        """Enqueue and wait; raises what a checked shader found."""
+        """Enqueue the kernel and wait; raises the fault that a checked shader found."""
         x, y, z = (*(groups if isinstance(groups, tuple) else (groups,)), 1, 1)[:3]
         cl.enqueue_nd_range_kernel(self.queue, self.kernel, (x * self.items, y, z), (self.items, 1, 1)).wait()
         if self.faults is not None:
@@ -98,7 +98,7 @@ class Kernel:
                 raise error
 
     def results(self) -> dict[str, Any]:
-        """What each writable buffer, and each image, holds."""
+        """Return the contents of each writable buffer and each image."""
         for buffer, whole in self.buffers.values():
             if whole.size:
                 cl.enqueue_copy(self.queue, whole, buffer)
@@ -110,7 +110,7 @@ class Kernel:
 
 
 def place_texture(texture: HostTexture) -> tuple[Any, Any]:
-    """A texture's levels as bytes, rows and columns padded with what must not be seen, and its words."""
+    """Return a texture's levels as bytes, with padding in rows and columns that must not be read, and its words."""
     parts, places = [], []
     for texels in texture.levels:
         layers, height, width, channels = texels.shape
@@ -125,14 +125,14 @@ def place_texture(texture: HostTexture) -> tuple[Any, Any]:
 
 
 def texels_of(memory: Any, like: Any) -> Any:
-    """The first level that was placed in memory, without padding."""
+    """Return the first level from memory, without padding."""
     layers, height, width, channels = like.shape
     shape = (layers, -(-height // 4) * 4, -(-width // 4) * 4, channels)
     return memory.view(like.dtype)[: np.prod(shape)].reshape(shape)[:, :height, :width]
 
 
 def run_opencl(shader: type[Shader], width: int, groups: Any = 1, **bindings: Any) -> dict[str, Any]:
-    """Run once; gives each writable buffer's contents."""
+    """Run a compute shader once and return the contents of each writable buffer."""
     kernel = Kernel(shader, width, **bindings)
     kernel.launch(groups)
     return kernel.results()

@@ -1,8 +1,8 @@
-"""Runs a shader's vertex and fragment stages on plain arrays, without rasterising: on 16 lanes through pyopencl, which
-is what a rasteriser does with them; with NumPy; as GLSL, capturing vertices and drawing a triangle over all pixels.
+"""Runs a shader's vertex and fragment stages on plain arrays, without rasterising: on 16 lanes through pyopencl, as a
+rasteriser does; with NumPy; and as GLSL, capturing vertices and drawing a triangle over all pixels.
 
-All take the same arguments and give the same: of vertices "position" (n, 4) and each varying (n, …), of fragments each
-output (height, width, components), "depth" and "kept"; and each writable buffer.
+All runners take the same arguments and return the same results: "position" (n, 4) and each varying (n, …) for vertices;
+each output (height, width, components), "depth" and "kept" for fragments; and each writable buffer.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ kernel void run({parameters}global const uint *inputs, global const uint *flats,
 
 
 class StageKernel:
-    """One stage of a program on arrays of words by group of 16 lanes."""
+    """A kernel that runs one stage of a program on arrays of words, in groups of 16 lanes."""
 
     def __init__(self, descriptor: ProgramDescriptor, stage: Stage, bindings: dict[str, Any]) -> None:
         parameters = []
@@ -93,7 +93,7 @@ class StageKernel:
         self.kernel = cl.Kernel(cl.Program(queue().context, self.text).build(["-w"]), "run")
 
     def launch(self, groups: int, words: int, *values: Any) -> Any:
-        """Run so many groups; gives their words, (groups, words, 16) uint32."""
+        """Run groups of lanes and return their words, (groups, words, 16) uint32."""
         out = np.zeros((groups, words, 16), np.uint32)
         target = buffer(out)
         given = [buffer(value) if isinstance(value, np.ndarray) else np.int32(value) for value in values]
@@ -102,7 +102,7 @@ class StageKernel:
         return out
 
     def contents(self) -> dict[str, Any]:
-        """What each writable buffer holds."""
+        """Return the contents of each writable buffer."""
         for memory, whole in self.memory.values():
             if whole.size:
                 cl.enqueue_copy(queue(), whole, memory)
@@ -110,14 +110,14 @@ class StageKernel:
 
 
 def buffer(array: Any) -> cl.Buffer:
-    """Memory with an array's contents, and some room behind it."""
+    """Create a buffer with an array's contents and some padding after them."""
     data = np.frombuffer(np.ascontiguousarray(array).tobytes() + bytes(256), np.uint8)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     return cl.Buffer(queue().context, flags, hostbuf=data)
 
 
 def binding_words(shader: type[Shader], bindings: dict[str, Any]) -> dict[str, Any]:
-    """A shader's bindings as words."""
+    """Return a shader's bindings as words."""
     words = {}
     for name, declaration in shader._declared.items():
         if declaration.storage_class.value == "uniform":
@@ -130,14 +130,14 @@ def binding_words(shader: type[Shader], bindings: dict[str, Any]) -> dict[str, A
 
 
 def as_words(array: Any, lanes: int) -> Any:
-    """Values (lanes, …) as words (lanes, n)."""
+    """Convert values (lanes, …) to words (lanes, n)."""
     array = np.ascontiguousarray(array)
     array = array.astype({"f": "f4", "i": "i4", "u": "u4"}[array.dtype.kind])
     return np.ascontiguousarray(array.reshape(lanes, -1)).view(np.uint32)
 
 
 def view(words: Any, kind: str) -> Any:
-    """Words as numbers."""
+    """Convert words to numbers."""
     return np.ascontiguousarray(words).view({"float": np.float32, "int": np.int32, "uint": np.uint32}[kind])
 
 
@@ -152,8 +152,11 @@ def run_vertex_lanes(
     draw: int = 0,
     **bindings: Any,
 ) -> dict[str, Any]:
-    """`count` vertices from `first` on, or `vertices`: "position" (n, 4), each varying (n, words), and each writable
-    buffer."""
+    """Run `count` vertices from `first` on, or `vertices`, on OpenCL.
+
+    Returns:
+        "position" (n, 4), each varying (n, words), and each writable buffer.
+    """
     descriptor = compile_shader(shader)
     kernel = StageKernel(descriptor, Stage.VERTEX, binding_words(shader, bindings))
     groups = -(-count // 16)
@@ -176,14 +179,14 @@ def run_vertex_lanes(
 
 
 def blocks(image: Any) -> Any:
-    """(height, width, n) as (blocks, n, 16)."""
+    """Convert (height, width, n) to blocks (blocks, n, 16)."""
     height, width, words = image.shape
     parts = image.reshape(height // 4, 4, width // 4, 4, words)
     return np.ascontiguousarray(parts.transpose(0, 2, 4, 1, 3).reshape(height * width // 16, words, 16))
 
 
 def unblocked(data: Any, height: int, width: int) -> Any:
-    """(blocks, n, 16) as (height, width, n)."""
+    """Convert (blocks, n, 16) to (height, width, n)."""
     words = data.shape[1]
     parts = data.reshape(height // 4, width // 4, words, 4, 4)
     return np.ascontiguousarray(parts.transpose(0, 3, 1, 4, 2).reshape(height, width, words))
@@ -201,8 +204,13 @@ def run_fragment_lanes(
     primitive: int = 0,
     **bindings: Any,
 ) -> dict[str, Any]:
-    """(height, width) fragments, multiples of 4: each output (height, width, components), "depth", "kept", and each
-    writable buffer. Smooth varyings are (height, width, …), flat ones one value."""
+    """Run fragments on OpenCL.
+
+    Height and width are multiples of 4. Smooth varyings are (height, width, …), flat ones one value.
+
+    Returns:
+        Each output (height, width, components), "depth", "kept", and each writable buffer.
+    """
     descriptor = compile_shader(shader)
     kernel = StageKernel(descriptor, Stage.FRAGMENT, binding_words(shader, bindings))
     height, width = shape
@@ -254,7 +262,7 @@ def run_vertex_numpy(
     dtype: Any = np.float32,
     **bindings: Any,
 ) -> dict[str, Any]:
-    """As `run_vertex_lanes`."""
+    """Run vertices on NumPy; parameters and results as for `run_vertex_lanes`."""
     vertices = np.arange(first, first + count) if vertices is None else vertices
     indices = {"vertex_index": vertices, "instance_index": instance, "draw_index": draw}
     run = run_vertex(shader, attributes, **indices, dtype=dtype, **bindings)  # type: ignore[arg-type]
@@ -276,7 +284,7 @@ def run_fragment_numpy(
     dtype: Any = np.float32,
     **bindings: Any,
 ) -> dict[str, Any]:
-    """As `run_fragment_lanes`."""
+    """Run fragments on NumPy; parameters and results as for `run_fragment_lanes`."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     rest = (np.broadcast_to(depth, shape), np.broadcast_to(w, shape))
     run = run_fragment(
@@ -293,7 +301,7 @@ SENTINEL = 0x4B3C2D1E
 
 
 class GlslBuffers:
-    """What a shader binds, on OpenGL."""
+    """The resources that a shader binds, on OpenGL."""
 
     def __init__(self, context: moderngl.Context, shader: type[Shader], bindings: dict[str, Any]) -> None:
         descriptor, words = compile_shader(shader), binding_words(shader, bindings)
@@ -312,7 +320,7 @@ class GlslBuffers:
                     self.written[binding.name] = (memory, value[0])
 
     def finish(self) -> dict[str, Any]:
-        """What the writable ones hold; releases all."""
+        """Return the contents of the writable buffers and release all resources."""
         results = {
             name: np.frombuffer(memory.read(), whole.dtype).reshape(whole.shape)
             for name, (memory, whole) in self.written.items()
@@ -332,7 +340,10 @@ def run_vertex_glsl(
     instance: int = 0,
     **bindings: Any,
 ) -> dict[str, Any]:
-    """As `run_vertex_lanes`; by transform feedback, of `instance` + 1 instances the last."""
+    """Run vertices on OpenGL by transform feedback, and return the last of `instance` + 1 instances.
+
+    Parameters and results are those of `run_vertex_lanes`.
+    """
     descriptor = compile_shader(shader)
     names = ["gl_Position", *(f"v_{varying.name}" for varying in descriptor.varyings)]
     program = context.program(vertex_shader=descriptor.emit("glsl", Stage.VERTEX).text, varyings=names)
@@ -376,7 +387,10 @@ def run_fragment_glsl(
     front: bool = True,
     **bindings: Any,
 ) -> dict[str, Any]:
-    """As `run_fragment_lanes`, of smooth varyings that are linear in rows and columns; `mask`: a rectangle."""
+    """Run fragments on OpenGL; smooth varyings must be linear in rows and columns, and `mask` a rectangle.
+
+    Parameters and results are those of `run_fragment_lanes`.
+    """
     descriptor, (height, width) = compile_shader(shader), shape
     corners = np.array([(0, 0), (2, 0), (0, 2)], np.float32)
     declared, sets, content = [], [], [(context.buffer(corners.tobytes()), "2f4", "corner")]

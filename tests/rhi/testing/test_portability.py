@@ -1,6 +1,7 @@
-"""One frame against many devices that aren't there."""
+"""One frame checked against the profiles of many devices."""
 
 import dataclasses
+import functools
 import inspect
 
 import numpy as np
@@ -14,7 +15,7 @@ from rhi.testing.portability import check_portability
 
 
 def deferred_frame(device):
-    """Wants large, blended, floating-point targets and a compute program."""
+    """A frame with large, blended, floating-point targets and a compute program."""
     size = 512 if device.capabilities.device == "opencl-cpu" else 1500
     image = device.texture((size, size), Format.RGBA16F)
     mesh = device.mesh({"position": np.array([[-1, -1], [1, -1], [0, 1]], np.float32)})
@@ -46,40 +47,50 @@ def test_a_frame_is_told_everything_that_stops_it_with_lines():
     assert report.runs_on == ["everything", "gl-4.5"]
 
 
-def scattered_frame(device):
-    """Needs the same two things in several places each."""
-    device.sampler(SamplerDescriptor(max_anisotropy=8))
+def scattered_frame(device, changed=frozenset()):
+    """A frame that lacks the same capabilities at several lines each, except at the `changed` ones."""
+    device.sampler(SamplerDescriptor(max_anisotropy=1 if 2 in changed else 8))
     for size in (4000, 5000):  # one line
-        device.texture((size, 4), Format.R8)
+        device.texture((4 if 4 in changed else size, 4), Format.R8)
     image = device.texture((4, 4), Format.R8)
-    with device.render_pass(image), device.states(PolygonOffset(1, 0.5)):
+    with device.render_pass(image), device.states(PolygonOffset(1, 0 if 6 in changed else 0.5)):
         pass
-    device.texture((4, 4000), Format.R8)
-    image.sampled(SamplerDescriptor(max_anisotropy=8))
+    device.texture((4, 4 if 8 in changed else 4000), Format.R8)
+    image.sampled(SamplerDescriptor(max_anisotropy=1 if 9 in changed else 8))
     with device.record() as commands, commands.render_pass(image):
-        with commands.states(PolygonOffset(1, 0.5)), commands.states(PolygonOffset(1, 0.25)):
+        with commands.states(PolygonOffset(1, 0 if 11 in changed else 0.5)), commands.states(PolygonOffset(1, 0)):
             pass
-        with commands.states(PolygonOffset(1, 0.5)):
+        with commands.states(PolygonOffset(1, 0 if 13 in changed else 0.5)):
             pass
     device.submit(commands)
 
 
-def test_every_line_that_would_be_refused_is_named_once():
-    report = check_portability(scattered_frame, {"gl-3.3": find_profile("gl-3.3")})
+def test_each_capability_is_named_at_the_first_line_that_lacks_it_and_then_at_the_next():
     first = inspect.getsourcelines(scattered_frame)[1]
-    assert [(found.capability, found.error.site.line - first) for found in report.obstacles["gl-3.3"]] == [
-        ("max_anisotropy", 2),
-        ("max_texture_size", 4),
-        ("depth_bias_clamp", 6),
-        ("max_texture_size", 8),
-        ("max_anisotropy", 9),
-        ("depth_bias_clamp", 11),
-        ("depth_bias_clamp", 13),
+    changed, rounds = set(), []
+    while not rounds or rounds[-1]:
+        frame = functools.partial(scattered_frame, changed=frozenset(changed))
+        found = check_portability(frame, {"gl-3.3": find_profile("gl-3.3")}).obstacles["gl-3.3"]
+        rounds.append([(each.capability, each.error.site.line - first) for each in found])
+        changed |= {line for _, line in rounds[-1]}
+    assert rounds == [
+        [("max_anisotropy", 2), ("max_texture_size", 4), ("depth_bias_clamp", 6)],
+        [("max_texture_size", 8), ("max_anisotropy", 9), ("depth_bias_clamp", 11)],
+        [("depth_bias_clamp", 13)],
+        [],
     ]
 
 
-def test_a_line_that_was_granted_something_sees_no_more_of_it():
-    """What a frame asks for on other lines is as the profile has it."""
+def test_timestamps_are_granted_as_other_capabilities_are():
+    def frame(device):
+        device.timing = True
+        device.texture((4000, 4), Format.R8)
+
+    found = check_portability(frame, {"gles": find_profile("gles-3")}).obstacles["gles"]
+    assert [each.capability for each in found] == ["timestamps", "max_texture_size"]
+
+
+def test_a_frame_sees_the_profile_as_it_is_whatever_was_granted():
     asked = []
 
     def frame(device):
@@ -92,7 +103,7 @@ def test_a_line_that_was_granted_something_sees_no_more_of_it():
 
 
 class TooMuch(Shader):
-    """More shared memory than most work-groups may have."""
+    """A shader with more shared memory than most devices allow."""
 
     work_group = (64,)
     results: StorageRW[float]

@@ -1,4 +1,4 @@
-"""`rhi.testing`: what is expected of commands, and what a failure says."""
+"""`rhi.testing`: expectations on commands, and the messages of failures."""
 
 from __future__ import annotations
 

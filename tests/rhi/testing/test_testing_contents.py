@@ -1,4 +1,4 @@
-"""Assertions on what uniforms and storage hold, followed through the stream."""
+"""Assertions on the contents of uniforms and storage, tracked through the stream."""
 
 from __future__ import annotations
 

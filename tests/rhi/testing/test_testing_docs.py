@@ -1,4 +1,4 @@
-"""docs/testing.md is a test file: it is run as one, on null and, where it works, on GL."""
+"""docs/testing.md runs as a test file, on the null device and, where it works, on GL."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ pytest_plugins = ["pytester"]
 
 @pytest.fixture
 def tests(pytester: pytest.Pytester) -> int:
-    """Write the page's file; how many tests it has."""
+    """Write the page's file and return the number of its tests."""
     source = "\n\n".join(re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL))
     pytester.path.joinpath("test_shadow.py").write_text(source)
     return len(re.findall(r"^def test_", source, re.MULTILINE))

@@ -1,4 +1,4 @@
-"""`why_nothing`: each cause is found where it is, and not where it isn't."""
+"""`why_nothing` finds each cause where it applies, and only there."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def house(null_device: rhi.Device) -> House:
 
 
 def draw(house: House, *states: object, instances: int = 1, mesh=None, color=True, clear_depth=0.0, tint=None):
-    """One draw of the lit program; the command."""
+    """Draw once with the lit program and return the command."""
     device = house.device
     target = {"color": house.image, "clear": (0, 0, 0, 1)} if color else {}
     with device.render_pass(depth=house.depth, clear_depth=clear_depth, **target):
@@ -170,7 +170,7 @@ def test_a_condition_is_suspicious(house) -> None:
 
 
 def test_only_draws_can_be_asked_about(house) -> None:
-    with pytest.raises(AssertionError, match="create_program is no draw"):
+    with pytest.raises(AssertionError, match="create_program is not a draw"):
         why_nothing(house.device.stream.filter(rhi.Op.CREATE_PROGRAM)[0])
 
 

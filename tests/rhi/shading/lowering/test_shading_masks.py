@@ -19,18 +19,18 @@ def forget_mask(node):
 
 def break_assignments(monkeypatch):
     """Assignments under a condition change all lanes."""
-    real = opencl.Writer.set
-    monkeypatch.setattr(opencl.Writer, "set", lambda self, node: real(self, forget_mask(node)))
+    real = opencl.OpenCLWriter.set
+    monkeypatch.setattr(opencl.OpenCLWriter, "set", lambda self, node: real(self, forget_mask(node)))
 
 
 def break_stores(monkeypatch):
-    real = opencl.Writer.store
-    monkeypatch.setattr(opencl.Writer, "store", lambda self, node: real(self, forget_mask(node)))
+    real = opencl.OpenCLWriter.store
+    monkeypatch.setattr(opencl.OpenCLWriter, "store", lambda self, node: real(self, forget_mask(node)))
 
 
 def break_atomics(monkeypatch):
-    real = opencl.Writer.atomic
-    monkeypatch.setattr(opencl.Writer, "atomic", lambda self, node: real(self, forget_mask(node)))
+    real = opencl.OpenCLWriter.atomic
+    monkeypatch.setattr(opencl.OpenCLWriter, "atomic", lambda self, node: real(self, forget_mask(node)))
 
 
 def break_exits(monkeypatch):
@@ -64,23 +64,23 @@ def break_else(monkeypatch):
 
 def break_nobody_left(monkeypatch):
     """A masked jump is taken as soon as one lane is inactive, not only when all are."""
-    real = opencl.Writer.jump
+    real = opencl.OpenCLWriter.jump
 
     def jump(self, node, text, mask):
         start = len(self.lines.text)
         real(self, node, text, mask)
         self.lines.text[start:] = [line.replace("!rhi_any(", "!rhi_all(") for line in self.lines.text[start:]]
 
-    monkeypatch.setattr(opencl.Writer, "jump", jump)
+    monkeypatch.setattr(opencl.OpenCLWriter, "jump", jump)
 
 
 def break_numpy(monkeypatch):
-    real = numpy_code._Writer.statement
+    real = numpy_code._NumpyWriter.statement
 
     def statement(self, node, depth):
         real(self, forget_mask(node) if isinstance(node, lanes.Set) else node, depth)
 
-    monkeypatch.setattr(numpy_code._Writer, "statement", statement)
+    monkeypatch.setattr(numpy_code._NumpyWriter, "statement", statement)
 
 
 FAULTS = [

@@ -1,5 +1,5 @@
-"""Every built-in and operator keeps its stated error, in every language, on a dense sample and on hard inputs: numbers
-that are not, zeros of both signs, denormals, infinities, extremes, negative operands of // and %."""
+"""Every built-in and operator keeps its stated error, in every language, on a dense sample and on hard inputs: NaN,
+zeros of both signs, denormals, infinities, extremes, negative operands of // and %."""
 
 from functools import partial
 
@@ -8,7 +8,7 @@ import pytest
 from glsl_runner import run_glsl
 from opencl_runner import run_opencl
 
-from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, judge
+from rhi.accuracy.probes import WORK_GROUP, all_probes, builtin_probes, count_units, worst_units
 from rhi.shading import Precision, opencl_kernel, run_compute
 from rhi.shading.language.builtins import BUILTINS, Effect
 
@@ -16,8 +16,8 @@ PROBES = all_probes()
 
 
 def call(run, probe, given, precision=Precision.EXACT):
-    """Results of a probe's shader; rows are filled up to whole work-groups, so that lanes of every kind stand side by
-    side."""
+    """Return the results of a probe's shader; rows are padded to whole work-groups, so that a vector has lanes of all
+    kinds."""
     rows = np.concatenate([given, np.repeat(given[:1], -len(given) % WORK_GROUP, axis=0)])
     size = probe.evaluate(given[:1], np.float32).shape[1]
     results = run(
@@ -42,13 +42,13 @@ def ways(context):
 
 
 def excess(way, probe):
-    """What is wrong with a probe, or ""."""
+    """Describe the errors of a probe that exceed its bound; "" if none does."""
     name, run, precision = way
     if precision is Precision.FAST and not is_other_code(probe):
         return ""
     given = np.concatenate([probe.sample(4096), probe.hard()])
     results = call(run, probe, given, precision)
-    units = judge(probe, given, results, name)
+    units = worst_units(probe, given, results, name)
     worst = int(units.argmax())
     if units[worst] <= getattr(probe.error, name):
         return ""
@@ -79,7 +79,7 @@ def test_every_function_of_its_arguments_is_probed():
 
 
 def test_float64_agrees_with_the_standard_librarys_functions():
-    """The reference isn't NumPy's word alone: `VALUES` of the built-ins' tests are Python's, in float64, too."""
+    """The reference is also checked against Python: `VALUES` of the built-ins' tests come from Python, in float64."""
     import math
 
     for name, function in {
@@ -128,10 +128,10 @@ def test_what_is_not_a_number_must_not_be_one_and_denormals_may_be_zero(given, r
 
 
 def test_a_bound_says_nothing_of_results_that_are_undefined():
-    assert judge(LOG, words([-1.0]), np.array([[5.0]]), "exact")[0] == 0
-    assert judge(LOG, words([2.0]), np.array([[5.0]]), "exact")[0] > 1e6
-    assert judge(SINE, words([1e9]), np.array([[5.0]]), "fast")[0] == 0
-    assert judge(SINE, words([1e9]), np.array([[5.0]]), "exact")[0] > 1e6
+    assert worst_units(LOG, words([-1.0]), np.array([[5.0]]), "exact")[0] == 0
+    assert worst_units(LOG, words([2.0]), np.array([[5.0]]), "exact")[0] > 1e6
+    assert worst_units(SINE, words([1e9]), np.array([[5.0]]), "fast")[0] == 0
+    assert worst_units(SINE, words([1e9]), np.array([[5.0]]), "exact")[0] > 1e6
 
 
 @pytest.mark.parametrize("width", [1, 4, 8])

@@ -1,9 +1,9 @@
-"""Textures and images in lanes and on NumPy, against OpenGL.
+"""Textures and images in lanes and on NumPy, compared with OpenGL.
 
-What an answer may be off by, and why:
-- lanes against float64: 2e-6 of values up to 1 (float32 coordinates times a size, a curve of sRGB within 1.8e-6).
+Tolerances and their reasons:
+- Lanes against float64: 2e-6 for values up to 1 (float32 coordinates times a size, a curve of sRGB within 1.8e-6).
 - llvmpipe filters formats of 8 bits with weights of 8 bits, once for each of two directions and once for levels:
-  2/256 in all; its sRGB is a cubic within 1.3e-3. Everything else of it is float32, as the lanes are.
+  2/256 in all; its sRGB is a cubic within 1.3e-3. Everything else in it is float32, as in the lanes.
 """
 
 from __future__ import annotations
@@ -126,7 +126,7 @@ SHAPES: dict[TextureKind, tuple[type[Shader], int]] = {
 
 
 def places(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
-    """Coordinates in and around the texture, levels in and around those there are."""
+    """Generate coordinates in and around the texture, and levels in and around its range."""
     rng = np.random.default_rng(seed)
     return np.c_[rng.uniform(-2, 3, (count, 2)), rng.uniform(-1, 6, count), rng.uniform(-2, 6, count)].astype(
         "f4"
@@ -134,7 +134,7 @@ def places(seed: int = 0, count: int = COUNT) -> NDArray[Any]:
 
 
 def places_by_block(seed: int = 0) -> NDArray[Any]:
-    """Blocks of 16 whose neighbours all lie inside, or over the upper and lower edge alone, or anywhere."""
+    """Generate blocks of 16 whose texels all lie inside, or cross only the upper and lower edge, or lie anywhere."""
     at, rng = places(seed), np.random.default_rng([seed, 1])
     at[: COUNT // 2, :2] = rng.uniform(0.1, 0.9, (COUNT // 2, 2))
     at[COUNT // 4 : COUNT // 2, 1] = rng.uniform(-2, 3, COUNT // 4)
@@ -152,7 +152,7 @@ def sample(device: Device, texture: HostTexture, at: NDArray[Any]) -> dict[str, 
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if not f.is_integer], ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 def test_every_format_is_decoded_and_filtered(device: Device, format: Format, filter: Filter) -> None:
-    """A block inside has loads of its own for each size of a texel."""
+    """A block that lies inside uses different loads for each size of a texel."""
     texture = HostTexture(random_levels(format, 13, 7), format, D2, SamplerDescriptor(filter, filter, None))
     slack = EIGHT_BITS if format.dtype.itemsize == 1 and filter is LINEAR else 2e-6
     slack = max(slack, 1.3e-3) if format.kind is ChannelKind.SRGB else slack
@@ -193,7 +193,7 @@ def test_edges_wrap(device: Device, kind: TextureKind, wrap: Wrap, filter: Filte
 def test_hard_coordinates_read_the_same_texels_everywhere(
     device: Device, wrap: Wrap, filter: Filter, size: tuple[int, int]
 ) -> None:
-    """Exactly on texels' borders and centers, one step beside them, denormals, thousands of repetitions."""
+    """Coordinates exactly on texels' borders and centers, one step beside them, denormals, thousands of repetitions."""
     hard = [0.0, -0.0, 1e-40, -1e-40, -1e-9, 0.5, 0.25, 0.125, 0.0625, 1.0, -1.0, 2.0, 1 - 2**-24, 1 + 2**-23]
     hard += [1e4 + 0.375, -1e4 - 0.375]
     at = np.zeros((256, 4), "f4")
@@ -212,8 +212,8 @@ def test_hard_coordinates_read_the_same_texels_everywhere(
 @pytest.mark.parametrize("wrap", list(Wrap), ids=name)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 def test_coordinates_that_are_no_places_give_some_texel(wrap: Wrap, filter: Filter) -> None:
-    """NaN, infinities and what is beyond integers: OpenGL says nothing (llvmpipe overflows); here all ways read the
-    same texels or the border, and nothing else."""
+    """NaN, infinities and coordinates beyond integers are undefined in OpenGL (llvmpipe overflows); here all ways read
+    the same texels or the border, and nothing else."""
     hard = np.array([np.nan, np.inf, -np.inf, 1e30, -1e30, 3.4e38, 0.3, 2.0**31], "f4")
     at = np.zeros((64, 4), "f4")
     at[:, :2] = np.stack(np.meshgrid(hard, hard), -1).reshape(-1, 2)
@@ -277,7 +277,7 @@ def test_any_texture_is_the_same_everywhere(device: Device, texture: HostTexture
 @pytest.mark.parametrize("size", [1, 2, 5], ids=str)
 @pytest.mark.parametrize("filter", [NEAREST, LINEAR], ids=name)
 def test_cubes_are_seamless_at_edges_and_corners(device: Device, size: int, filter: Filter) -> None:
-    """Also where two or three components are equally long."""
+    """The directions include those whose longest components are equal."""
     corners = np.stack(np.meshgrid(*[(-1, 0, 1, 0.999)] * 3), -1).reshape(-1, 3)
     rng = np.random.default_rng(4)
     directions = np.r_[corners, rng.normal(size=(COUNT - len(corners), 3))]
@@ -324,8 +324,8 @@ class GradedCube(At):
 def test_derivatives_choose_the_level(
     device: Device, shader: type[Shader], kind: TextureKind, layers: int
 ) -> None:
-    """Every level is one number, its own: the answer is the level. Lanes: a logarithm within 1.2e-4. llvmpipe's is
-    linear between powers of 2: up to 0.043 less."""
+    """Every level contains its own number, so that the result is the level. The logarithm of lanes is within 1.2e-4;
+    llvmpipe's is linear between powers of 2, up to 0.043 less."""
     rng = np.random.default_rng(5)
     steps = (rng.normal(size=(64, 4)) * 2 ** rng.uniform(-6, 1, (64, 1))).astype("f4")
     texels = random_levels(Format.R32F, 16, 16, layers, kind)
@@ -400,7 +400,7 @@ class Surface(Struct):
 
 
 class Textured(Shader):
-    """Levels that the stage finds by itself, with and without a bias; a comparison; and one for the whole block."""
+    """Implicit levels, with and without a bias; a comparison; and a level for the whole block."""
 
     source: Texture2D
     around: TextureCube
@@ -449,7 +449,7 @@ def test_a_fragment_finds_its_level_from_its_quad() -> None:
 
 
 class Heights(Shader):
-    """A vertex stage has no quads: level 0."""
+    """A vertex stage has no quads, so it samples level 0."""
 
     source: Texture2D
 
@@ -593,7 +593,7 @@ def test_sizes_are_those_of_each_level(device: Device) -> None:
 
 
 def test_each_lane_may_ask_for_another_level_s_size() -> None:
-    """llvmpipe gives them all the first one's."""
+    """llvmpipe returns the first lane's size in all lanes, so it isn't compared."""
     given = {"source": HostTexture(random_levels(Format.R8, 9, 8, 7, D3), Format.R8, D3)}
     at = np.zeros((64, 4), "f4")
     expected = np.resize([(9, 8, 7, 0), (4, 4, 3, 1), (2, 2, 1, 2), (1, 1, 1, 3)], (64, 4))
@@ -645,7 +645,7 @@ def abs_half(x: float) -> float:
 def test_depths_are_compared_before_they_are_filtered(
     device: Device, comparison: Comparison, filter: Filter
 ) -> None:
-    """References are among the depths, so that equal happens. llvmpipe's weights have more than 8 bits here."""
+    """Some references equal depths. llvmpipe's weights have more than 8 bits here."""
     depths = np.random.default_rng(9).integers(0, 5, (1, 6, 5, 1)).astype("f4") / 4
     sampler = SamplerDescriptor(
         filter, filter, None, Wrap.BORDER, Wrap.BORDER, border=(0.5, 0, 0, 0), compare=comparison
@@ -823,7 +823,7 @@ def test_all_layers_of_an_image_are_written() -> None:
 
 
 class Beyond(Shader):
-    """As `Layered`, and a texel and level of a texture."""
+    """`Layered` with a texel and a level of a texture."""
 
     work_group = (4, 4)
     checked = True

@@ -1,4 +1,4 @@
-"""One texture read by one shader on every way there is: OpenGL, OpenCL with one lane and with 16, NumPy."""
+"""Reads one texture by one shader in every way: OpenGL, OpenCL with one lane and with 16, NumPy."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Results = dict[str, NDArray[Any]]
 
 
 class Slice(Struct):
-    """Which of the layers of all depths."""
+    """The index of a layer in the array of depths."""
 
     layer: int
 
@@ -48,7 +48,7 @@ class Depth(Struct):
 
 
 class WriteDepth(Shader):
-    """Depths texel by texel."""
+    """A shader that writes depths texel by texel."""
 
     depths: Texture2DArray
     which: Uniform[Slice]
@@ -65,7 +65,7 @@ def random_levels(
     format: Format, width: int, height: int, layers: int = 1, kind: TextureKind = TextureKind.D2, seed: int = 0,
     levels: int | None = None,
 ) -> list[NDArray[Any]]:  # fmt: skip
-    """Texels of all levels: fractions, or whole numbers of the whole range."""
+    """Generate texels of all levels: fractions, or integers of the whole range."""
     rng = np.random.default_rng([seed, width, height, layers])
     solid = kind is TextureKind.D3
     full = builtins.max(width, height, layers if solid else 1).bit_length()
@@ -86,7 +86,7 @@ def random_levels(
 def read_everywhere(
     device: Device, shader: type[Shader], textures: Mapping[str, HostTexture], count: int, **bindings: Any
 ) -> Results:
-    """What `results` of the shader holds after `count` work-groups: "opengl", "1 lane", "16 lanes", "float32" and
+    """Run `count` work-groups and return the contents of `results` for "opengl", "1 lane", "16 lanes", "float32" and
     "float64"."""
     results = {"opengl": read_opengl(device, shader, textures, count, bindings)}
     for width in (1, 16):
@@ -105,7 +105,7 @@ def read_opengl(
     count: int,
     bindings: dict[str, Any],
 ) -> NDArray[Any]:
-    """On the device, whose textures and buffers (of vec4) are made and destroyed."""
+    """Run on a device, creating and destroying textures and buffers (of vec4)."""
     program = device.program(shader)
     given: dict[str, Any] = {}
     made: list[Any] = []
@@ -128,7 +128,7 @@ def read_opengl(
 
 
 def upload(device: Device, texture: HostTexture) -> Any:
-    """A texture of the device with the same texels; depths are drawn."""
+    """Create a device texture with the same texels; depths are drawn."""
     layers, height, width, _ = texture.levels[0].shape
     made = device.texture(
         (width, height), texture.format, kind=texture.kind, layers=layers, levels=len(texture.levels)
@@ -155,7 +155,7 @@ def upload(device: Device, texture: HostTexture) -> Any:
 
 
 def assert_agree(results: Results, opengl: float, lanes: float = 2e-6, reason: str = "") -> None:
-    """All within so much of float64; a NaN only where that has one."""
+    """Check that all results are within a tolerance of float64, with NaN only where float64 has it."""
     expected = results["float64"].astype(np.float64)
     for way, found in results.items():
         slack = opengl if way == "opengl" else lanes
@@ -165,7 +165,7 @@ def assert_agree(results: Results, opengl: float, lanes: float = 2e-6, reason: s
 
 
 def nearest(wrap: Any = None, **more: Any) -> SamplerDescriptor:
-    """A sampler without filters."""
+    """Return a sampler without filters."""
     from rhi import Filter, Wrap
 
     wrap = wrap or Wrap.REPEAT

@@ -1,4 +1,4 @@
-"""What a program's descriptor gives a backend: a stage's text by language, and where its lines came from."""
+"""The text of stages by language that a program's descriptor emits, and the origins of its lines."""
 
 from __future__ import annotations
 
