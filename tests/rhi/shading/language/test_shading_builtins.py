@@ -79,7 +79,7 @@ STAGES = {
 
 def compile_on_driver(context, shader):
     program = compile_shader(shader)
-    texts = {stage: program.emit("glsl", stage) for stage in program.stages}
+    texts = {stage: program.emit("glsl", stage).text for stage in program.stages}
     if Stage.COMPUTE in texts:
         context.compute_shader(texts[Stage.COMPUTE]).release()
     else:

@@ -29,7 +29,7 @@ def test_the_code_of_the_page_runs_and_its_shaders_compile_on_the_driver(tmp_pat
     assert len(shaders) == 5
     for shader in shaders:
         program = compile_shader(shader)
-        texts = {f"{stage.value}_shader": program.emit("glsl", stage) for stage in program.stages}
+        texts = {f"{stage.value}_shader": program.emit("glsl", stage).text for stage in program.stages}
         if Stage.COMPUTE in program.stages:
             context.compute_shader(texts["compute_shader"])
         else:

@@ -49,7 +49,7 @@ class AllStore(Shader):
 
 @pytest.mark.parametrize("shader", [Meets, OneStores])
 def test_what_a_work_group_does_as_a_whole_is_allowed(shader: type[Shader]) -> None:
-    assert compile_shader(shader).emit("opencl4", Stage.COMPUTE)
+    assert compile_shader(shader).emit("opencl4", Stage.COMPUTE).text
 
 
 @pytest.mark.parametrize(("shader", "rule"), [(PartlyMeets, BARRIER), (AllStore, RACE)])
