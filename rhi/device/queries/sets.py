@@ -108,8 +108,8 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
             self._core.refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
         repeated = np.bincount(find_runs(each)) > 1
         if repeated.any():
-            given = f"row {repeated.argmax()} again after other rows"
-            self._core.refuse(QUERY_ROWS, call, given, "consecutive draws for each row")
+            repeat = f"row {repeated.argmax()} again after other rows"
+            self._core.refuse(QUERY_ROWS, call, repeat, "consecutive draws for each row")
         return each
 
     def draw(
