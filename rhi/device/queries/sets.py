@@ -115,7 +115,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
     def draw(
         self, core: Core, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Send the draws and queries to `core`, the device's or a command buffer's; return the rows used, in order."""
+        """Send draws and queries to `core`, the device's or a command buffer's; return the rows used, in order."""
         used = rows if rows.base is self._in_order else find_runs(rows)
         prepared = self._prepared if core is self._core else self._plain(core)
         if core is self._core:
