@@ -1,13 +1,13 @@
 """Command buffers: commands that are recorded once and executed later, any number of times (thesis 3.7.2).
 
-- A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so several can
-  be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
+- A `CommandBuffer` is an encoder with a core of its own: it has its own states, bindings and open pass, so several
+  can be recorded at a time, each on one thread. Its backend is a `CommandWriter`; nothing reaches the device.
 - It starts from default states and ends balanced: no scope, pass, label or query is left open (`record-open`). Before
   it is executed, the hardware is set to the default states; afterwards the device's cache adopts the states it ends
   with. So state scopes have no effect across its border, in either direction.
-- Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to the encoder
-  itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as long as the command
-  buffer.
+- Commands refer to buffers and textures, whose contents are read at execution. Only data that is passed to the
+  encoder itself (transient constants, vertices, arrays of draws) is copied, into an `Arena` that lives as long as the
+  command buffer.
 - During recording, `rhi.device.recording` takes the place of the device.
 - It is notified of each of its resources that is destroyed (`Timeline.watch`). Then a submission is refused, with the
   lines that used and destroyed the resource.
@@ -185,7 +185,7 @@ class CommandBuffer(Encoder):
         self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
-        """Create a condition: in `with commands.conditional(query):` the GPU skips draws if the query counted nothing.
+        """Create a condition: `with commands.conditional(query):` skips draws on the GPU if the query counted nothing.
 
         The query must have ended before, earlier in this buffer or before the submission (`query-state`).
         """
@@ -422,7 +422,8 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
             )
         for resource, site in buffer._destroyed_uses.items():
             use = core.uses[resource]
-            given = f"{use.name}, destroyed at {site}, used by a command recorded at {find_site(use.code, use.offset)}"
+            recorded = find_site(use.code, use.offset)
+            given = f"{use.name}, destroyed at {site}, used by a command recorded at {recorded}"
             core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
             if use.owner in device.locked:

@@ -317,7 +317,7 @@ class Device(Encoder):
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
     def program(self, shader: Any) -> Program[Any]:
-        """Create the program of a shader class, or of a native program's descriptor; the same class gives the same one.
+        """Create the program of a shader class or of a native program's descriptor; equal arguments share one.
 
         Raises:
             ShaderError: the shader does not type-check, or the driver refuses it.

@@ -1,7 +1,7 @@
 """The commands that devices and command buffers share: passes, states, draws, dispatches, labels, conditions.
 
-A `Device` executes them, a `CommandBuffer` records them for later. Both are encoders, so rendering code accepts either.
-All checks are made here, before a call reaches a backend.
+A `Device` executes them, a `CommandBuffer` records them for later. Both are encoders, so rendering code accepts
+either. All checks are made here, before a call reaches a backend.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ P = ParamSpec("P")
 class IndirectDraws:
     """Draws whose arguments the GPU reads from a buffer when it executes them.
 
-    Each record is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`); the first lies at `offset`, the next ones
-    `stride` bytes apart. With `count`, the number of draws is the uint32 at `count_offset` of that buffer, at most
-    `draws`.
+    Each record is 20 bytes in the order of `rhi.DRAW` (or `DRAW_UNINDEXED`); the first lies at `offset`, the next
+    ones `stride` bytes apart. With `count`, the number of draws is the uint32 at `count_offset` of that buffer, at
+    most `draws`.
     """
 
     buffer: Buffer | StorageBuffer[Any]

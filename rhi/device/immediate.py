@@ -27,7 +27,7 @@ S = TypeVar("S", bound="Struct")
 
 
 class Immediate(Generic[S]):
-    """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block, filled by `quads.vertex(position=…)`."""
+    """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block; `quads.vertex(position=…)` fills it."""
 
     __slots__ = ("_arrays", "_bindings", "_dtype", "_memory", "_open", "_primitive", "_program", "_rows")
 

@@ -3,8 +3,8 @@
 - Memory is allocated once; pushing and popping allocates nothing.
 - Overflow and underflow are errors; no element is lost and no stale element is returned.
 - The queue keeps a read position and a count, so that it can tell full from empty (the thesis's two indices can't).
-  It wraps without a branch: positions only grow and are masked, since the memory is a power of two. (Listing 6.5 wraps
-  at `dataSize` inclusive and so touches one element past its array, which a mask can't.)
+  It wraps without a branch: positions only grow and are masked, since the memory is a power of two. (Listing 6.5
+  wraps at `dataSize` inclusive and so touches one element past its array, which a mask can't.)
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """State vectors and scopes: wanted states, hardware states, and the difference between them (thesis 4.2).
 
 - Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. On entry, a scope
-  looks up the vector it leads to in a memo (`vector.after[scope]`) and pushes the current one onto a fixed-size stack.
-  On exit it pops that vector, whatever happened inside.
+  looks up the vector it leads to in a memo (`vector.after[scope]`) and pushes the current one onto a fixed-size
+  stack. On exit it pops that vector, whatever happened inside.
 - A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
   once per scope.

@@ -94,7 +94,7 @@ class Timeline:
                 watcher.note_retired(resource)
 
     def watch(self, watcher: Watcher) -> None:
-        """Notify `watcher` of each resource that is retired, for as long as it lives. May be called from any thread."""
+        """Notify `watcher` of each retired resource, for as long as it lives. May be called from any thread."""
         with self._lock:
             self._watchers.add(watcher)
 

@@ -108,14 +108,14 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
             self._core.refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
         repeated = np.bincount(find_runs(each)) > 1
         if repeated.any():
-            repetition = f"row {repeated.argmax()} again after other rows"
-            self._core.refuse(QUERY_ROWS, call, repetition, "consecutive draws for each row")
+            repeat = f"row {repeated.argmax()} again after other rows"
+            self._core.refuse(QUERY_ROWS, call, repeat, "consecutive draws for each row")
         return each
 
     def draw(
         self, core: Core, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> NDArray[np.int64]:
-        """Send the draws and queries to `core`, the device's or a command buffer's; return the rows used, in order."""
+        """Send draws and queries to `core`, the device's or a command buffer's; return the rows used, in order."""
         used = rows if rows.base is self._in_order else find_runs(rows)
         prepared = self._prepared if core is self._core else self._plain(core)
         if core is self._core:

@@ -188,7 +188,7 @@ class Buffer(Resource):
         return self._array(data, count)
 
     def _array(self, data: bytes | None, count: int) -> NDArray[Any]:
-        """Return `count` elements as an array of the dtype; a subarray dtype adds its shape as trailing dimensions."""
+        """Return `count` elements as an array; a subarray dtype adds its shape as trailing dimensions."""
         base, shape = self.dtype.subdtype or (self.dtype, ())
         if data is None:
             return np.zeros((count, *shape), base)
@@ -224,8 +224,8 @@ class UniformBuffer(UniformRange[T], Resource):
 class UniformArray(Resource, Generic[T]):
     """Constants of many objects in one buffer, written as one array and bound one by one.
 
-    `array[i]` is the range of element i, created once. `dtype` has the struct's std140 fields and an item size aligned
-    for the device, so columns can be written at once:
+    `array[i]` is the range of element i, created once. `dtype` has the struct's std140 fields and an item size
+    aligned for the device, so columns can be written at once:
     `rows = np.zeros(len(objects), objects.dtype); rows["model"] = models; objects.write(rows)`.
     """
 

@@ -2,8 +2,8 @@
 
 - They are generated because a loop over the bindings costs more than the draw: with two bindings, 1.5× of the bare
   OpenGL calls against 1.2× (`benchmarks/draw_cost.py`).
-- Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose ranges
-  were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
+- Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose
+  ranges were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
 - Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect.
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
   records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.

@@ -192,8 +192,8 @@ class Drawable:
     """Vertices that a draw can read: a `Mesh`, or a `TransientMesh`.
 
     Attributes:
-        primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in indices
-            for an indexed mesh, in vertices otherwise. Read-only.
+        primitive, first, count, base_vertex, base_instance: the arguments of a draw. `first` and `count` are in
+            indices for an indexed mesh, in vertices otherwise. Read-only.
         buffers: the resources that a draw reads, which must be usable.
         vertex_arrays: the vertex array for each program that has drawn this.
         prepared_draws: by program, the prepared draw as a function of the number of instances.

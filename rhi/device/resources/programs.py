@@ -1,7 +1,7 @@
 """Programs: compiled shaders, and the checks before each draw or dispatch.
 
-- A draw checks everything first and binds afterwards, so that a refused draw has no effect. The functions that do this
-  are generated per program (`rhi.device.resources.draw_code`) and compare bound and given values by identity.
+- A draw checks everything first and binds afterwards, so that a refused draw has no effect. The functions that do
+  this are generated per program (`rhi.device.resources.draw_code`) and compare bound and given values by identity.
 - The checks themselves, which say what is wrong and what is allowed, are here, off the fast path.
 """
 
