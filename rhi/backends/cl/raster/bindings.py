@@ -12,12 +12,13 @@ from typing import Final
 
 import pyopencl as cl
 
-from rhi.backends.cl.planes import Plane
+from rhi.backends.cl.buffers import Buffers
+from rhi.backends.cl.planes import TexelPlane
 from rhi.backends.cl.pools import Addresses
 from rhi.backends.cl.raster.batches import FIXED_COLUMNS
-from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import Slots
+from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import BindingKind, Id
 
 __rhi_internal__ = True
@@ -83,7 +84,7 @@ class Bindings:
         """A buffer's address."""
         return self._find(buffer, None, lambda: self._buffers[buffer].cl)
 
-    def find_plane(self, texture: Id, plane: Plane, stencil: bool) -> int:
+    def find_plane(self, texture: Id, plane: TexelPlane, stencil: bool) -> int:
         """The address of the memory that a plane of a texture lies in."""
         return self._find(texture, stencil, lambda: plane.memory)
 

@@ -19,7 +19,7 @@ import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses
-from rhi.backends.cl.programs import Faults, make_shader_error
+from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger as targets
 from rhi.backends.cl.raster import tables
 from rhi.backends.cl.raster.builds import Builds, Kernel
@@ -73,10 +73,10 @@ class Pipeline:
         self._fragment_text = ""
         if Stage.FRAGMENT in descriptor.stages:
             self._fragment_text = descriptor.emit(LANGUAGE, Stage.FRAGMENT)
-        self.faults: dict[Stage, Faults] = {}
+        self.faults: dict[Stage, FaultBuffer] = {}
         self._fault_places = dict.fromkeys(Stage, 0)
         for stage in descriptor.stages if descriptor.checked else ():
-            self.faults[stage] = Faults(context.context, descriptor.lines.get(stage, ()))
+            self.faults[stage] = FaultBuffer(context.context, descriptor.lines.get(stage, ()))
             self._fault_places[stage] = addresses.find(self.faults[stage].memory)
         self._vertex: dict[Layout, VertexKernels] = {}
         self._raster: dict[targets.MergerKey, Kernel] = {}

@@ -18,9 +18,10 @@ import pyopencl as cl
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.planes import Plane
+from rhi.backends.cl.planes import TexelPlane
 from rhi.backends.cl.pools import Addresses, IndexList, Retired
 from rhi.backends.cl.raster.assembly import Assembler
 from rhi.backends.cl.raster.batches import (
@@ -44,9 +45,9 @@ from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.tables import GROUP, MAX_STREAMS
 from rhi.backends.cl.raster.targets import Surface, Target, color_clear, depth_clear, stencil_clear
 from rhi.backends.cl.raster.views import make_view
-from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import Slots
+from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import (
     Attachment,
     Binding,
@@ -250,7 +251,7 @@ class Rasteriser:
         self.stale = True
 
     def _make_surface(
-        self, attachment: Attachment | DepthAttachment, planes: Sequence[Plane], clear: bytes | None,
+        self, attachment: Attachment | DepthAttachment, planes: Sequence[TexelPlane], clear: bytes | None,
         stencil: bool = False,
     ) -> Surface:  # fmt: skip
         """What an attachment draws into; `planes`: by level."""

@@ -14,9 +14,9 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.planes import Plane
+from rhi.backends.cl.planes import TexelPlane
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.resources import Texture
+from rhi.backends.cl.textures import Texture
 from rhi.contract.descriptors import Attachment, DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode
@@ -38,7 +38,7 @@ class Surface:
 
     __slots__ = ("_layer", "_plane", "_samples", "address", "clear", "place")
 
-    def __init__(self, plane: Plane, layer: int, samples: int, address: int, clear: bytes | None) -> None:
+    def __init__(self, plane: TexelPlane, layer: int, samples: int, address: int, clear: bytes | None) -> None:
         self._plane = plane
         self._layer = layer
         self._samples = samples

@@ -21,8 +21,8 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from rhi.backends.cl import buffers, planes, textures
 from rhi.backends.cl import pools as memory
-from rhi.backends.cl import resources
 from rhi.backends.cl.context import ClContext, allocate_pages
 from rhi.backends.cl.raster import counters
 
@@ -102,16 +102,17 @@ def _reserve(self: memory.Pool, size: int) -> int:
     return self._address
 
 
-_unguarded_allocate: Final = resources.allocate
+_unguarded_allocate: Final = planes.allocate
 
 
 def install(replace: Callable[[Any, str, Any], None] = setattr) -> None:
     """Guard all buffers made from here on; `replace` sets an attribute, for instance `monkeypatch.setattr`."""
     _known.clear()
     replace(cl, "Buffer", _GuardedBuffer)
-    replace(resources, "allocate", _allocate)
+    for module in (buffers, textures):
+        replace(module, "allocate", _allocate)
     replace(memory.Pool, "reserve", _reserve)
-    for module in (resources, memory, counters):
+    for module in (buffers, memory, counters):
         replace(module, "allocate_pages", _allocate_pages)
 
 

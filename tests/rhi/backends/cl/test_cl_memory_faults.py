@@ -25,7 +25,7 @@ from rhi import (
     Region,
     TextureKind,
 )
-from rhi.backends.cl import resources
+from rhi.backends.cl import planes
 from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
@@ -222,7 +222,7 @@ class Commands:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._failed: set[object] = set()
         self.fail = False
-        monkeypatch.setattr(resources, "_copy_box", partial(self._call, cl.enqueue_copy))
+        monkeypatch.setattr(planes, "_copy_box", partial(self._call, cl.enqueue_copy))
         for name in self.NAMES:
             monkeypatch.setattr(cl, name, partial(self._call, getattr(cl, name)))
 

@@ -22,8 +22,8 @@ from rhi import (
     State,
     Texture,
 )
+from rhi.backends.cl import buffers, planes
 from rhi.backends.cl import pools as memory
-from rhi.backends.cl import resources
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
@@ -43,13 +43,14 @@ def device() -> Iterator[Device]:
 def fills(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """What memory was filled with, from now on."""
     filled: list[bytes] = []
-    fill = resources.fill
+    fill = planes.fill
 
     def count(queue: object, memory: object, pattern: bytes, offset: int, size: int) -> None:
         filled.append(pattern)
         fill(queue, memory, pattern, offset, size)
 
-    monkeypatch.setattr(resources, "fill", count)
+    for module in (planes, buffers):
+        monkeypatch.setattr(module, "fill", count)
     return filled
 
 
