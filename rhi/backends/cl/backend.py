@@ -21,7 +21,7 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.fence import Fence, Timestamps
 from rhi.backends.cl.programs import ComputePrograms
-from rhi.backends.cl.raster.query_sets import QuerySet
+from rhi.backends.cl.raster.query_sets import PreparedQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import CommandState
@@ -91,8 +91,11 @@ class ClBackend:
             context, self._state.slots, self._buffers, self._textures, self._samplers
         )
         self._bind = self._rasteriser.bindings.bind
+        self._draw_state = self._rasteriser.state
+        self._draws = self._rasteriser.draws
+        self._vertex_arrays = self._rasteriser.vertex_arrays
         self._capabilities = query_capabilities(context, self._rasteriser.works)
-        self._counters = self._rasteriser.counters
+        self._sample_queries = self._rasteriser.queries
         self._flush = self._rasteriser.flush
         self._fence = Fence(context.queue, staging, self._rasteriser.retired)
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
@@ -134,10 +137,10 @@ class ClBackend:
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self._rasteriser.create_vertex_array(vertex_array, descriptor)
-        self._destroyers[vertex_array] = self._rasteriser.destroy_vertex_array
+        self._destroyers[vertex_array] = self._vertex_arrays.destroy
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._counters
+        queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries
         queries.create(query, kind)
         self._kinds[query] = kind
         self._destroyers[query] = self._destroy_query
@@ -157,7 +160,7 @@ class ClBackend:
 
     def _destroy_query(self, query: Id) -> None:
         kind = self._kinds.pop(query)
-        (self._timestamps if kind is QueryKind.TIMESTAMP else self._counters).destroy(query)
+        (self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries).destroy(query)
 
     # -- memory ------------------------------------------------------------------------------------------
 
@@ -165,7 +168,7 @@ class ClBackend:
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if self._buffers[buffer].host is None:
             self._flush()
-        self._rasteriser.write(buffer, offset, data)
+        self._vertex_arrays.write(buffer, offset, data)
         self._buffers.write(buffer, offset, data)
 
     @_reports_errors_as("Buffer.read")
@@ -176,13 +179,13 @@ class ClBackend:
     @_reports_errors_as("Buffer.copy_to")
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         self._flush()
-        self._rasteriser.change(target)
+        self._vertex_arrays.change(target)
         self._buffers.copy(source, source_offset, target, target_offset, size)
 
     @_reports_errors_as("Buffer.clear")
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
         self._flush()
-        self._rasteriser.change(buffer)
+        self._vertex_arrays.change(buffer)
         self._buffers.clear(buffer, offset, size, value)
 
     @_reports_errors_as("Texture.write")
@@ -219,10 +222,10 @@ class ClBackend:
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         self._flush()
         self._state.render_pass = descriptor
-        self._rasteriser.begin_pass(descriptor)
+        self._draw_state.begin_pass(descriptor)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
-        self._rasteriser.set_states(changes)
+        self._draw_state.set(changes)
 
     @_reports_errors_as("the end of a pass")
     def end_pass(self) -> None:
@@ -257,20 +260,20 @@ class ClBackend:
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        self._rasteriser.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        self._draws.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def prepare_draw(
         self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
         """See `rhi.contract.backend.PreparesDraws`."""
-        return self._rasteriser.prepare_draw(
+        return self._draws.prepare_draw(
             vertex_array, primitive, first, count, base_vertex, base_instance
         )
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """See `rhi.contract.backend.PreparesQueries`."""
-        return QuerySet(self._rasteriser, len(queries))
+        return PreparedQuerySet(self._rasteriser, len(queries))
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Ignore the callback: this backend shares no context, so nothing interrupts it."""
@@ -281,7 +284,7 @@ class ClBackend:
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         """Read the arguments back, which waits if the device wrote them, and draw them as direct draws."""
-        self._rasteriser.draw_indirect(
+        self._draws.draw_indirect(
             vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
         )
 
@@ -313,10 +316,10 @@ class ClBackend:
         return self._fence.wait(value, seconds)
 
     def begin_query(self, query: Id) -> None:
-        self._counters.begin(query)
+        self._sample_queries.begin(query)
 
     def end_query(self, query: Id) -> None:
-        self._counters.end(query)
+        self._sample_queries.end(query)
 
     @_reports_errors_as("a timestamp")
     def write_query(self, query: Id) -> None:
@@ -324,10 +327,10 @@ class ClBackend:
             self._flush()
             self._timestamps.write(query)
         else:
-            self._counters.take(query)
+            self._sample_queries.take(query)
 
     def read_query(self, query: Id) -> int | None:
-        queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._counters
+        queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._sample_queries
         return queries.read(query)
 
     @_reports_errors_as("device.conditional")

@@ -116,7 +116,7 @@ def test_sets_that_are_gone_give_their_memory_back(device: Device, bars: Mesh) -
         gc.collect()
     backend: Any = device._core.backend
     if isinstance(backend, ClBackend):
-        assert len(backend._rasteriser.counters._free) <= 3
+        assert len(backend._rasteriser.queries._free) <= 3
     else:
         assert not backend._queries._queries
 

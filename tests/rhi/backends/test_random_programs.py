@@ -30,9 +30,10 @@ from rhi import (
     State,
     TextureKind,
 )
-from rhi.backends.cl.raster import batches as draws
+from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.raster import batches, launcher, pieces
+from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.conformance.shaders import Corner, FlatColored, FlatShade
 from rhi.conformance.shapes import corners, window_to_clip
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
@@ -217,25 +218,26 @@ def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatc
     with rhi.create_device("cl") as plain:
         for seed in range(40):
             with monkeypatch.context() as patch:
-                begin_pass, gather = Rasteriser.begin_pass, draws.Batch.gather
+                begin_pass, gather = DrawState.begin_pass, batches.Batch.gather
 
                 def begin_cleared(self: Any, descriptor: Any, begin: Any = begin_pass) -> None:
                     begin(self, descriptor)
-                    self._target.fill_cleared(self._context.queue)
+                    self.fill_cleared(plain.backend_as(ClBackend).context.queue)
 
                 def gather_mixed(self: Any, *given: Any, gather: Any = gather) -> None:
                     gather(self, *given)
-                    self.mix()
+                    self.spread()
 
                 patch.setattr(MergerKey, "bounds_depth", property(lambda _: False))
-                patch.setattr(Rasteriser, "begin_pass", begin_cleared)
-                patch.setattr(draws.Batch, "gather", gather_mixed)
+                patch.setattr(DrawState, "begin_pass", begin_cleared)
+                patch.setattr(batches.Batch, "gather", gather_mixed)
                 wanted = Run(plain, seed, wild=True).results
             with monkeypatch.context() as patch:
                 if seed % 2:
-                    limits = {"_FIRST_PIECE_GROUPS": 2, "_PIECE_GROUPS": 8, "_SLICE_GROUPS": 16, "_FEW_GROUPS": 1}
-                    for name, limit in limits.items():
-                        patch.setattr(draws, name, limit)
+                    patch.setattr(pieces, "_FIRST_PIECE_GROUPS", 2)
+                    patch.setattr(pieces, "_PIECE_GROUPS", 8)
+                    patch.setattr(launcher, "_SLICE_GROUPS", 16)
+                    patch.setattr(launcher, "_FEW_GROUPS", 1)
                 given = Run(cl, seed, wild=True).results
             for one, other in zip(wanted, given, strict=True):
                 np.testing.assert_array_equal(one, other)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from rhi.backends.cl import buffers, planes, textures
 from rhi.backends.cl import pools as memory
 from rhi.backends.cl.context import ClContext, allocate_pages
-from rhi.backends.cl.raster import counters
+from rhi.backends.cl.raster import queries
 
 GUARD: Final = 1 << 14
 PATTERN: Final = 0xB7
@@ -112,7 +112,7 @@ def install(replace: Callable[[Any, str, Any], None] = setattr) -> None:
     for module in (buffers, textures):
         replace(module, "allocate", _allocate)
     replace(memory.Pool, "reserve", _reserve)
-    for module in (buffers, memory, counters):
+    for module in (buffers, memory, queries):
         replace(module, "allocate_pages", _allocate_pages)
 
 

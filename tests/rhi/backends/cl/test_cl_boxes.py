@@ -28,8 +28,7 @@ from rhi import (
     Viewport,
 )
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import batches as draws
-from rhi.backends.cl.raster import boxes
+from rhi.backends.cl.raster import boxes, pieces
 from rhi.backends.cl.raster.tables import GROUP
 from rhi.shading import (
     Shader,
@@ -169,21 +168,22 @@ def assert_same(one: list[NDArray[Any]], other: list[NDArray[Any]]) -> None:
 def count_dropped(device: Device) -> int:
     """How many instances of the last piece were dropped before they were transformed, if none has more than a chunk of
     vertices: their extents lie behind more planes than there are."""
-    batch = device.backend_as(ClBackend)._rasteriser._batch
-    memory, count = batch._pools["extents"]._memory, int(batch._table["vertex_groups"])
+    backend = device.backend_as(ClBackend)
+    memory, state = backend._rasteriser._launcher._scratch.pools["extents"]._memory, backend._rasteriser._batch.state
     assert memory is not None
-    words = np.zeros((count, 8), np.int32)
-    cl.enqueue_copy(batch._queue, words, memory)
+    assert state is not None
+    words = np.zeros((int(state.table["vertex_groups"]), 8), np.int32)
+    cl.enqueue_copy(backend.context.queue, words, memory)
     return int((words[:, 7] == -1).sum())
 
 
 def clean(device: Device) -> None:
     """Forget what earlier batches left in memory."""
-    batch = device.backend_as(ClBackend)._rasteriser._batch
-    pool = batch._pools["extents"]
+    backend = device.backend_as(ClBackend)
+    pool = backend._rasteriser._launcher._scratch.pools["extents"]
     pool.reserve(32 * 64)
     assert pool._memory is not None
-    cl.enqueue_fill_buffer(batch._queue, pool._memory, np.zeros(1, np.int32), 0, pool.size)
+    cl.enqueue_fill_buffer(backend.context.queue, pool._memory, np.zeros(1, np.int32), 0, pool.size)
 
 
 ASIDE = translate(3.0, 0.0, 0.5)
@@ -377,7 +377,7 @@ def test_boxes_outlive_a_table_that_grows(device: Device) -> None:
         meshes = parts(mesh, 2)
         for _ in range(3):
             first = stage.frame(meshes)
-        table = device.backend_as(ClBackend)._rasteriser._batch.prepared
+        table = device.backend_as(ClBackend)._rasteriser._prepared
         views = [mesh.view(first=i % 2, base_instance=i % 2) for i in range(len(table.draws))]
         for _ in range(2):
             stage.frame(views)
@@ -455,8 +455,8 @@ def scatter(rng: np.random.Generator, kind: dict[str, Any]) -> list[NDArray[Any]
 
 @pytest.fixture
 def allow_boxes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
-    monkeypatch.setattr(draws, "_FIRST_PIECE_GROUPS", 100)  # later pieces know what earlier ones hide
-    monkeypatch.setattr(draws, "_PIECE_GROUPS", 200)
+    monkeypatch.setattr(pieces, "_FIRST_PIECE_GROUPS", 100)  # later pieces know what earlier ones hide
+    monkeypatch.setattr(pieces, "_PIECE_GROUPS", 200)
     return lambda allowed: monkeypatch.setattr(boxes, "_MIN_GROUPS", 1 if allowed else 1 << 30)
 
 

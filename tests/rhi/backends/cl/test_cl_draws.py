@@ -27,7 +27,7 @@ from rhi import (
 from rhi.backends.cl import context
 from rhi.backends.cl import pools as memory
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import batches as draws
+from rhi.backends.cl.raster import launcher, pieces
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner
@@ -108,11 +108,12 @@ def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
 
 def count_survivors(device: Device) -> int:
     """The primitives of the last slice that set-up made records of."""
-    batch = device.backend_as(ClBackend)._rasteriser._batch
-    memory = batch._pools["survivors"]._memory
+    backend = device.backend_as(ClBackend)
+    memory, state = backend._rasteriser._launcher._scratch.pools["survivors"]._memory, backend._rasteriser._batch.state
     assert memory is not None
-    counts = np.zeros(int(batch._table["chunks"]), np.uint32)
-    cl.enqueue_copy(batch._queue, counts, memory)
+    assert state is not None
+    counts = np.zeros(int(state.table["chunks"]), np.uint32)
+    cl.enqueue_copy(backend.context.queue, counts, memory)
     return int(counts.sum())
 
 
@@ -213,7 +214,7 @@ def test_limits_of_memory_do_not_show(
     usual = picture(device, rows, parts=3)
     before = len(launches)
     for name, value in limits.items():
-        monkeypatch.setattr(draws, name, value)
+        monkeypatch.setattr(pieces if name == "_PIECE_GROUPS" else launcher, name, value)
     assert (picture(device, rows, parts=3) == usual).all()
     assert (usual[..., 3] > 0).mean() > 0.9
     if set(limits) & {"_SLICE_GROUPS", "_PIECE_GROUPS"}:
@@ -234,7 +235,7 @@ def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)
         assert (image.read() > 0).any()
-    pools = device.backend_as(ClBackend)._rasteriser._batch._pools
+    pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
 
 
@@ -264,7 +265,7 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: Device, befo
         rows = (image.read()[::-1] > 0).all(axis=1)
     assert np.flatnonzero(rows).tolist() == [*range(1, 481), *range(500, 512)][: 480 + 12 * before]
     assert [query.wait() for query in queries] == [count for _, count in draws_of]
-    pools = device.backend_as(ClBackend)._rasteriser._batch._pools
+    pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * instances
 
 
@@ -272,9 +273,9 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: Device, befo
 def test_draws_split_into_pieces_are_each_instance_once(
     monkeypatch: pytest.MonkeyPatch, instances: int
 ) -> None:
-    monkeypatch.setattr(draws, "_FIRST_PIECE_GROUPS", 1 << 19)
+    monkeypatch.setattr(pieces, "_FIRST_PIECE_GROUPS", 1 << 19)
     groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
-    which, parts, done = draws.split_instances(groups, counts)
+    which, parts, done = pieces.split_instances(groups, counts)
     assert np.array_equal(np.bincount(which, parts), counts)
     assert (parts * groups[which] <= np.maximum(1 << 19, groups[which])).all()
     ends = np.cumsum(parts) - np.repeat(np.cumsum(counts) - counts, np.bincount(which))
@@ -317,7 +318,7 @@ def test_out_of_memory_names_the_draw_and_the_device_goes_on(
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(draws.Pool, "reserve", fail)
+        patch.setattr(memory.Pool, "reserve", fail)
         with pytest.raises(DeviceError) as caught:
             picture(device, random_corners(500))  # more than there is memory for
     assert caught.value.rule.id == "device-out-of-memory"
@@ -350,13 +351,13 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
     device: Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[int] = []
-    number = draws.number_groups
+    number = pieces.number_groups
 
     def note(*args: Any) -> Any:
         made.append(len(args[0]))
         return number(*args)
 
-    monkeypatch.setattr(draws, "number_groups", note)
+    monkeypatch.setattr(pieces, "number_groups", note)
     queries = device.query_set(16)
     array = bars.draws(6 * np.arange(16), 6)
     with device.texture((16, 4), Format.R8) as image, device.states(ColorWrite.OFF, DepthWrite.OFF):
@@ -393,7 +394,7 @@ def test_an_array_of_draws_and_others_are_one_batch(
 
 def test_counters_are_used_again(device: Device) -> None:
     """Pages are, once nobody needs their answers, and count from zero."""
-    counters = device.backend_as(ClBackend)._rasteriser.counters
+    queries = device.backend_as(ClBackend)._rasteriser.queries
     with device.texture((4, 4), Format.R8) as image, device.mesh(rectangle()) as mesh:
         query = device.occlusion_query()
         for _ in range(4):
@@ -401,7 +402,7 @@ def test_counters_are_used_again(device: Device) -> None:
                 with device.render_pass(image), query:
                     device.draw(device.program(Colored), mesh)
             assert query.wait() == 16
-    assert 1 <= len(counters._free) <= 2
+    assert 1 <= len(queries._free) <= 2
 
 
 def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:
@@ -540,7 +541,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     rows = corners(places.reshape(-1, 2), colors, np.clip(away, 0, 1).ravel())
     pictures, survivors = [], []
     for form, groups in ((depth_format[1], 1 << 15), (depth_format[0], 1 << 15), (depth_format[0], 32)):
-        monkeypatch.setattr(draws, "_SLICE_GROUPS", groups)
+        monkeypatch.setattr(launcher, "_SLICE_GROUPS", groups)
         with (
             device.texture(SIZE, Format.RGBA8) as image,
             device.texture(SIZE, form) as depth,
@@ -565,7 +566,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
 def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(draws, "_SLICE_GROUPS", 1)  # each draw is a slice
+    monkeypatch.setattr(launcher, "_SLICE_GROUPS", 1)  # each draw is a slice
     left = []
     for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
         for last in (0.25, 0.75):  # before the wall, or behind it
