@@ -1,4 +1,4 @@
-"""Arrays of draws find their places, whichever draws they hold in whichever order."""
+"""Arrays of draws find their prepared draws, whichever draws they contain in whichever order."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rhi.contract.descriptors import DRAW
 
 
 class Lists:
-    """Draw lists, and what was filled in: (first, count, base_vertex, base_instance) by place."""
+    """A draw list cache, and the prepared draws: (first, count, base_vertex, base_instance) by number."""
 
     def __init__(self) -> None:
         self._lists = DrawListCache(PreparedDraws())
@@ -39,7 +39,7 @@ def told(draw: Any) -> tuple[int, ...]:
 
 @pytest.fixture
 def draws() -> NDArray[Any]:
-    """Distinct ones, but for their instances; base vertices may be negative."""
+    """Return draws that differ in more than their instances; base vertices may be negative."""
     rng = np.random.default_rng(0)
     made = np.zeros(300, DRAW)
     made["count"], made["first"] = rng.integers(1, 9, 300), 3 * np.arange(300)

@@ -1,4 +1,4 @@
-"""Buffers and textures: what the backend's own structure could get wrong."""
+"""Buffers and textures: staging, ranges, padding and copies of this backend."""
 
 from __future__ import annotations
 
@@ -258,7 +258,7 @@ def test_the_end_of_a_pass_resolves_what_its_begin_cleared_in_all_samples(cl_kit
 
 @pytest.mark.parametrize("size", [(5, 7), (1, 9), (6, 3), (2, 1)], ids=str)
 def test_mip_levels_of_odd_sizes_keep_the_mean(cl_kit: ClKit, size: tuple[int, int]) -> None:
-    """Every texel of a level weighs the same in the next one, whatever the size."""
+    """Every texel of a level has the same weight in the next one, for any size."""
     width, height = size
     texels = np.random.default_rng(0).random((height, width, 1)).astype(np.float32)
     texture = cl_kit.texture(TextureDescriptor(size, Format.R32F, levels=max(size).bit_length()))
