@@ -21,7 +21,7 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.fence import Fence, Timestamps
 from rhi.backends.cl.programs import ComputePrograms
-from rhi.backends.cl.raster.query_sets import PreparedQuerySet
+from rhi.backends.cl.raster.query_sets import ClQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import CommandState
@@ -273,7 +273,7 @@ class ClBackend:
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """See `rhi.contract.backend.PreparesQueries`."""
-        return PreparedQuerySet(self._rasteriser, len(queries))
+        return ClQuerySet(self._rasteriser, len(queries))
 
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Ignore the callback: this backend shares no context, so nothing interrupts it."""

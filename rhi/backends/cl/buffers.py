@@ -86,7 +86,7 @@ class Buffers:
         part = memory.ranges.get((offset, size))
         if part is None:
             if len(memory.ranges) == _MAX_RANGES:
-                memory.ranges.clear()  # a kernel keeps those alive that are its arguments
+                memory.ranges.clear()  # the kernel's program keeps its arguments alive
             part = memory.ranges[offset, size] = memory.cl.get_sub_region(offset, size)
         return part
 

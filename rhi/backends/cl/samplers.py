@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.planes import TexelPlane
-from rhi.backends.cl.textures import Texture
+from rhi.backends.cl.textures import ClTexture
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.ir.texture_words import LevelPlace, describe_texture
 
@@ -32,7 +32,7 @@ class Samplers:
     def destroy(self, sampler: Id) -> None:
         del self._samplers[sampler]
 
-    def describe(self, texture: Texture, sampler: Id) -> cl.Buffer:
+    def describe(self, texture: ClTexture, sampler: Id) -> cl.Buffer:
         """Return the description of a texture that is read through a sampler, creating it on first use."""
         known = texture.words.get(sampler)
         if known is None:
@@ -42,7 +42,7 @@ class Samplers:
             known = texture.words[sampler] = self._buffer(words)
         return known
 
-    def describe_image(self, texture: Texture, level: int, layer: int) -> cl.Buffer:
+    def describe_image(self, texture: ClTexture, level: int, layer: int) -> cl.Buffer:
         """Return the description of one level for loads and stores, creating it on first use; layer -1: all layers."""
         known = texture.words.get((level, layer))
         if known is None:

@@ -25,7 +25,7 @@ from rhi.contract.descriptors import Id, Region, TextureDescriptor
 __rhi_internal__ = True
 
 
-class Texture:
+class ClTexture:
     """The memory of one texture.
 
     Attributes:
@@ -78,14 +78,14 @@ class Textures:
         self._queue = context.queue
         self._staging = staging
         self._filters = Filters(context)
-        self._textures: dict[Id, Texture] = {}
+        self._textures: dict[Id, ClTexture] = {}
 
-    def __getitem__(self, texture: Id) -> Texture:
+    def __getitem__(self, texture: Id) -> ClTexture:
         return self._textures[texture]
 
     def create(self, texture: Id, descriptor: TextureDescriptor) -> None:
         with translate_errors("device.texture", f"{descriptor.size}, {descriptor.format}"):
-            self._textures[texture] = Texture(self._context, descriptor)
+            self._textures[texture] = ClTexture(self._context, descriptor)
 
     def destroy(self, texture: Id) -> None:
         self._textures.pop(texture).release()

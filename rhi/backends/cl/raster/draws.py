@@ -150,7 +150,7 @@ class Draws:
         if memory.host is not None and not memory.device_wrote:
             return memory.host[offset : offset + size].tobytes()
         self._flush()
-        with translate_errors("device.draw_indirect", "its arguments"):
+        with translate_errors("device.draw_indirect", "arguments"):
             return self._buffers.read(buffer, offset, size)
 
     def _begin(self, array: VertexArray) -> Pipeline:

@@ -14,7 +14,7 @@ from rhi.contract.descriptors import Id, Primitive
 __rhi_internal__ = True
 
 
-class PreparedQuerySet:
+class ClQuerySet:
     """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: earlier draws may still run."""
 
     def __init__(self, rasteriser: Rasteriser, size: int) -> None:

@@ -107,7 +107,7 @@ class Rasteriser:
 
     def _read_indices(self, buffer: Id, offset: int, size: int) -> bytes:
         self.flush()
-        with translate_errors("device.draw", "its indices"):
+        with translate_errors("device.draw", "indices"):
             return self._buffers.read(buffer, offset, size)
 
     # -- submission ------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ import pyopencl as cl
 
 from rhi.backends.cl.planes import TexelPlane
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.textures import Texture
+from rhi.backends.cl.textures import ClTexture
 from rhi.contract.descriptors import Attachment, DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode
@@ -79,7 +79,7 @@ class RenderTarget:
 
     def __init__(
         self, size: tuple[int, int], samples: int, colors: Sequence[RenderSurface], depth: RenderSurface | None,
-        stencil: RenderSurface | None, texture: Texture | None,
+        stencil: RenderSurface | None, texture: ClTexture | None,
     ) -> None:  # fmt: skip
         self.size = size
         self.samples = samples
