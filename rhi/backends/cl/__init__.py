@@ -1,6 +1,6 @@
-"""The OpenCL backend: draws, compute and memory on any OpenCL device, such as the CPU through PoCL.
+"""The OpenCL backend: memory, compute and draws on any OpenCL device, such as the CPU through PoCL.
 
-`create_backend` is its entry point in the group `rhi.backends`. Nothing of OpenCL is imported before it is called.
+`create_backend` is its entry point in the group `rhi.backends`. pyopencl is imported only when it is called.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ __rhi_internal__ = True
 
 
 def create_backend(*, validation: bool = False) -> ClBackend:
-    """A backend on the first OpenCL device that works, or the one that `RHI_CL_DEVICE` names.
+    """Create a backend on the first OpenCL device that works, or on the one that `RHI_CL_DEVICE` names.
 
-    OpenCL has no debug layer that `validation` could turn on.
+    `validation` has no effect, since OpenCL has no debug layer.
 
     Raises:
-        DeviceError: `device-driver` without pyopencl or a device that works; its tip says what to install.
+        DeviceError: `device-driver` if pyopencl or a working device is missing; the tip says what to install.
             `device-out-of-memory`.
     """
     try:

@@ -1,8 +1,8 @@
 """The OpenCL backend: rhi's contract on one queue that executes in order.
 
-- Draws gather (`rhi.backends.cl.raster.rasteriser`); all else goes to the queue as it comes, after the draws before
-  it were handed over (`_flush`). So the contract's order is the queue's.
-- Only reads wait, and indirect draws and dispatches, whose sizes OpenCL can't take from memory.
+- Draws are gathered into batches (`rhi.backends.cl.raster.rasteriser`). Every other command first submits the gathered
+  draws (`_flush`) and then enqueues its own work, so the queue has the order of the contract.
+- Only reads wait for the device, and indirect draws and dispatches, whose sizes OpenCL can't take from memory.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.backends.cl.buffers import Buffers
+from rhi.backends.cl.capabilities import query_capabilities
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import DRIVER_ERRORS, make_error
 from rhi.backends.cl.fence import Fence, Timestamps
-from rhi.backends.cl.planes import alignment
-from rhi.backends.cl.programs import Programs
-from rhi.backends.cl.raster.query_sets import QuerySet
+from rhi.backends.cl.programs import ComputePrograms
+from rhi.backends.cl.raster.query_sets import ClQuerySet
 from rhi.backends.cl.raster.rasteriser import Rasteriser
-from rhi.backends.cl.resources import Buffers, Staging, Textures
 from rhi.backends.cl.samplers import Samplers
-from rhi.backends.cl.slots import States
+from rhi.backends.cl.slots import CommandState
+from rhi.backends.cl.staging import Staging
+from rhi.backends.cl.textures import Textures
 from rhi.contract.backend import Capabilities, PreparedQueries
 from rhi.contract.descriptors import (
     BindingKind,
@@ -48,13 +50,12 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 _GROUPS_BYTES: Final = 12
-_MAX_UNIFORM_BYTES: Final = 65536
 
 
-def _told_as(
+def _reports_errors_as(
     call: str,
 ) -> Callable[[Callable[Concatenate[ClBackend, P], R]], Callable[Concatenate[ClBackend, P], R]]:
-    """What OpenCL refuses in a method is a `DeviceError` of this call, and of the labels that it lies in."""
+    """Return a decorator that reports a method's OpenCL errors as `DeviceError` of this call and the open labels."""
 
     def decorate(method: Callable[Concatenate[ClBackend, P], R]) -> Callable[Concatenate[ClBackend, P], R]:
         @wraps(method)
@@ -62,7 +63,7 @@ def _told_as(
             try:
                 return method(self, *arguments, **named)
             except DRIVER_ERRORS as error:
-                raise make_error(error, self._states.place(call)) from error
+                raise make_error(error, self._state.locate(call)) from error
 
         return run
 
@@ -70,10 +71,10 @@ def _told_as(
 
 
 class ClBackend:
-    """One device and queue; see `rhi.contract.backend.Backend` for what the methods do.
+    """One device and its queue; `rhi.contract.backend.Backend` documents the methods.
 
     Attributes:
-        context: OpenCL's device, context and queue, for what only OpenCL has.
+        context: OpenCL's device, context and queue, for uses outside of rhi's contract.
     """
 
     def __init__(self, context: ClContext) -> None:
@@ -83,15 +84,18 @@ class ClBackend:
         self._buffers = Buffers(context, staging)
         self._textures = Textures(context, staging)
         self._samplers = Samplers(context.context)
-        self._programs = Programs(context, self._buffers, self._textures, self._samplers)
+        self._programs = ComputePrograms(context, self._buffers, self._textures, self._samplers)
         self._timestamps = Timestamps(context.queue)
-        self._states = States()
+        self._state = CommandState()
         self._rasteriser = Rasteriser(
-            context, self._states.slots, self._buffers, self._textures, self._samplers
+            context, self._state.slots, self._buffers, self._textures, self._samplers
         )
         self._bind = self._rasteriser.bindings.bind
+        self._draw_state = self._rasteriser.state
+        self._draws = self._rasteriser.draws
+        self._vertex_arrays = self._rasteriser.vertex_arrays
         self._capabilities = query_capabilities(context, self._rasteriser.works)
-        self._counters = self._rasteriser.counters
+        self._sample_queries = self._rasteriser.queries
         self._flush = self._rasteriser.flush
         self._fence = Fence(context.queue, staging, self._rasteriser.retired)
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
@@ -133,10 +137,10 @@ class ClBackend:
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self._rasteriser.create_vertex_array(vertex_array, descriptor)
-        self._destroyers[vertex_array] = self._rasteriser.destroy_vertex_array
+        self._destroyers[vertex_array] = self._vertex_arrays.destroy
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._counters
+        queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries
         queries.create(query, kind)
         self._kinds[query] = kind
         self._destroyers[query] = self._destroy_query
@@ -156,45 +160,45 @@ class ClBackend:
 
     def _destroy_query(self, query: Id) -> None:
         kind = self._kinds.pop(query)
-        (self._timestamps if kind is QueryKind.TIMESTAMP else self._counters).destroy(query)
+        (self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries).destroy(query)
 
     # -- memory ------------------------------------------------------------------------------------------
 
-    @_told_as("Buffer.write")
+    @_reports_errors_as("Buffer.write")
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
         if self._buffers[buffer].host is None:
             self._flush()
-        self._rasteriser.write(buffer, offset, data)
+        self._vertex_arrays.write(buffer, offset, data)
         self._buffers.write(buffer, offset, data)
 
-    @_told_as("Buffer.read")
+    @_reports_errors_as("Buffer.read")
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._flush()
         return self._buffers.read(buffer, offset, size)
 
-    @_told_as("Buffer.copy_to")
+    @_reports_errors_as("Buffer.copy_to")
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         self._flush()
-        self._rasteriser.change(target)
+        self._vertex_arrays.change(target)
         self._buffers.copy(source, source_offset, target, target_offset, size)
 
-    @_told_as("Buffer.clear")
+    @_reports_errors_as("Buffer.clear")
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
         self._flush()
-        self._rasteriser.change(buffer)
+        self._vertex_arrays.change(buffer)
         self._buffers.clear(buffer, offset, size, value)
 
-    @_told_as("Texture.write")
+    @_reports_errors_as("Texture.write")
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
         self._flush()
         self._textures.write(texture, level, region, data)
 
-    @_told_as("Texture.read")
+    @_reports_errors_as("Texture.read")
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._flush()
         return self._textures.read(texture, level, region, stencil)
 
-    @_told_as("Texture.copy_to")
+    @_reports_errors_as("Texture.copy_to")
     def copy_texture(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
@@ -202,36 +206,36 @@ class ClBackend:
         self._flush()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
-    @_told_as("Texture.resolve_to")
+    @_reports_errors_as("Texture.resolve_to")
     def resolve_texture(self, source: Id, target: Id) -> None:
         self._flush()
         self._textures.resolve(source, target)
 
-    @_told_as("Texture.generate_mipmaps")
+    @_reports_errors_as("Texture.generate_mipmaps")
     def generate_mipmaps(self, texture: Id) -> None:
         self._flush()
         self._textures.generate_mipmaps(texture)
 
     # -- passes and bindings -----------------------------------------------------------------------------
 
-    @_told_as("device.render_pass")
+    @_reports_errors_as("device.render_pass")
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         self._flush()
-        self._states.render_pass = descriptor
-        self._rasteriser.begin_pass(descriptor)
+        self._state.render_pass = descriptor
+        self._draw_state.begin_pass(descriptor)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
-        self._rasteriser.set_states(changes)
+        self._draw_state.set(changes)
 
-    @_told_as("the end of a pass")
+    @_reports_errors_as("the end of a pass")
     def end_pass(self) -> None:
         self._flush()
-        for color in self._states.render_pass.colors:
+        for color in self._state.render_pass.colors:
             if color.resolve:
                 self._textures.resolve(color.texture, color.resolve)
 
     def bind_program(self, program: Id) -> None:
-        self._states.program = program
+        self._state.program = program
         self._rasteriser.bind_program(program)
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
@@ -256,51 +260,51 @@ class ClBackend:
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        self._rasteriser.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
+        self._draws.draw(vertex_array, primitive, first, count, instances, base_vertex, base_instance)
 
     def prepare_draw(
         self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
         """See `rhi.contract.backend.PreparesDraws`."""
-        return self._rasteriser.prepare_draw(
+        return self._draws.prepare_draw(
             vertex_array, primitive, first, count, base_vertex, base_instance
         )
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """See `rhi.contract.backend.PreparesQueries`."""
-        return QuerySet(self._rasteriser, len(queries))
+        return ClQuerySet(self._rasteriser, len(queries))
 
     def on_interruption(self, call: Callable[[], None]) -> None:
-        """Nobody interrupts: nothing is shared with other contexts."""
+        """Ignore the callback: this backend shares no context, so nothing interrupts it."""
 
-    @_told_as("device.draw_indirect")
+    @_reports_errors_as("device.draw_indirect")
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
-        """Waits for what the device writes: indirect draws are read back and become plain ones."""
-        self._rasteriser.draw_indirect(
+        """Read the arguments back, which waits if the device wrote them, and draw them as direct draws."""
+        self._draws.draw_indirect(
             vertex_array, primitive, buffer, offset, draws, stride, count_buffer, count_offset
         )
 
-    @_told_as("device.dispatch")
+    @_reports_errors_as("device.dispatch")
     def dispatch(self, x: int, y: int, z: int) -> None:
         self._flush()
-        program = self._programs[self._states.program]
-        program.launch(self._queue, self._states, (x, y, z))
+        program = self._programs[self._state.program]
+        program.launch(self._queue, self._state, (x, y, z))
         self._rasteriser.change_stored(program.written)
 
-    @_told_as("device.dispatch_indirect")
+    @_reports_errors_as("device.dispatch_indirect")
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        """Waits: OpenCL takes the number of work-groups from the CPU."""
+        """Read the arguments back, which waits: OpenCL takes the number of work-groups from the CPU."""
         self._flush()
         words = np.frombuffer(self._buffers.read(buffer, offset, _GROUPS_BYTES), np.uint32)
         self.dispatch(*words.tolist())
 
     # -- time --------------------------------------------------------------------------------------------
 
-    @_told_as("device.signal")
+    @_reports_errors_as("device.signal")
     def signal(self, value: int) -> None:
         self._flush()
         self._fence.signal(value)
@@ -312,24 +316,24 @@ class ClBackend:
         return self._fence.wait(value, seconds)
 
     def begin_query(self, query: Id) -> None:
-        self._counters.begin(query)
+        self._sample_queries.begin(query)
 
     def end_query(self, query: Id) -> None:
-        self._counters.end(query)
+        self._sample_queries.end(query)
 
-    @_told_as("a timestamp")
+    @_reports_errors_as("a timestamp")
     def write_query(self, query: Id) -> None:
         if self._kinds[query] is QueryKind.TIMESTAMP:
             self._flush()
             self._timestamps.write(query)
         else:
-            self._counters.take(query)
+            self._sample_queries.take(query)
 
     def read_query(self, query: Id) -> int | None:
-        queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._counters
+        queries = self._timestamps if self._kinds[query] is QueryKind.TIMESTAMP else self._sample_queries
         return queries.read(query)
 
-    @_told_as("device.conditional")
+    @_reports_errors_as("device.conditional")
     def begin_conditional(self, query: Id, inverted: bool) -> None:
         self._rasteriser.begin_conditional(query, inverted)
 
@@ -337,39 +341,12 @@ class ClBackend:
         self._rasteriser.end_conditional()
 
     def push_label(self, text: str) -> None:
-        self._states.labels.append(text)
+        self._state.labels.append(text)
 
     def pop_label(self) -> None:
-        self._states.labels.pop()
+        self._state.labels.pop()
 
-    @_told_as("device.present")
+    @_reports_errors_as("device.present")
     def present(self, texture: Id) -> None:
         self._flush()
         self._queue.flush()
-
-
-def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
-    """What the device can do, as far as this backend does it; `draws`: whether the rasteriser works on it."""
-    device = context.device
-    grain = alignment(device)
-    x, y, z = (int(size) for size in (*device.max_work_item_sizes, 1, 1)[:3])
-    return Capabilities(
-        backend="cl",
-        device=str(device.name).strip(),
-        driver=f"{' '.join(device.platform.version.split())}, {device.driver_version}",
-        passed_over=context.passed_over,
-        max_uniform_bytes=min(_MAX_UNIFORM_BYTES, int(device.max_mem_alloc_size)),
-        max_storage_bytes=min((1 << 32) - 1, int(device.max_mem_alloc_size)),
-        max_work_group=(x, y, z),
-        max_work_group_invocations=int(device.max_work_group_size),
-        max_shared_bytes=int(device.local_mem_size),
-        uniform_alignment=grain,
-        storage_alignment=grain,
-        max_texture_size=8192,  # the farthest that window positions reach, see kernels/common.cl
-        draws=draws,
-        indirect_count=draws,
-        occlusion_queries=draws,
-        sample_counter=draws,
-        conditional_rendering=draws,
-        alpha_test=draws,
-    )

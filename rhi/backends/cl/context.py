@@ -1,11 +1,11 @@
-"""Which OpenCL device is used, and the queue on it.
+"""Selection of the OpenCL device, and its context and queue.
 
-- A device is chosen by trying: the first that builds a probe kernel, runs it and gives the right numbers. Names
-  tell nothing: two platforms of one name may be installed, of which one can't compile for this CPU.
-- `RHI_CL_DEVICE` names one device: its number, or a part of its name or its platform's. No other is tried then.
-- The queue executes in order, so that memory written by one command is what the next one reads.
-- The probe also finds out whether kernels read the host's memory in place. Where they do, memory that the CPU
-  streams to the device needs no command.
+- Devices are tried in order. The first that builds a probe kernel, runs it and computes the right numbers is used.
+  Names don't suffice: two platforms of the same name may be installed, of which one can't compile for this CPU.
+- `RHI_CL_DEVICE` selects one device by its number, or by a part of its name or its platform's. No other is tried then.
+- The queue executes in order, so each command reads the memory that the commands before it wrote.
+- The probe also determines whether kernels read host memory in place. If so, memory that the CPU streams to the device
+  needs no copy command.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
 _OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
 _UNWRITABLE: Final = "PoCL has none if it can't write its cache: set POCL_CACHE_DIR to a folder that can be written"
 PAGE: Final = 4096
-"""Bytes: drivers use host memory in place only where it begins at a multiple of so many."""
+"""Alignment in bytes of host memory that drivers use in place."""
 _COUNT: Final = 64
 _PROBE: Final = """
 __kernel void probe(__global uint *words) {
@@ -42,7 +42,7 @@ __kernel void probe(__global uint *words) {
     words[i] = words[i] * 3u + i;
     atomic_add(&words[get_global_size(0)], i);
 }
-// Where memory lies, and what is read there by a kernel that is given nothing else (rhi.backends.cl.pools).
+// `find` returns the address of memory; `read` reads at an address given as a number (rhi.backends.cl.pools).
 __kernel void find(__global uchar *memory, __global ulong *answer) { *answer = (ulong)memory; }
 __kernel void read(ulong address, __global ulong *answer) { *answer = *(__global ulong *)address; }
 """
@@ -50,12 +50,12 @@ __kernel void read(ulong address, __global ulong *answer) { *answer = *(__global
 
 @dataclass(frozen=True, slots=True)
 class ClContext:
-    """A device that works.
+    """A working device with its context and queue.
 
     Attributes:
-        probe: the program of the probe kernel, and of those that find memory.
-        shares_memory: whether kernels read and write a `USE_HOST_PTR` buffer's host memory in place.
-        passed_over: the devices tried before, each with why it can't be used.
+        probe: the program of the probe kernel, and of the kernels that find addresses.
+        shares_memory: whether kernels read and write the host memory of a `USE_HOST_PTR` buffer in place.
+        passed_over: the devices that were tried before, each with the reason why it can't be used.
     """
 
     device: cl.Device
@@ -67,10 +67,10 @@ class ClContext:
 
 
 def open_context() -> ClContext:
-    """A queue on the first device that works.
+    """Open the first device that works.
 
     Raises:
-        DeviceError: `device-driver`, with why each device was passed over and what to install.
+        DeviceError: `device-driver`, with the reason why each device was passed over, and what to install.
     """
     threads = list_threads()
     devices = find_devices()
@@ -87,7 +87,7 @@ def open_context() -> ClContext:
             passed_over.append(f"{describe(device)}: {shorten(error)}")
         else:
             begun = list_threads() - threads
-            if len(begun) == device.max_compute_units:  # workers, begun with the process's first device
+            if len(begun) == device.max_compute_units:  # PoCL starts workers with its first device
                 spread_threads(begun)
             return ClContext(device, context, queue, program, shares_memory, tuple(passed_over))
     if not devices:
@@ -98,7 +98,7 @@ def open_context() -> ClContext:
 
 
 def _refuse_nothing() -> NoReturn:
-    """There is no device: no driver, or one that has none."""
+    """Raise the error for a system without devices: there is no driver, or the drivers have no device."""
     empty = ", ".join(platform.name for platform in _find_platforms())
     given = "no OpenCL device" + (f"; there is {empty}, but without a device" if empty else "")
     raise DeviceError(DEVICE_DRIVER, _CALL, given, _ALLOWED, _UNWRITABLE if empty else _INSTALL)
@@ -107,40 +107,40 @@ def _refuse_nothing() -> NoReturn:
 def _find_platforms() -> list[cl.Platform]:
     try:
         platforms: list[cl.Platform] = cl.get_platforms()
-    except cl.Error:  # there are none
+    except cl.Error:  # no platform is installed
         return []
     return platforms
 
 
 def find_devices() -> list[cl.Device]:
-    """All devices of all platforms, in OpenCL's order."""
+    """Return all devices of all platforms, in OpenCL's order."""
     devices: list[cl.Device] = []
     for platform in _find_platforms():
         try:
             devices += platform.get_devices()
-        except cl.Error:  # a platform without any
+        except cl.Error:  # this platform has no device
             continue
     return devices
 
 
 def describe(device: cl.Device) -> str:
-    """A device's name and driver in a line; two versions of one driver differ in it."""
+    """Return a device's name and driver version on one line."""
     return f"{device.name} ({' '.join(device.platform.version.split())})"
 
 
 def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
-    """The device of this number, or the first whose description contains `wanted`."""
+    """Return the device with the number `wanted`, or the first whose description contains it."""
     names = [describe(device) for device in devices]
     if wanted.isdecimal():
-        meant = devices[int(wanted) :]
+        matching = devices[int(wanted) :]
     else:
-        meant = [
+        matching = [
             device
             for name, device in zip(names, devices, strict=True)
             if wanted.lower() in f"{device.platform.name} {name}".lower()
         ]
-    if meant:
-        return meant[0]
+    if matching:
+        return matching[0]
     if not names:
         _refuse_nothing()
     rows = "".join(f"\n{number}: {name}" for number, name in enumerate(names))
@@ -149,12 +149,12 @@ def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
 
 
 def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool]:
-    """Build and run a kernel twice, on memory that the host changes in between; the program, and whether it saw the
-    change.
+    """Build a kernel and run it twice, on host memory that changes in between. Return the program, and whether kernel
+    and host saw each other's writes.
 
     Raises:
-        pyopencl.Error: it can't be built or run.
-        RuntimeError: it computes wrong numbers.
+        pyopencl.Error: the kernel can't be built or run.
+        RuntimeError: the kernel computes wrong numbers.
     """
     program = build(context, _PROBE)
     kernel = cl.Kernel(program, "probe")
@@ -179,10 +179,12 @@ def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool
 
 
 def build(context: cl.Context, source: str, flushes_denormals: bool = False) -> cl.Program:
-    """A built program. Built once: PoCL keeps kernels on disk, and for drivers that don't pyopencl does, both
-    under a key of source, options, device and driver. What a compiler says about what it accepts is dropped.
+    """Build a program. Compiled kernels are cached on disk by PoCL, or by pyopencl for drivers that have no cache, both
+    under a key of source, options, device and driver. Compiler warnings are suppressed.
 
-    `flushes_denormals`: CPUs may take a hundred cycles for a product below 2^-126, as powers of cosines often are.
+    Args:
+        flushes_denormals: whether numbers below 2^-126 count as 0. CPUs may take a hundred cycles for a product that
+            small, as powers of cosines often are.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", cl.CompilerWarning)
@@ -190,7 +192,7 @@ def build(context: cl.Context, source: str, flushes_denormals: bool = False) -> 
 
 
 def build_again(context: cl.Context, source: str, flushes_denormals: bool) -> cl.Program:
-    """The same of what was accepted before, in any thread: filters of warnings are the whole process's."""
+    """Build a program that built before. Unlike `build` safe in any thread, since warning filters are process-wide."""
     built: cl.Program = cl.Program(context, source).build(
         ["-cl-denorms-are-zero"] if flushes_denormals else []
     )
@@ -198,7 +200,7 @@ def build_again(context: cl.Context, source: str, flushes_denormals: bool) -> cl
 
 
 def allocate_pages(size: int) -> NDArray[np.uint8]:
-    """Zeroed host memory that begins at a page, (size,)."""
+    """Return page-aligned host memory of zeros, shape (size,)."""
     memory = np.zeros(size + PAGE, np.uint8)
     start = -memory.ctypes.data % PAGE
     return memory[start : start + size]

@@ -1,4 +1,4 @@
-"""OpenCL's errors as `DeviceError`."""
+"""Translation of OpenCL's errors into `DeviceError`."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _RULES: Final[dict[int, Rule]] = {
 
 
 DRIVER_ERRORS: Final = (cl.Error, MemoryError)
-"""What OpenCL and NumPy raise."""
+"""The errors that OpenCL and NumPy raise."""
 
 
 def make_error(error: Exception, call: str, given: str = "") -> DeviceError:
-    """One of `DRIVER_ERRORS` as a `DeviceError` of `call`."""
+    """Return the `DeviceError` of `call` for one of `DRIVER_ERRORS`."""
     if not isinstance(error, cl.Error):
         return DeviceError(DEVICE_MEMORY, call, given)
     told = f"{given}: {shorten(error)}" if given else shorten(error)
@@ -36,7 +36,7 @@ def make_error(error: Exception, call: str, given: str = "") -> DeviceError:
 
 
 class _Translation:
-    """No generator: contextlib's frame on the stack would pass for the user's line."""
+    """The result of `translate_errors`. Not a generator: contextlib's frame would be taken for the user's line."""
 
     def __init__(self, call: str, given: str) -> None:
         self._call = call
@@ -53,12 +53,12 @@ class _Translation:
 
 
 def translate_errors(call: str, given: str = "") -> AbstractContextManager[None]:
-    """Raise what OpenCL or NumPy refuse inside as a `DeviceError` of `call`."""
+    """Return a context manager that turns errors of OpenCL and NumPy inside it into a `DeviceError` of `call`."""
     return _Translation(call, given)
 
 
 def shorten(error: Exception) -> str:
-    """The line of an error's text that says why: a compiler's first error, else the first line."""
+    """Return the line of an error's text that gives the cause: a compiler's first error, else the first line."""
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
     told = [line for line in lines if "error:" in line]
     return (told or lines or [type(error).__name__])[0]

@@ -1,8 +1,8 @@
-"""The fence and timestamps: markers in the queue, whose events are polled without blocking.
+"""The fence and timestamp queries: markers in the queue, whose events are polled without blocking.
 
-- A marker is done when everything before it is. PoCL completes one without a flush, other drivers need it.
-- A fence value also ends the life of the staged copies before it.
-- Timestamps are the markers' own times, by the device's clock, in nanoseconds.
+- A marker is complete when all commands before it are. PoCL completes it without a flush, other drivers need one.
+- When the device reaches a fence value, the staged copies and retired memory before it are released.
+- A timestamp is the completion time of its marker on the device's clock, in nanoseconds.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final
 import pyopencl as cl
 
 from rhi.backends.cl.pools import Retired
-from rhi.backends.cl.resources import Staging
+from rhi.backends.cl.staging import Staging
 from rhi.contract.backend import FOREVER
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.errors import DeviceError
@@ -23,16 +23,16 @@ from rhi.errors.rules import DEVICE_LOST
 
 __rhi_internal__ = True
 
-_POLLS: Final = 20  # of 0.5 us: to fall asleep and to be woken takes 10 to 20
-_FIRST_NAP: Final = 20e-6
-_LONGEST_NAP: Final = 1e-3
+_POLLS: Final = 20  # of 0.5 µs each; to sleep and be woken takes 10 to 20
+_FIRST_PAUSE: Final = 20e-6
+_LONGEST_PAUSE: Final = 1e-3
 
 
 def is_done(event: cl.Event) -> bool:
-    """Whether everything up to a marker is done; never waits.
+    """Return whether all commands up to a marker are complete, without waiting.
 
     Raises:
-        DeviceError: `device-lost` if a command before it failed.
+        DeviceError: `device-lost` if a command before the marker failed.
     """
     status: int = event.command_execution_status
     if status < 0:
@@ -41,7 +41,7 @@ def is_done(event: cl.Event) -> bool:
 
 
 class Fence:
-    """The device's fence: a value that rises as the device gets done."""
+    """The device's fence: a value that rises as the device completes work."""
 
     def __init__(self, queue: cl.CommandQueue, staging: Staging, retired: Retired) -> None:
         self._queue = queue
@@ -56,37 +56,40 @@ class Fence:
         self._queue.flush()
 
     def poll(self) -> int:
-        """The value reached; doesn't wait."""
+        """Return the value that the device has reached, without waiting."""
         pending = self._pending
         while pending and is_done(pending[0][1]):
             self._value = pending.popleft()[0]
         return self._value
 
     def wait(self, value: int, seconds: float) -> bool:
-        """Until `value` is reached, for at most `seconds`. A few polls come first, since small work is done by then.
-        OpenCL's own wait wakes up soonest but knows no limit, so it does the waits that have none, and others nap."""
+        """Wait until `value` is reached or `seconds` have passed; return whether it was reached.
+
+        The first polls catch small work. OpenCL's own wait returns soonest but has no timeout, so it serves waits
+        without one; waits with a timeout sleep between polls.
+        """
         for _ in range(_POLLS):
             if self.poll() >= value:
                 return True
         if not self._pending or self._pending[-1][0] < value:
-            return False  # nobody will ever signal it
+            return False  # it was never signalled
         if seconds >= FOREVER:
-            with suppress(cl.Error):  # of a command that failed; the poll says so
+            with suppress(cl.Error):  # a command failed; the poll reports it
                 next(event for signalled, event, _ in self._pending if signalled >= value).wait()
             return self.poll() >= value
         end = time.monotonic() + seconds
-        nap = _FIRST_NAP
+        pause = _FIRST_PAUSE
         while self.poll() < value:
             left = end - time.monotonic()
             if left <= 0:
                 return False
-            time.sleep(min(nap, left))
-            nap = min(2 * nap, _LONGEST_NAP)
+            time.sleep(min(pause, left))
+            pause = min(2 * pause, _LONGEST_PAUSE)
         return True
 
 
 class Timestamps:
-    """All timestamps of a device, by id."""
+    """All timestamp queries of a device, by id."""
 
     def __init__(self, queue: cl.CommandQueue) -> None:
         self._queue = queue

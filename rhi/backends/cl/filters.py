@@ -1,30 +1,29 @@
-"""Kernels that average texels: mip levels and resolved samples, in linear light.
+"""Kernels that average texels in linear light: mip level generation and multi-sample resolve.
 
-One program for all formats: what a channel is stored as is an argument, the same for all work-items, so that
-nothing is compiled per format. PoCL's pow takes 100 ns, so sRGB goes through tables.
+- One program serves all formats: the storage type of a channel is a kernel argument, uniform over all work-items, so
+  nothing is compiled per format.
+- sRGB is converted by tables, since PoCL's pow takes 100 ns.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext, build
 from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.planes import TexelPlane
 from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.texels import from_srgb
-
-if TYPE_CHECKING:
-    from rhi.backends.cl.planes import Plane
 
 __rhi_internal__ = True
 
 _SOURCE: Final = """
 enum { UNORM8, UNORM16, SNORM8, SRGB8, HALF, FLOAT };
 
-// sRGB: the linear value of each stored number, and where one number ends and the next begins.
+// sRGB: the linear value of each stored number, and the thresholds between consecutive numbers.
 __constant float LINEAR[256] = {LINEAR_VALUES};
 __constant float EDGES[255] = {EDGE_VALUES};
 
@@ -46,7 +45,7 @@ float load(__global const void *texels, size_t place, int stored) {
     }
 }
 
-// A mean lies between the loaded values, so nothing needs to be clamped.
+// A mean lies between the loaded values, so it needs no clamping.
 void store(__global void *texels, size_t place, int stored, float value) {
     switch (stored) {
     case UNORM8: ((__global uchar *)texels)[place] = value * 255.0f + 0.5f; break;
@@ -58,10 +57,10 @@ void store(__global void *texels, size_t place, int stored, float value) {
     }
 }
 
-// Alpha is linear in sRGB formats, too.
-int kept(int stored, int channel) { return stored == SRGB8 && channel == 3 ? UNORM8 : stored; }
+// The storage type of a channel: alpha is linear in sRGB formats.
+int channel_type(int stored, int channel) { return stored == SRGB8 && channel == 3 ? UNORM8 : stored; }
 
-// The texels of an axis that a texel of the next level covers, and their weights: 2, or 3 along an odd axis.
+// Returns how many texels along an axis a texel of the next level covers (2, or 3 for an odd size), and their weights.
 int taps(int place, int size, int target, float *weights) {
     if (size == target) { weights[0] = 1.0f; return 1; }
     if (size % 2 == 0) { weights[0] = weights[1] = 0.5f; return 2; }
@@ -71,7 +70,7 @@ int taps(int place, int size, int target, float *weights) {
     return 3;
 }
 
-// A row of the next level. `from` and `to` are where the levels start and how far it is to the next row and layer,
+// Each work-item computes a row of the next level. `from` and `to` hold a level's start, row pitch and layer pitch,
 // in channels.
 __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, int channels, int4 size, int4 target) {
     int y = get_global_id(0), z = get_global_id(1);
@@ -84,7 +83,7 @@ __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, i
     if (layers == 1 && rows == 2 && size.x == 2 * target.x && size.y % 2 == 0) {  // the usual 2 by 2 texels
         for (int x = 0; x < target.x; ++x)
             for (int channel = 0; channel < channels; ++channel) {
-                int format = kept(stored, channel);
+                int format = channel_type(stored, channel);
                 size_t above = source + 2 * x * channels + channel, below = above + row;
                 float mean = 0.25f * (load(texels, above, format) + load(texels, above + channels, format) +
                                       load(texels, below, format) + load(texels, below + channels, format));
@@ -95,7 +94,7 @@ __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, i
     for (int x = 0; x < target.x; ++x) {
         int columns = taps(x, size.x, target.x, u), left = columns == 1 ? x : 2 * x;
         for (int channel = 0; channel < channels; ++channel) {
-            int format = kept(stored, channel);
+            int format = channel_type(stored, channel);
             float mean = 0.0f;
             for (int k = 0; k < layers; ++k)
                 for (int j = 0; j < rows; ++j)
@@ -108,10 +107,10 @@ __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, i
     }
 }
 
-// A channel of a texel; its samples are planes, one behind the other.
+// Each work-item resolves one channel of a texel. The samples are consecutive planes.
 __kernel void resolve(__global const void *samples, __global void *texels, int stored, int channels, int count) {
     size_t place = get_global_id(0), plane = get_global_size(0);
-    int format = kept(stored, place % channels);
+    int format = channel_type(stored, place % channels);
     float sum = 0.0f;
     for (int sample = 0; sample < count; ++sample)
         sum += load(samples, sample * plane + place, format);
@@ -123,18 +122,18 @@ _STORED: Final = {
     (ChannelKind.UNORM, 1): 0, (ChannelKind.UNORM, 2): 1, (ChannelKind.SNORM, 1): 2, (ChannelKind.SRGB, 1): 3,
     (ChannelKind.FLOAT, 2): 4, (ChannelKind.FLOAT, 4): 5,
 }  # fmt: skip
-"""What a channel is stored as, by kind and bytes: the numbers of the kernels' enum."""
+"""Storage type of a channel, by kind and size in bytes: the values of the kernels' enum."""
 
 
 class Filters:
-    """The kernels of one device, built when the first is needed."""
+    """The averaging kernels of one device, built on first use."""
 
     def __init__(self, context: ClContext) -> None:
         self._context = context
         self._kernels: dict[str, cl.Kernel] = {}
 
-    def halve(self, format: Format, above: Plane, below: Plane) -> None:
-        """A mip level from the one above it, in the same buffer."""
+    def halve(self, format: Format, above: TexelPlane, below: TexelPlane) -> None:
+        """Compute the mip level `below` from the next larger one, in the same buffer."""
         planes = (above, below)
         places = [
             np.array([plane.start, plane.pitch, plane.layer_bytes, 0], np.uint64)
@@ -147,9 +146,9 @@ class Filters:
             np.int32(format.channels), *sizes,
         )  # fmt: skip
 
-    def resolve(self, format: Format, samples: Plane, texels: Plane) -> None:
-        """The mean of each texel's samples, which are layers; of integers, the first sample. Both planes have one
-        size, so their padding may go along."""
+    def resolve(self, format: Format, samples: TexelPlane, texels: TexelPlane) -> None:
+        """Resolve each texel to the mean of its samples, or for integer formats its first sample. Samples are layers.
+        Both planes have the same size, so the padding is resolved along with them."""
         if format.is_integer:
             size = texels.layer_bytes
             cl.enqueue_copy(self._context.queue, texels.memory, samples.memory, byte_count=size)

@@ -1,4 +1,4 @@
-"""Planes of texels in plain OpenCL buffers, and memory for them."""
+"""Allocation of OpenCL buffers, and planes of texels in them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from rhi.contract.descriptors import Region
 __rhi_internal__ = True
 
 GRAIN: Final = 128
-"""Memory comes in multiples of this many bytes, and at least as many are behind what was asked for."""
+"""Allocations are multiples of this many bytes, with at least this many bytes of padding behind the requested size."""
 BLOCK: Final = 4
-"""Texels along the edge of a block: rows are as long, and as many, as whole blocks need."""
+"""Edge length of a block in texels. Rows and columns of a plane are padded to whole blocks."""
 
-_copy_box: Final[Any] = cl.enqueue_copy  # whose stubs name a box's arguments otherwise than it does
+_copy_box: Final[Any] = cl.enqueue_copy  # its stubs misname the arguments of a copy between boxes
 
 _MAX_PATTERN: Final = 128
 
 
-class Plane:
-    """Layers of texels from byte `start` of a buffer on, top row first.
+class TexelPlane:
+    """Layers of texels that begin at byte `start` of a buffer, top row first.
 
     Attributes:
-        texel: bytes of a texel.
-        width, height, layers: in texels, without padding.
+        texel: size of a texel in bytes.
+        width, height, layers: extent in texels, without padding.
         pitch: bytes from one row to the next.
         layer_bytes: bytes from one layer to the next.
     """
@@ -60,13 +60,14 @@ class Plane:
     def read(self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.generic]) -> None:
         _copy_box(queue, texels, self.memory, **self._host_box(region))
 
-    def copy(self, queue: cl.CommandQueue, region: Region, target: Plane, x: int, y: int, layer: int) -> None:
-        if self.memory is target.memory and self._pitches != target._pitches:  # which OpenCL can't do at once
+    def copy(self, queue: cl.CommandQueue, region: Region, target: TexelPlane, x: int, y: int, layer: int) -> None:
+        # OpenCL can't copy between two pitches of one buffer.
+        if self.memory is target.memory and self._pitches != target._pitches:
             box = region.width, region.height, region.layers
             size = pitches_of(self.texel, *box[:2])[1] * region.layers
             with translate_errors("Texture.copy_to", f"{size} bytes between two levels"):
                 memory = cl.Buffer(queue.context, cl.mem_flags.READ_WRITE, size)
-            between = Plane(memory, 0, self.texel, *box)
+            between = TexelPlane(memory, 0, self.texel, *box)
             self.copy(queue, region, between, 0, 0, 0)
             between.copy(queue, Region(0, 0, *box[:2], 0, box[2]), target, x, y, layer)
             return
@@ -78,17 +79,17 @@ class Plane:
         )  # fmt: skip
 
     def fill(self, queue: cl.CommandQueue, texel: bytes, layer: int, layers: int) -> None:
-        """Padding, too."""
+        """Set all texels of some layers, and their padding."""
         start = self.start + layer * self.layer_bytes
         fill(queue, self.memory, texel, start, layers * self.layer_bytes)
 
     def _origin(self, x: int, y: int, layer: int) -> tuple[int, int, int]:
-        """A box's corner. The level's start is added to the first number, a distance in bytes like any other:
-        PoCL 3.1 crashes on boxes in sub-buffers."""
+        """Return a box's origin as OpenCL takes it. The plane's start is added to its first component, which is in
+        bytes, since PoCL 3.1 crashes on boxes in sub-buffers."""
         return self.start + x * self.texel, y, layer
 
     def _host_box(self, region: Region) -> dict[str, tuple[int, ...]]:
-        """A region of this memory, and tightly packed host memory."""
+        """Return the arguments of a copy between a region of this plane and tightly packed host memory."""
         row = region.width * self.texel
         return {
             "buffer_origin": self._origin(region.x, region.y, region.layer),
@@ -100,23 +101,23 @@ class Plane:
 
 
 def pitches_of(texel: int, width: int, height: int) -> tuple[int, int]:
-    """Bytes from row to row and from layer to layer."""
+    """Return the distances in bytes from row to row and from layer to layer."""
     pitch = _whole_blocks(width) * texel
     return pitch, _whole_blocks(height) * pitch
 
 
 def alignment(device: cl.Device) -> int:
-    """Bytes at whose multiples a part of a buffer may begin."""
+    """Return the alignment in bytes that a device requires of a sub-buffer's offset."""
     return max(16, int(device.mem_base_addr_align) // 8)
 
 
 def allocate(context: ClContext, size: int) -> cl.Buffer:
-    """Zeroed memory of the device.
+    """Return a new buffer of zeros, with padding behind it.
 
     Raises:
-        pyopencl.Error: there isn't as much.
+        pyopencl.Error: out of memory.
     """
-    size = round_up(size) + GRAIN
+    size = round_to_grain(size) + GRAIN
     made = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, size)
     try:
         fill(context.queue, made, b"\0", 0, size)
@@ -127,7 +128,7 @@ def allocate(context: ClContext, size: int) -> cl.Buffer:
 
 
 def fill(queue: cl.CommandQueue, memory: cl.Buffer, pattern: bytes, offset: int, size: int) -> None:
-    """Repeat `pattern` (its length a power of two) over a range, a multiple of it at a multiple of it."""
+    """Fill a range with repetitions of `pattern`, whose length is a power of two and divides offset and size."""
     if not size:
         return
     while len(pattern) < _MAX_PATTERN and (offset | size) % (2 * len(pattern)) == 0:
@@ -139,6 +140,6 @@ def _whole_blocks(size: int) -> int:
     return -(-size // BLOCK) * BLOCK
 
 
-def round_up(size: int) -> int:
-    """A size in whole grains."""
+def round_to_grain(size: int) -> int:
+    """Round a size up to a multiple of `GRAIN`."""
     return -(-size // GRAIN) * GRAIN

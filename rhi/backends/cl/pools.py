@@ -1,12 +1,12 @@
-"""Memory that draws need besides buffers and textures: all of it from pools, nothing per draw.
+"""Memory that draws need besides buffers and textures. It comes from pools; no draw allocates any of its own.
 
-- Kernels find memory by its address (kernels/common.cl). A tiny kernel asks for it, once per object, in a queue of its
-  own. OpenCL doesn't promise that memory stays where it is and can be used so; `Addresses.work` is whether it was seen
-  to, and without that there are no draws.
-- `Pool`: scratch memory of the device, the same for all batches, since they follow one another in one queue. It grows
-  by doubling; what it grew out of lives until the next fence value has passed.
-- `Uploads`: host memory that kernels read in place, or, where they can't, copies on their way to the device. Pages are
-  used again when the device is past what was written to them.
+- Kernels access memory by its address (kernels/common.cl). A small kernel reports the address of each object once, in a
+  queue of its own. OpenCL doesn't guarantee that memory stays in place and can be accessed this way; `Addresses.work`
+  says whether a probe succeeded. If it didn't, the device has no draws.
+- `Pool`: scratch memory of the device. All batches share it, since they execute one after the other in one queue. It
+  grows by doubling; the memory that it replaces is released after the next fence value.
+- `Uploads`: host memory that kernels read in place, or a staging copy on devices that can't. Pages are reused once the
+  device has executed the kernels that read them.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ __rhi_internal__ = True
 
 _PAGE_BYTES: Final = 1 << 20
 _ALIGN: Final = 64
-_SLACK: Final = 256  # what vector loads may read beyond the end
+_SLACK: Final = 256  # bytes that vector loads may read past the end
 _PATTERN: Final = 0x5EED_0123_4567_89AB
 
 
 class Addresses:
-    """Finds where memory lies on the device.
+    """Finds the addresses of buffers on the device.
 
     Attributes:
-        queue: one that doesn't stand behind draws.
-        work: whether a kernel that is given nothing but an address reads what lies there.
+        queue: a queue of its own, whose commands don't wait for draws.
+        work: whether a kernel that is given only an address can read the memory there.
     """
 
     def __init__(self, context: ClContext) -> None:
@@ -43,8 +43,8 @@ class Addresses:
         self.work = self._probe(context)
 
     def find(self, memory: cl.Buffer) -> int:
-        """The address of a buffer's first byte."""
-        with translate_errors("device.draw", "where memory lies"):
+        """Return the address of a buffer's first byte."""
+        with translate_errors("device.draw", "the address of memory"):
             return self._ask(self._find, memory)
 
     def _ask(self, kernel: cl.Kernel, what: Any) -> int:
@@ -64,10 +64,10 @@ class Addresses:
 
 
 def allocate_raw(context: ClContext, size: int) -> cl.Buffer:
-    """Memory of the device, its contents unknown.
+    """Return a new buffer with undefined contents.
 
     Raises:
-        pyopencl.Error: there isn't as much.
+        pyopencl.Error: out of memory.
     """
     made = cl.Buffer(context.context, cl.mem_flags.READ_WRITE, size + _SLACK)
     try:  # makes the driver allocate now
@@ -79,7 +79,7 @@ def allocate_raw(context: ClContext, size: int) -> cl.Buffer:
 
 
 class Retired:
-    """Memory that the device may still use: to be let go when the next fence value has passed."""
+    """Memory that is no longer needed but that the device may still use, to be released after the next fence value."""
 
     def __init__(self) -> None:
         self._memory: list[Any] = []
@@ -88,13 +88,13 @@ class Retired:
         self._memory.append(memory)
 
     def take(self) -> list[Any]:
-        """Hand all over."""
+        """Remove and return everything collected so far."""
         taken, self._memory = self._memory, []
         return taken
 
 
 class Pool:
-    """Scratch memory of the device for one purpose."""
+    """Scratch memory of the device for one purpose; `size` in bytes."""
 
     def __init__(self, context: ClContext, addresses: Addresses, retired: Retired) -> None:
         self._context = context
@@ -105,10 +105,10 @@ class Pool:
         self._address = 0
 
     def reserve(self, size: int) -> int:
-        """The address of at least so many bytes; what they held is lost.
+        """Return the address of at least `size` bytes. If the pool has to grow, its contents are lost.
 
         Raises:
-            pyopencl.Error: there isn't as much; the pool stays as it was.
+            pyopencl.Error: out of memory; the pool is unchanged.
         """
         if size > self.size:
             size = max(size, 2 * self.size, 1 << 16)
@@ -120,7 +120,7 @@ class Pool:
 
 
 class IndexList:
-    """Indices made on the host; their memory outlives the batch that reads them."""
+    """An index list made on the host. Its memory outlives the batches that read it."""
 
     __slots__ = ("_memory", "_retired", "address")
 
@@ -133,7 +133,9 @@ class IndexList:
         self._retired.add(self._memory)
 
 
-class _Page:
+class _UploadPage:
+    """Memory for consecutive tables; `event`: the completion of the last kernels that read it."""
+
     __slots__ = ("address", "bytes", "event", "host", "memory", "used")
 
     def __init__(self, context: ClContext, addresses: Addresses, size: int) -> None:
@@ -150,20 +152,20 @@ class _Page:
 
 
 class Uploads:
-    """Tables on their way to kernels."""
+    """A ring of pages for tables that the host writes and kernels read."""
 
     def __init__(self, context: ClContext, addresses: Addresses) -> None:
         self._context = context
         self._addresses = addresses
         self._page = self._make(_PAGE_BYTES)
-        self._waiting: list[_Page] = []
+        self._waiting: list[_UploadPage] = []
 
     def write(self, table: bytes) -> int:
-        """Put a table where kernels find it; gives its address. It stays until `release` is told an event."""
+        """Upload a table and return its address. It is valid until the event passed to the next `release` completes."""
         size = -(-(len(table) + _SLACK) // _ALIGN) * _ALIGN
         if self._page.used + size > len(self._page.host):
             page = self._find_page(size)
-            self._page.event = None  # the next one covers it whole
+            self._page.event = None  # the next event covers all of the page
             self._waiting.append(self._page)
             self._page = page
         page = self._page
@@ -176,20 +178,20 @@ class Uploads:
         return page.address + start
 
     def release(self, event: cl.Event) -> None:
-        """What was written so far is done with when `event` is."""
+        """Let all tables written so far be overwritten once `event` is complete."""
         self._page.event = event
         for page in self._waiting:
             page.event = page.event or event
 
-    def _find_page(self, size: int) -> _Page:
+    def _find_page(self, size: int) -> _UploadPage:
         complete = cl.command_execution_status.COMPLETE
-        for place, page in enumerate(self._waiting):
+        for index, page in enumerate(self._waiting):
             event = page.event
             if len(page.host) >= size and event is not None and event.command_execution_status == complete:
-                del self._waiting[place]
+                del self._waiting[index]
                 page.used, page.event = 0, None
                 return page
         return self._make(max(size, _PAGE_BYTES))
 
-    def _make(self, size: int) -> _Page:
-        return _Page(self._context, self._addresses, size)
+    def _make(self, size: int) -> _UploadPage:
+        return _UploadPage(self._context, self._addresses, size)

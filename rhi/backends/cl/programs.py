@@ -1,14 +1,14 @@
 """Compute programs: kernels and their arguments.
 
-What a program's OpenCL C must look like, be it written by the shading language or by hand:
+The OpenCL C of a compute program, whether written by the shading language or by hand, follows these rules:
 
-- One kernel. Its arguments are the program's bindings in their order: for a uniform `constant T *`; for storage
-  `global T *` and, right behind it, an `int`: how many elements are bound; for a texture `global const uchar *`, for
-  an image `global uchar *`, and right behind it `global const int *`: the words of `rhi.shading.ir.texture_words`.
-- Bound ranges begin at multiples of the capabilities' alignments, and vector loads may run past their end by
+- It has one kernel. The kernel's arguments are the program's bindings in order: `constant T *` for a uniform;
+  `global T *` and an `int`, the number of bound elements, for storage; `global const uchar *` for a texture or
+  `global uchar *` for an image, then `global const int *`, the words of `rhi.shading.ir.texture_words`.
+- Bound ranges begin at multiples of the capabilities' alignments. Vector loads may run past their end by up to
   `rhi.backends.cl.planes.GRAIN` bytes.
-- Its `reqd_work_group_size` is the work-group in work-items. It divides the descriptor's work-group, which counts
-  invocations: a work-item may do several as lanes of a vector. Without the attribute, each does one.
+- Its `reqd_work_group_size` is the work-group's size in work-items. It divides the descriptor's work-group, which
+  counts invocations: a work-item may execute several as lanes of a vector. Without the attribute it executes one.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
+from rhi.backends.cl.buffers import Buffers
 from rhi.backends.cl.context import ClContext, build
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.resources import Buffers, Textures
 from rhi.backends.cl.samplers import Samplers
-from rhi.backends.cl.slots import States
+from rhi.backends.cl.slots import CommandState
+from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, StageText
 from rhi.contract.driver_log import make_driver_error
 from rhi.errors import ShaderError
@@ -34,18 +35,18 @@ from rhi.shading.ir.faults import FAULT_WORDS, find_fault
 __rhi_internal__ = True
 
 _WIDTHS: Final = (16, 8, 4)
-_LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, as Clang has it
+_LINE: Final = re.compile(r":(\d+):\d+: *(?:(?:fatal )?error: *)?")  # file:line:column: …, Clang's format
 
 
 def count_lanes(device: cl.Device) -> int:
-    """How many invocations a work-item does: as many as a vector register of the device has floats; 1 on GPUs, whose
-    compilers make vectors of work-items themselves."""
+    """Return how many invocations a work-item executes: as many as a vector register of the device has floats, or 1 on
+    GPUs, whose compilers vectorise over work-items themselves."""
     native = int(device.native_vector_width_float)
     return next((width for width in _WIDTHS if native >= width), 1)
 
 
-class Arguments:
-    """What a kernel is given for what is bound."""
+class KernelArguments:
+    """Finds the kernel arguments of bound resources."""
 
     def __init__(self, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self._buffers = buffers
@@ -53,7 +54,7 @@ class Arguments:
         self._samplers = samplers
 
     def find(self, binding: Binding, bound: tuple[int, ...]) -> tuple[cl.Buffer | np.int32, ...]:
-        """A binding's arguments; `bound` are those of the command that bound it."""
+        """Return the kernel arguments of a binding; `bound`: the arguments of the command that bound it."""
         if binding.kind is BindingKind.TEXTURE:
             name, sampler = bound
             texture = self._textures[name]
@@ -68,21 +69,21 @@ class Arguments:
         return memory, np.int32(second // max(1, binding.size))
 
 
-class Faults:
-    """Where a stage of a checked shader leaves what it finds (`rhi.shading.ir.faults`)."""
+class FaultBuffer:
+    """The device memory in which a stage of a checked shader reports faults (`rhi.shading.ir.faults`)."""
 
     def __init__(self, context: cl.Context, lines: Sequence[tuple[str, int]]) -> None:
         self._lines = lines
         self._words = np.zeros(FAULT_WORDS, np.int32)
         flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-        with translate_errors("device.program", "where a checked shader leaves its faults"):
+        with translate_errors("device.program", "memory for the faults of a checked shader"):
             self.memory = cl.Buffer(context, flags, hostbuf=self._words)
 
     def read(self, queue: cl.CommandQueue) -> None:
-        """Wait for the launch.
+        """Wait for the launch, and check whether it reported a fault.
 
         Raises:
-            ShaderError: what it found; the next launch begins anew.
+            ShaderError: the fault. The memory is reset for the next launch.
         """
         cl.enqueue_copy(queue, self._words, self.memory)
         error = find_fault(self._words.tolist(), self._lines)
@@ -92,14 +93,14 @@ class Faults:
             raise error
 
 
-class Program:
-    """A kernel, and which arguments it was given last.
+class ComputeProgram:
+    """A compute kernel and the arguments that it was last given.
 
     Attributes:
-        written: the bindings that it writes.
+        written: the bindings that the kernel writes.
     """
 
-    def __init__(self, context: ClContext, descriptor: ProgramDescriptor, arguments: Arguments) -> None:
+    def __init__(self, context: ClContext, descriptor: ProgramDescriptor, arguments: KernelArguments) -> None:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
             program = build(context.context, source.text, descriptor.flushes_denormals)
@@ -108,7 +109,7 @@ class Program:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
         except ValueError as error:
             call = f"device.program({descriptor.name})"
-            raise ShaderError(SHADER_DRIVER, call, "not one kernel", "a text with one kernel") from error
+            raise ShaderError(SHADER_DRIVER, call, "no single kernel", "a source with one kernel") from error
         required = kernel.get_work_group_info(
             cl.kernel_work_group_info.COMPILE_WORK_GROUP_SIZE, context.device
         )
@@ -121,19 +122,19 @@ class Program:
         for binding in descriptor.bindings:
             self._bindings.append((place, binding))
             place += 1 if binding.kind is BindingKind.UNIFORM else 2
-        self._faults: Faults | None = None
+        self._faults: FaultBuffer | None = None
         if descriptor.checked:
-            self._faults = Faults(context.context, source.origins)
+            self._faults = FaultBuffer(context.context, source.origins)
             kernel.set_arg(place, self._faults.memory)
-        # What was bound last, by names that are never used twice, and the arguments: each kept alive while a kernel
-        # has it, which OpenCL doesn't promise to do.
+        # The last bound resources, by ids that are never reused, and the arguments made of them. The arguments are kept
+        # alive here because OpenCL doesn't promise that a kernel does.
         self._bound: dict[int, tuple[int, ...]] = {}
         self._given: dict[int, tuple[cl.Buffer | np.int32, ...]] = {}
 
-    def launch(self, queue: cl.CommandQueue, states: States, groups: tuple[int, int, int]) -> None:
-        """Run work-groups with what is bound."""
+    def launch(self, queue: cl.CommandQueue, state: CommandState, groups: tuple[int, int, int]) -> None:
+        """Run work-groups with the bound resources."""
         for place, binding in self._bindings:
-            bound = states.slots[binding.kind, binding.slot]
+            bound = state.slots[binding.kind, binding.slot]
             if self._bound.get(place) != bound:
                 given = self._given[place] = self._arguments.find(binding, bound)
                 for i, argument in enumerate(given):
@@ -146,20 +147,20 @@ class Program:
                 self._faults.read(queue)
 
 
-class Programs:
-    """All programs of a device, by id."""
+class ComputePrograms:
+    """All compute programs of a device, by id."""
 
     def __init__(self, context: ClContext, buffers: Buffers, textures: Textures, samplers: Samplers) -> None:
         self._context = context
-        self._arguments = Arguments(buffers, textures, samplers)
-        self._programs: dict[Id, Program] = {}
+        self._arguments = KernelArguments(buffers, textures, samplers)
+        self._programs: dict[Id, ComputeProgram] = {}
 
-    def __getitem__(self, program: Id) -> Program:
+    def __getitem__(self, program: Id) -> ComputeProgram:
         return self._programs[program]
 
     def create(self, program: Id, descriptor: ProgramDescriptor) -> None:
         with translate_errors(f"device.program({descriptor.name})"):
-            self._programs[program] = Program(self._context, descriptor, self._arguments)
+            self._programs[program] = ComputeProgram(self._context, descriptor, self._arguments)
 
     def destroy(self, program: Id) -> None:
         del self._programs[program]
@@ -168,12 +169,12 @@ class Programs:
 def make_shader_error(
     descriptor: ProgramDescriptor, stage: Stage, source: StageText, log: str
 ) -> ShaderError:
-    """The error for a text that the driver refused, for `stage`."""
+    """Return the error for source code of `stage` that the driver rejected."""
     messages = [_read_message(row.strip()) for row in log.splitlines() if "error:" in row]
     return make_driver_error(descriptor, stage, source, messages or [(log.strip(), 0)], "OpenCL C")
 
 
 def _read_message(row: str) -> tuple[str, int]:
-    """What it says, and of which line; 0: of none."""
+    """Return a compiler message's text and line number; 0 without one."""
     match = _LINE.search(row)
     return (row[match.end() :].strip(), int(match[1])) if match else (row, 0)

@@ -1,7 +1,7 @@
-"""Samplers, and what kernels are told about a texture that is read through one: words in a small buffer of their own.
+"""Samplers, and the descriptions of textures that kernels read: words in a small buffer.
 
-`rhi.shading.ir.texture_words` says what the words mean. They are made when a texture and a sampler first meet, or
-when a level is first an image, and kept with the texture.
+`rhi.shading.ir.texture_words` defines the words. They are written when a texture is first bound with a sampler, or a
+level is first bound as an image, and are stored with the texture.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import pyopencl as cl
 from numpy.typing import NDArray
 
 from rhi.backends.cl.errors import translate_errors
-from rhi.backends.cl.planes import Plane
-from rhi.backends.cl.resources import Texture
+from rhi.backends.cl.planes import TexelPlane
+from rhi.backends.cl.textures import ClTexture
 from rhi.contract.descriptors import Id, SamplerDescriptor, TextureKind
 from rhi.shading.ir.texture_words import LevelLayout, describe_texture
 
@@ -32,8 +32,8 @@ class Samplers:
     def destroy(self, sampler: Id) -> None:
         del self._samplers[sampler]
 
-    def describe(self, texture: Texture, sampler: Id) -> cl.Buffer:
-        """The words of a texture's levels and layers, read through a sampler."""
+    def describe(self, texture: ClTexture, sampler: Id) -> cl.Buffer:
+        """Return the description of a texture that is read through a sampler, creating it on first use."""
         known = texture.words.get(sampler)
         if known is None:
             made, descriptor = texture.descriptor, self._samplers[sampler]
@@ -42,8 +42,8 @@ class Samplers:
             known = texture.words[sampler] = self._buffer(words)
         return known
 
-    def describe_image(self, texture: Texture, level: int, layer: int) -> cl.Buffer:
-        """The words of one level for loads and stores: of one layer, or of all with -1."""
+    def describe_image(self, texture: ClTexture, level: int, layer: int) -> cl.Buffer:
+        """Return the description of one level for loads and stores, creating it on first use; layer -1: all layers."""
         known = texture.words.get((level, layer))
         if known is None:
             made, place = texture.descriptor, _place(texture.levels[level])
@@ -61,5 +61,5 @@ class Samplers:
             return cl.Buffer(self._context, flags, hostbuf=words)
 
 
-def _place(plane: Plane) -> LevelLayout:
+def _place(plane: TexelPlane) -> LevelLayout:
     return LevelLayout(plane.start, plane.width, plane.height, plane.layers, plane.pitch, plane.layer_bytes)

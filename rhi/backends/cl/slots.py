@@ -1,6 +1,6 @@
-"""What holds as commands come: the bound program, what is bound to its slots, the open pass, the labels.
+"""State that commands set one by one: the bound program, the bound resources, the open pass, the open labels.
 
-OpenCL knows none of these: a kernel has arguments, and labels only serve to say where something failed.
+OpenCL has none of these. Kernels take arguments, and labels only serve to say in errors where a command failed.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ __rhi_internal__ = True
 
 
 Slots: TypeAlias = dict[tuple[BindingKind, int], tuple[int, ...]]
-"""What is bound, by kind and slot: the arguments of the binding command behind the slot."""
+"""Bound resources by kind and slot: the arguments of the binding command that follow the slot."""
 
 
-class States:
-    """Of one device.
+class CommandState:
+    """The command state of one device.
 
     Attributes:
-        slots: what is bound.
-        labels: the open ones, outermost first.
+        slots: the bound resources.
+        labels: the open labels, outermost first.
     """
 
     __slots__ = ("labels", "program", "render_pass", "slots")
@@ -32,6 +32,6 @@ class States:
         self.render_pass = PassDescriptor((0, 0))
         self.labels: list[str] = []
 
-    def place(self, call: str) -> str:
-        """A call and the labels it lies in, for a message."""
+    def locate(self, call: str) -> str:
+        """Return the name of a call with the labels that are open around it, for an error."""
         return f"{call} in {' / '.join(self.labels)}" if self.labels else call

@@ -1,11 +1,10 @@
-"""Keeping PoCL's worker threads on CPUs of their own.
+"""Pins each of PoCL's worker threads to a CPU of its own.
 
-After a pause Linux likes to wake all of them on the CPU that wakes them, and takes some milliseconds to move them
-apart: a frame that follows a pause, as most do, then takes twice as long. A thread for each CPU has nothing to gain
-from moving, so each stays on one. A wait for a little work wakes up some 20 µs later.
-
-PoCL does that by itself where `POCL_AFFINITY` asks for it, but for CPUs counted from 0, and ends the process where it
-may not use them.
+- After a pause, Linux tends to wake all workers on the CPU that wakes them and takes some milliseconds to move them
+  apart. A frame that follows a pause, as most do, then takes twice as long. With one thread per CPU nothing is gained
+  by moving threads, so each is pinned. In return, a wait for little work ends about 20 µs later.
+- PoCL pins its threads itself if `POCL_AFFINITY` is set, but to CPUs counted from 0, and it ends the process if it may
+  not use those.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ _TASKS: Final = Path("/proc/self/task")
 
 
 def list_threads() -> frozenset[int]:
-    """The process's threads, where that can be known."""
+    """Return the ids of the process's threads; empty on systems that don't list them."""
     try:
         return frozenset(int(task.name) for task in _TASKS.iterdir())
     except OSError:
@@ -32,11 +31,11 @@ def list_threads() -> frozenset[int]:
 
 
 def spread_threads(threads: Set[int]) -> None:
-    """Keep each on a CPU of its own, if there are as many CPUs, and the user hasn't said otherwise."""
+    """Pin each thread to a CPU of its own if there are enough CPUs, unless the user has set `POCL_AFFINITY`."""
     if sys.platform != "linux" or _VARIABLE in os.environ:
         return
     cpus = sorted(os.sched_getaffinity(0))
     if 1 < len(threads) <= len(cpus):
         for thread, cpu in zip(sorted(threads), cpus, strict=False):
-            with suppress(OSError):  # it has ended
+            with suppress(OSError):  # the thread has ended
                 os.sched_setaffinity(thread, {cpu})

@@ -1,9 +1,9 @@
-"""gl and cl side by side: the same commands give the same pixels.
+"""gl and cl side by side: the same commands produce the same pixels.
 
-Both round window positions to 1/256 pixel, alike bit for bit. What reaches beyond the viewport, llvmpipe cuts, at
-points that it rounds again, so that an edge may pass on the other side of a sample that lies within 1/256 pixel of it.
-In a viewport `WIDER` times as wide, with positions divided by as much, window positions are the same and the cuts lie
-where nobody sees them; then nothing differs in coverage.
+Both round window positions to 1/256 pixel, with the same bits. llvmpipe cuts primitives that reach beyond the
+viewport at points that it rounds again, so an edge may pass on the other side of a sample that lies within 1/256
+pixel of it. In a viewport `WIDER` times as wide, with positions divided by the same factor, window positions are the
+same and the cuts lie outside of the target. Coverage is then the same.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ def random_triangles(count: int, seed: int, reach: float = 4.0) -> NDArray[np.fl
 
 
 def beyond_the_eye(count: int, seed: int) -> NDArray[np.float64]:
-    """The same, half of them with a corner behind the eye, and two thirds with one beyond the near or far plane."""
+    """Return triangles of which half have a corner behind the eye, and two thirds one beyond the near or far plane."""
     places = random_triangles(count, seed)
     places[:, 0, 3] -= 2.0 * places[:, 0, 3] * (np.arange(count) % 2)
     places[:, 1, 2] += np.arange(count) % 3 - 1.0
@@ -92,8 +92,8 @@ def beyond_the_eye(count: int, seed: int) -> NDArray[np.float64]:
 
 
 def count_exactly(places: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The same as `count_coverage`: window positions in float32, to the nearest 1/256 pixel, then whole numbers and the
-    top-left rule."""
+    """Compute the result of `count_coverage` exactly: window positions in float32, rounded to 1/256 pixel, then
+    integers and the top-left rule."""
     divided = (
         places[..., :2].astype(np.float32) * (np.float32(1) / places[..., 3:].astype(np.float32))
     ).astype(np.float64)
@@ -113,7 +113,7 @@ def count_exactly(places: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def widen(rows: NDArray[Any], wider: int) -> tuple[NDArray[Any], Viewport]:
-    """Positions and a viewport of `SIZE` that give the same window positions, but for what a device cuts."""
+    """Return positions and a viewport with the same window positions as `SIZE`, but with other clipping."""
     rows = rows.copy()
     rows["position"][:, :2] /= wider
     width, height = SIZE
@@ -121,7 +121,7 @@ def widen(rows: NDArray[Any], wider: int) -> tuple[NDArray[Any], Viewport]:
 
 
 def count_coverage(device: Device, places: NDArray[np.float64], wider: int = 1) -> NDArray[np.float64]:
-    """How many of the triangles cover each pixel."""
+    """Return how many of the triangles cover each pixel."""
     rows, viewport = widen(corners(places.reshape(-1, 4)), wider)
     with device.texture(SIZE, Format.R32F) as image, device.mesh(rows) as mesh:
         with device.render_pass(image), device.states(CullMode.NONE, BlendFunction.ADDITIVE, viewport):
@@ -130,7 +130,7 @@ def count_coverage(device: Device, places: NDArray[np.float64], wider: int = 1) 
 
 
 def edge_distances(places: NDArray[np.float64], x: float, y: float) -> float:
-    """Pixels from a window point to the nearest edge of all triangles."""
+    """Return the distance in pixels from a window point to the nearest edge of all triangles."""
     window = (places[..., :2] / places[..., 3:] * (1, -1) + 1) * np.array(SIZE) / 2
     start, end = window, np.roll(window, -1, axis=1)
     along = end - start
@@ -142,7 +142,7 @@ def edge_distances(places: NDArray[np.float64], x: float, y: float) -> float:
 def test_random_triangles_cover_the_same_pixels(
     devices: Devices, made: Callable[[int, int], NDArray[np.float64]]
 ) -> None:
-    """Inside the target, beyond it, and through the eye."""
+    """Triangles inside the target, beyond it, and through the eye."""
     pixels = 0
     for seed in range(12):
         places = made(60, seed)
@@ -168,7 +168,7 @@ def test_triangles_beyond_the_target_cover_what_whole_numbers_say(devices: Devic
 
 
 def test_depth_and_color_of_random_triangles_agree(devices: Devices) -> None:
-    """Triangles in layers of depth, so that which is nearest is no matter of rounding."""
+    """Triangles in layers of depth, so that rounding doesn't decide which one is nearest."""
     for seed in range(4):
         places = random_triangles(200, seed, reach=1.0)
         layer = np.linspace(0.05, 0.95, 200)[:, None] * places[..., 3]
@@ -196,7 +196,7 @@ def test_depth_and_color_of_random_triangles_agree(devices: Devices) -> None:
 
 @pytest.mark.parametrize("samples", [4])
 def test_samples_of_random_triangles_agree(devices: Devices, samples: int) -> None:
-    """Both have the same sample positions: the share of each pixel that is covered is the same."""
+    """Both have the same sample positions, so the covered share of each pixel is the same."""
     pixels = 0
     for seed in range(6):
         rows, viewport = widen(corners(random_triangles(60, seed).reshape(-1, 4)), WIDER)
@@ -220,8 +220,7 @@ def test_samples_of_random_triangles_agree(devices: Devices, samples: int) -> No
 
 @pytest.mark.parametrize("primitive", [Primitive.LINES, Primitive.LINE_STRIP, Primitive.POINTS])
 def test_lines_and_points_cover_the_same_pixels(devices: Devices, primitive: Primitive) -> None:
-    """But for pixels in which a line ends, which are left to the device, and some between two of whose centres it
-    passes."""
+    """They may differ in pixels in which a line ends, and in some where a line passes between two centres."""
     points = np.random.default_rng(5).random((200, 2)) * 100
     rows = corners(window_to_clip(points, (100, 100)))
     images = []
@@ -274,8 +273,8 @@ STATES: dict[type, st.SearchStrategy[Any]] = {
 
 @st.composite
 def draws(draw: st.DrawFn) -> list[tuple[tuple[State, ...], NDArray[Any]]]:
-    """Some draws, each with states of its own and two rectangles' worth of triangles on a grid of 1/16 pixel, at depths
-    that any device interpolates exactly."""
+    """Return some draws, each with its own states and the triangles of two rectangles on a grid of 1/16 pixel, at
+    depths that any device interpolates exactly."""
     made = []
     for _ in range(draw(st.integers(1, 4))):
         chosen = draw(st.lists(st.sampled_from(list(STATES)), unique=True, max_size=8))
@@ -316,7 +315,7 @@ def test_random_states_give_the_same_targets(
 
 
 def test_levels_are_means_of_the_ones_before(devices: Devices) -> None:
-    """In linear light, stored to the nearest step on cl; llvmpipe's curve takes it up to 0.4 further."""
+    """Averages in linear light are rounded to nearest on cl; llvmpipe's curve is off by up to 0.4 more."""
     texels = np.random.default_rng(3).integers(0, 256, (64, 64, 4), np.uint8)
     for device, most in zip(devices, (0.9, 0.501), strict=True):
         with device.texture(texels, Format.RGBA8_SRGB, levels=None) as image:
@@ -383,7 +382,7 @@ def sources(draw: st.DrawFn) -> str:
 
 
 def load_shader(source: str, folder: Path) -> type[Shader]:
-    """The shading language reads a shader's source, so it needs a file."""
+    """Load a shader from a file, since the shading language reads its source."""
     path = folder / f"made_up_{next(NUMBERS)}.py"
     path.write_text(source)
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -404,8 +403,8 @@ def load_shader(source: str, folder: Path) -> type[Shader]:
 def test_random_shaders_give_the_same_colors(
     devices: Devices, source: str, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """To 1e-4, but for a pixel in a thousand, where a rounding decides about a condition or a root is one of nearly
-    nothing. Of 110 shaders none needed that, and no number was 2e-5 off."""
+    """Results agree to 1e-4, except for one pixel in a thousand, where rounding may decide a condition or the
+    argument of a root is almost 0. Of 110 shaders none needed the exception, and no number was off by 2e-5."""
     shader = load_shader(source, tmp_path_factory.mktemp("shaders"))
     places = random_triangles(12, 7, reach=1.0)
     color = np.random.default_rng(1).random((36, 4))

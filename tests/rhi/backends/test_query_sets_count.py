@@ -1,4 +1,4 @@
-"""Query sets as gl and cl take them, without a recorder or a driver's checks: beside counters, and in memory."""
+"""Query sets of gl and cl without a recorder or a driver's checks: beside counters, and their memory."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ def bars(device: Device) -> Mesh:
 
 
 def draw(device: Device, bars: Mesh, queries: QuerySet, rows: Any) -> None:
-    """The rectangles `rows`, each counted by the row of its number."""
+    """Draw the rectangles `rows`, each counted by the row of its number."""
     first: NDArray[Any] = 6 * np.array(rows)
     device.draw_counted(device.program(Colored), bars, bars.draws(first, 6), queries, rows)
 
 
 def test_a_backend_takes_all_queries_at_once(device: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Else the tests here would be about the methods for one."""
+    """Both backends implement query sets; else these tests would examine the methods for single queries."""
     backend: Any = device._core.backend
     assert isinstance(backend, (GlBackend, ClBackend))
     bars = device.mesh(texel_rectangle(0, 0, 3, 1, SIZE))
@@ -60,7 +60,7 @@ def test_a_backend_takes_all_queries_at_once(device: Device, monkeypatch: pytest
 
 
 def test_a_running_counter_counts_what_a_set_counts(device: Device, bars: Mesh) -> None:
-    """Before it, in it and after it, in whichever order they are read."""
+    """Queries before, in and after it, in whichever order they are read."""
     backend, core = device._core.backend, device._core
     queries, program = device.query_set(16), device.program(Colored)
     counters = [core.create_id() for _ in range(4)]
@@ -102,7 +102,7 @@ def test_a_counter_that_begins_to_run_between_draws_and_answers_changes_neither(
 
 
 def test_sets_that_are_gone_give_their_memory_back(device: Device, bars: Mesh) -> None:
-    """Also those that were asked for again before they were read."""
+    """Memory is reused also by queries that were begun again before they were read."""
     with device.texture(SIZE, Format.R8) as image:
         for _ in range(50):
             queries = device.query_set(400)
@@ -116,13 +116,13 @@ def test_sets_that_are_gone_give_their_memory_back(device: Device, bars: Mesh) -
         gc.collect()
     backend: Any = device._core.backend
     if isinstance(backend, ClBackend):
-        assert len(backend._rasteriser.counters._free) <= 3
+        assert len(backend._rasteriser.queries._free) <= 3
     else:
         assert not backend._queries._queries
 
 
 def test_queries_of_gl_are_not_waited_for_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Only the last one is asked whether it is there."""
+    """Only the last query is polled for its result."""
     try:
         device = rhi.create_device("gl")
     except rhi.DeviceError as error:

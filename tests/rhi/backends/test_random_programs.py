@@ -1,8 +1,8 @@
-"""Random programs of passes, draws, queries, copies and writes: cl draws what gl does, and what it does itself without
-all that lets it leave work out.
+"""Random programs of passes, draws, queries, copies and writes: cl has the results of gl, and those of cl itself
+without all its culling and caching.
 
-Depth is what most of them are about: it stays between passes, is copied, cleared and drawn to in other ways, and draws
-before and behind one another are asked what is seen of them.
+Most of them stress depth: it is kept between passes, copied, cleared and drawn to in other ways, and queries count the
+visible samples of draws in front of and behind one another.
 """
 
 from __future__ import annotations
@@ -30,9 +30,10 @@ from rhi import (
     State,
     TextureKind,
 )
-from rhi.backends.cl.raster import batches as draws
+from rhi.backends.cl.backend import ClBackend
+from rhi.backends.cl.raster import batches, launcher, pieces
+from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.conformance.shaders import Corner, FlatColored, FlatShade
 from rhi.conformance.shapes import corners, window_to_clip
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
@@ -49,7 +50,7 @@ STATES: list[tuple[State, ...]] = [
 
 
 class Holes(Shader):
-    """Every other texel."""
+    """Discards every other texel."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
@@ -62,8 +63,8 @@ class Holes(Shader):
 
 
 def sheets(rng: np.random.Generator, wild: bool) -> NDArray[Any]:
-    """Rectangles of all sizes, some of which cover all. Tame ones lie inside the target on a grid of 1/16 texel and
-    face the eye; wild ones reach beyond it, lean, and come through the near plane."""
+    """Return rectangles of all sizes, some of which cover the target. Without `wild` they lie inside the target on a
+    grid of 1/16 texel and face the eye; with it they reach beyond it, lean, and cross the near plane."""
     low = rng.uniform(-0.3, 0.9, (SHEETS, 2))
     high = low + 2.0 ** rng.uniform(-4, 1, (SHEETS, 2))
     all_over = rng.random(SHEETS) < 0.2
@@ -87,10 +88,10 @@ def indices(rng: np.random.Generator) -> NDArray[np.uint16]:
 
 
 class Run:
-    """One program on one device; what it does depends on its seed alone.
+    """One run of a program on one device; its commands depend on the seed alone.
 
     Attributes:
-        results: what was read, counted and is left in the targets.
+        results: the data read, the counts, and the final contents of the targets.
     """
 
     def __init__(self, device: Device, seed: int, wild: bool) -> None:
@@ -123,14 +124,14 @@ class Run:
                 thing.destroy()
 
     def _choose(self, *chances: float) -> int:
-        """A number: the first with the first chance, and so on; else how many there are."""
+        """Return the index of a random choice with these chances, or their number if none is chosen."""
         return int(np.searchsorted(np.cumsum(chances), self._rng.random(), "right"))
 
     def _make_mesh(self, indexed: bool) -> Mesh:
         return self._device.mesh(sheets(self._rng, self._wild), indices(self._rng) if indexed else None)
 
     def _copy(self) -> None:
-        """Depth, all of it or a part, between textures or their layers."""
+        """Copy depth, all of it or a part, between textures or their layers."""
         rng = self._rng
         source, target = (self._depths[i] for i in rng.permutation(2))
         layer, to = (int(i) for i in rng.integers(0, 2, 2))
@@ -157,7 +158,7 @@ class Run:
             self.results.append(color.read())
 
     def _draw(self, around: ExitStack) -> None:
-        """Some sheets of a mesh: as one draw, in a query or not, or as an array, counted or not."""
+        """Draw some sheets of a mesh: as one draw, in a query or not, or as an array, counted or not."""
         rng, device = self._rng, self._device
         mesh = self._meshes[rng.integers(2)]
         program = device.program(FlatColored if rng.random() < 0.7 else Holes)
@@ -177,7 +178,7 @@ class Run:
                 device.draw_counted(program, mesh, parts, self._sets[-1])
 
     def _write(self) -> None:
-        """What the draws before have read, or take it away."""
+        """Write buffers that earlier draws have read, or destroy them."""
         rng = self._rng
         match self._choose(0.1, 0.1, 0.1):
             case 0:
@@ -212,30 +213,31 @@ def test_random_programs_do_on_cl_what_they_do_on_gl(cl: Device) -> None:
 
 
 def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Without bounds of depth, pieces, clears that wait for draws, and tables that are kept, the same to the bit."""
+    """Without bounds of depth, pieces, deferred clears and cached tables, results are the same bits."""
     hidden = 0
     with rhi.create_device("cl") as plain:
         for seed in range(40):
             with monkeypatch.context() as patch:
-                begin_pass, gather = Rasteriser.begin_pass, draws.Batch.gather
+                begin_pass, gather = DrawState.begin_pass, batches.Batch.gather
 
                 def begin_cleared(self: Any, descriptor: Any, begin: Any = begin_pass) -> None:
                     begin(self, descriptor)
-                    self._target.fill_cleared(self._context.queue)
+                    self.fill_cleared(plain.backend_as(ClBackend).context.queue)
 
                 def gather_mixed(self: Any, *given: Any, gather: Any = gather) -> None:
                     gather(self, *given)
-                    self.mix()
+                    self.spread()
 
                 patch.setattr(MergerKey, "bounds_depth", property(lambda _: False))
-                patch.setattr(Rasteriser, "begin_pass", begin_cleared)
-                patch.setattr(draws.Batch, "gather", gather_mixed)
+                patch.setattr(DrawState, "begin_pass", begin_cleared)
+                patch.setattr(batches.Batch, "gather", gather_mixed)
                 wanted = Run(plain, seed, wild=True).results
             with monkeypatch.context() as patch:
                 if seed % 2:
-                    limits = {"_FIRST_PIECE_GROUPS": 2, "_PIECE_GROUPS": 8, "_SLICE_GROUPS": 16, "_FEW_GROUPS": 1}
-                    for name, limit in limits.items():
-                        patch.setattr(draws, name, limit)
+                    patch.setattr(pieces, "_FIRST_PIECE_GROUPS", 2)
+                    patch.setattr(pieces, "_PIECE_GROUPS", 8)
+                    patch.setattr(launcher, "_SLICE_GROUPS", 16)
+                    patch.setattr(launcher, "_FEW_GROUPS", 1)
                 given = Run(cl, seed, wild=True).results
             for one, other in zip(wanted, given, strict=True):
                 np.testing.assert_array_equal(one, other)

@@ -1,15 +1,15 @@
-"""Primitive assembly on the host: each draw becomes a plain list of points, lines or triangles.
+"""Primitive assembly on the host: each draw becomes a list of points, lines or triangles.
 
-- Lists stay what they are: the kernels read consecutive vertices, or the index buffer itself. Strips, fans and quads,
-  and lists that restart, become index lists of 32 bits, which are made by NumPy once and kept: without indices one
-  list serves all draws of a topology, with a draw's first vertex as its base.
-- Which vertices a draw names, lowest to highest, is known beforehand, so that each is transformed once. The host
-  therefore keeps a copy of every index buffer (read back once, then kept in step with what the CPU writes) and the
-  extremes of each `_SPAN` indices; what it found is kept until the buffer changes.
-- Once the device may have written a buffer, its contents are unknown. Lists don't need them, their vertices are then
-  transformed once per index; for strips, fans and quads the buffer is read back, which waits.
-- The restart index ends a primitive of any topology, as in OpenGL. The first vertex provokes; the order of corners
-  keeps that and the winding.
+- Lists are used as they are: kernels read consecutive vertices, or the index buffer itself. Strips, fans and quads, and
+  lists with restarts, become lists of 32-bit indices. NumPy computes them once and they are kept. Without indices one
+  list serves all draws of a topology, with the draw's first vertex as its base.
+- The range of vertices that a draw references is computed beforehand, so that each vertex is transformed once. For
+  that the host keeps a copy of every index buffer (read back once, then updated with what the CPU writes) and the
+  extremes of each `_SPAN` indices. Results are kept until the buffer changes.
+- Once the device may have written a buffer, its contents are unknown. Lists don't need them: their vertices are then
+  transformed once per index. For strips, fans and quads the buffer is read back, which waits.
+- The restart index ends a primitive of any topology, as in OpenGL. The first vertex is the provoking one; the order of
+  corners preserves it and the winding.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ __rhi_internal__ = True
 
 T = TypeVar("T")
 _Indices: TypeAlias = "NDArray[Any]"
-_Key: TypeAlias = tuple[Primitive, IndexFormat, int, int]
+_ListKey: TypeAlias = tuple[Primitive, IndexFormat, int, int]
 
 CORNERS: Final = {
     Primitive.POINTS: 1, Primitive.LINES: 2, Primitive.LINE_STRIP: 2, Primitive.TRIANGLES: 3,
@@ -37,24 +37,24 @@ CORNERS: Final = {
 }  # fmt: skip
 _LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
-_SPAN: Final = 1024  # a range is found in two scans of at most so many indices and one of the spans between
+_SPAN: Final = 1024  # a range takes two scans of at most this many indices, and one of the spans between
 _MAX_KEPT: Final = 4096
 _MIN_PATTERN: Final = 1024
 
 
 @dataclass(frozen=True, slots=True)
 class Assembly(Generic[T]):
-    """A draw's primitives.
+    """The primitives of a draw, as a list of vertices.
 
-    Vertex k of the list (0 ≤ k < count) is vertex `start + k`, or with `indexed` the one that index `start + k` names;
-    `base` is added to it, besides the draw's own base vertex.
+    Vertex k of the list (0 ≤ k < count) is vertex `start + k`, or with `indexed` the one that index `start + k`
+    references. `base` is added to it, and the draw's own base vertex.
 
     Attributes:
-        corners: vertices of a primitive: 1, 2 or 3.
-        count: vertices of the list, a multiple of `corners`.
-        indexed: whether there is a list of indices.
-        memory: the uint32 list made here; None with `indexed`: the draw's own index buffer.
-        lowest, highest: the vertices named, before any base is added; None where the host doesn't know.
+        corners: vertices per primitive: 1, 2 or 3.
+        count: vertices in the list, a multiple of `corners`.
+        indexed: whether the list is indexed.
+        memory: the uint32 index list made here; with `indexed`, None means the draw's own index buffer.
+        lowest, highest: the range of referenced vertices, before any base is added; None if the host doesn't know it.
     """
 
     corners: int
@@ -68,21 +68,22 @@ class Assembly(Generic[T]):
 
 
 class _Contents(Generic[T]):
-    """What is known of one index buffer."""
+    """The known contents of one index buffer, and the results computed from them."""
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.bytes: NDArray[np.uint8] | None = None
         self.device_wrote = False
-        self.kept: dict[_Key, Assembly[T]] = {}
+        self.kept: dict[_ListKey, Assembly[T]] = {}
         self.spans: dict[IndexFormat, tuple[_Indices, _Indices]] = {}
 
-    def forget_findings(self) -> None:
+    def forget_results(self) -> None:
         self.kept.clear()
         self.spans.clear()
 
     def find_range(self, format: IndexFormat, first: int, count: int) -> tuple[int, int]:
-        """The lowest and highest of some indices, from the extremes of whole spans and the rest of two."""
+        """Return the lowest and the highest of a range of indices, from the extremes of whole spans and the indices
+        of two partial ones."""
         assert self.bytes is not None
         indices = _view(self.bytes, format)
         if format not in self.spans:
@@ -100,45 +101,45 @@ class _Contents(Generic[T]):
 
 
 class Assembler(Generic[T]):
-    """Assembles the draws of one device."""
+    """Assembles the draws of one device. `T` is the type of an index list in device memory."""
 
     def __init__(
         self, read: Callable[[Id, int, int], bytes], upload: Callable[[NDArray[np.uint32]], T]
     ) -> None:
-        """`read` gives a buffer's bytes from an offset on, `upload` makes device memory of a list."""
+        """`read` returns bytes of a buffer, given an offset and a size; `upload` copies an index list to the device."""
         self._read = read
         self._upload = upload
         self._buffers: dict[Id, _Contents[T]] = {}
         self._patterns: dict[Primitive, tuple[int, T]] = {}
 
     def watch(self, buffer: Id, size: int) -> None:
-        """`buffer` holds indices; from here on be told of all that changes it."""
+        """Watch a buffer that holds indices. From here on the assembler has to be told of all its changes."""
         self._buffers.setdefault(buffer, _Contents(size))
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
-        """The CPU writes a buffer, watched or not."""
+        """Note that the CPU writes a buffer, watched or not."""
         contents = self._buffers.get(buffer)
         if contents is not None:
-            contents.forget_findings()
+            contents.forget_results()
             if contents.bytes is not None:
                 source = np.frombuffer(memoryview(data), np.uint8)
                 contents.bytes[offset : offset + len(source)] = source
 
     def change(self, buffer: Id) -> None:
-        """The device may write a buffer, watched or not: by a copy, a clear, a stage that stores."""
+        """Note that the device may write a buffer, watched or not: by a copy, a clear, or stores of a shader."""
         contents = self._buffers.get(buffer)
         if contents is not None:
-            contents.forget_findings()
+            contents.forget_results()
             contents.bytes, contents.device_wrote = None, True
 
     def forget(self, buffer: Id) -> None:
-        """A buffer is destroyed, watched or not."""
+        """Note that a buffer, watched or not, is being destroyed."""
         self._buffers.pop(buffer, None)
 
     def assemble(
         self, primitive: Primitive, first: int, count: int, buffer: Id = 0, format: IndexFormat = IndexFormat.UINT32
     ) -> Assembly[T]:  # fmt: skip
-        """The primitives of `count` vertices, or with `buffer` (which is watched) indices, from `first` on.
+        """Return the primitives of `count` vertices from `first` on, or of indices with `buffer`, which is watched.
 
         Indices beyond the buffer's end are left out.
         """
@@ -193,10 +194,10 @@ class Assembler(Generic[T]):
 
 
 def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart: int) -> NDArray[np.uint32]:
-    """The corners of all primitives, one after the other; an index that equals `restart` begins anew."""
+    """Return the corners of all primitives, one after the other. An index equal to `restart` ends a primitive."""
     places = np.arange(len(indices))
     restarts = indices == restart
-    begins = np.maximum.accumulate(np.where(restarts, places + 1, 0))  # the first place of each one's run
+    begins = np.maximum.accumulate(np.where(restarts, places + 1, 0))  # the first place of each index's run
     size = 4 if primitive is Primitive.QUADS else CORNERS[primitive]
     ends = np.flatnonzero(restarts)
     stops = np.append(ends, len(indices))[np.searchsorted(ends, places)]  # one past the last place of its run
@@ -219,7 +220,7 @@ def list_primitives(primitive: Primitive, indices: NDArray[np.integer], restart:
 
 
 def _listed(primitive: Primitive, count: int) -> int:
-    """Vertices in the list that `count` vertices of a strip, fan or quads become."""
+    """Return the length of the list that `count` vertices of a strip, fan or quads become."""
     if primitive is Primitive.QUADS:
         return count // 4 * 6
     corners = CORNERS[primitive]

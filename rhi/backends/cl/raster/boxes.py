@@ -1,10 +1,11 @@
-"""Boxes of what vertices' attributes lie between, for draws that come again: an instance out of view isn't transformed.
+"""Bounding boxes of the vertex attributes of repeated draws. Instances whose box is out of view aren't transformed.
 
-- What is done with them is told in kernels/vertex.cl. Here is decided which prepared draws have one: those of programs
-  whose positions can be bounded, with enough vertices, from their second time on.
-- A box holds until a buffer that the vertices come from changes; then all draws of the vertex array begin anew.
-- Addresses of boxes stand in the table of prepared draws: odd while a batch is to measure them, then even. Tables that
-  were made of prepared draws are out of date when its `version` changes.
+- kernels/vertex.cl documents how boxes are used. This module decides which prepared draws have one: those of programs
+  whose positions can be bounded, with enough vertices, from their second draw on.
+- A box is valid until a buffer with its vertices changes. Then all draws of the vertex array start without boxes again.
+- The address of a box is stored with the prepared draw. It is odd while a batch has to measure the box, and then even.
+- Tables made from prepared draws are out of date when `PreparedDraws.version` changes.
+- docs/backends-cl.md, "Boxes before vertices", has the measured gain.
 """
 
 from __future__ import annotations
@@ -22,40 +23,40 @@ from rhi.contract.descriptors import Id
 __rhi_internal__ = True
 
 _BOX_BYTES: Final = 32
-_MIN_GROUPS: Final = 4  # of vertices; to look at a box costs as much as one
-_TO_MEASURE: Final = 1  # beside an address in a draw
+_MIN_GROUPS: Final = 4  # of vertices; testing a box costs as much as transforming one
+_TO_MEASURE: Final = 1  # flag in the address of a box
 _NONE: Final = np.zeros(0, np.int64)
 
 
-class Boxes:
-    """The boxes of one device's prepared draws."""
+class AttributeBoxes:
+    """The boxes of the prepared draws of one device."""
 
     def __init__(self, prepared: PreparedDraws, memory: Pool) -> None:
         self._prepared = prepared
         self._memory = memory
         self._address = 0
-        self._readers: dict[Id, set[Id]] = {}  # the vertex arrays that read a buffer
+        self._readers: dict[Id, set[Id]] = {}  # the vertex arrays that read each buffer
         self._chosen = _NONE
-        self._held: set[Id] = set()  # vertex arrays some of whose draws were seen
+        self._held: set[Id] = set()  # vertex arrays with draws that were seen
 
     def watch(self, vertex_array: Id, buffers: Iterable[Id]) -> None:
-        """A vertex array reads these buffers."""
+        """Note that a vertex array reads these buffers."""
         for buffer in buffers:
             self._readers.setdefault(buffer, set()).add(vertex_array)
 
     def unwatch(self, vertex_array: Id) -> None:
-        """It is destroyed."""
+        """Note that a vertex array is being destroyed."""
         self._held.discard(vertex_array)
         for readers in self._readers.values():
             readers.discard(vertex_array)
 
     def forget(self, buffer: Id) -> None:
-        """A buffer is destroyed."""
+        """Note that a buffer is being destroyed."""
         self.change(buffer)
         self._readers.pop(buffer, None)
 
     def change(self, buffer: Id) -> None:
-        """What a buffer holds changes."""
+        """Drop the boxes that depend on a buffer, since its contents change."""
         readers = self._readers.get(buffer)
         if not readers or self._held.isdisjoint(readers):
             return
@@ -69,8 +70,14 @@ class Boxes:
         self._held -= readers
 
     def choose(self, places: NDArray[np.int64], instances: NDArray[np.int64]) -> bool:
-        """Note that prepared draws are drawn so many times. Those that were before are told to be measured, and where
-        their boxes will lie; gives whether some draws are still to have one.
+        """Note that prepared draws are drawn. Those that were drawn before get boxes, to be measured by the batch.
+
+        Args:
+            places: (n,) numbers of the prepared draws.
+            instances: (n,) their numbers of instances.
+
+        Returns:
+            Whether some of the draws should have a box that isn't measured yet.
 
         Raises:
             pyopencl.Error: out of memory.
@@ -86,7 +93,7 @@ class Boxes:
         prepared.seen[missing] = True
         if len(chosen):
             address = self._memory.reserve(_BOX_BYTES * len(draws))
-            if address != self._address:  # what lay elsewhere is lost
+            if address != self._address:  # the boxes at the old address are lost
                 draws["box"], self._address = 0, address
             draws["box"][chosen] = address + _BOX_BYTES * chosen + _TO_MEASURE
             self._chosen = chosen
@@ -95,17 +102,17 @@ class Boxes:
 
     @property
     def chosen(self) -> bool:
-        """Whether some of the draws at hand are to be measured."""
+        """Whether the batch has to measure boxes."""
         return len(self._chosen) > 0
 
     def keep(self) -> None:
-        """Those that were chosen are measured."""
+        """Note that the batch has measured the chosen boxes."""
         if self.chosen:
             self._prepared.draws["box"][self._chosen] &= ~np.uint64(_TO_MEASURE)
             self._forget_chosen()
 
     def drop(self) -> None:
-        """Those that were chosen and not kept aren't measured: the batch has failed."""
+        """Drop the chosen boxes that weren't kept, since the batch has failed."""
         if self.chosen:
             self._prepared.draws["box"][self._chosen] = 0
             self._forget_chosen()

@@ -1,9 +1,9 @@
-"""Arrays of draws as places in the table of prepared draws.
+"""A cache of arrays of draws as prepared draws.
 
-- A draw that comes again, in whichever array, finds its place by what it says: all draws of an array at once, since
-  what is seen changes from frame to frame. An array that comes again and is counted by the same counters finds its
-  table, too, by its bytes.
-- Places are prepared for a version of the indices: other indices, other places.
+- A draw that is repeated, in whichever array, finds its prepared draw by its arguments. All draws of an array are
+  looked up at once, since the visible objects of a scene change from frame to frame. An array that is repeated as a
+  whole, with the same counters, finds its tables by its bytes.
+- Prepared draws hold for one version of the indices; with other indices, draws are prepared anew.
 """
 
 from __future__ import annotations
@@ -14,57 +14,44 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.raster.batches import DrawList
-from rhi.backends.cl.raster.prepared import PreparedDraws
+from rhi.backends.cl.raster.pieces import DrawList
+from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.contract.descriptors import DRAW
 
 __rhi_internal__ = True
 
 _MAX_KNOWN: Final = 1 << 16
-"""Draws, and draws of arrays, that are known."""
-_WORDS: Final = (0, 2, 3, 4)
-"""Those of a draw's five that its place depends on: all but the number of instances."""
+"""Limit of the number of cached draws, and of the number of draws in cached arrays."""
+_NAMES: Final = DRAW.names or ()
+_WORDS: Final = [word for word, name in enumerate(_NAMES) if name != "instances"]
+"""The words of a draw that its prepared draw depends on: all but the number of instances."""
 _FACTORS: Final = np.array(
     [0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9, 0xD6E8FEB86659FD93], np.uint64
 )
-"""Of a hash: odd, their bits evenly set."""
+"""Factors of the hash of a draw's words: odd numbers with evenly distributed bits."""
 
 
-class DrawSlot:
-    """A prepared draw's place in the table; given back with its holder."""
-
-    __slots__ = ("_leave", "memory", "number")
-
-    def __init__(self, prepared: PreparedDraws) -> None:
-        self.number = prepared.add()
-        self.memory: object = None  # the index list, while the table has its address
-        self._leave = prepared.leave
-
-    def __del__(self) -> None:
-        self._leave(self.number)
-
-
-class DrawLists:
-    """All arrays of draws of one device."""
+class DrawListCache:
+    """The cache of one device."""
 
     def __init__(self, prepared: PreparedDraws) -> None:
         self._prepared = prepared
-        self._draws: dict[object, _Known] = {}
-        self._placed = 0  # draws of all keys
+        self._draws: dict[object, _KnownDraws] = {}
+        self._placed = 0  # cached draws of all keys
         self._arrays: dict[object, DrawList] = {}
-        self._listed = 0  # draws of all arrays
+        self._listed = 0  # draws of all cached arrays
 
     def find(
         self, key: object, draws: NDArray[Any], counters: NDArray[np.int64] | None, indexed: bool,
         fill: Callable[..., None],
     ) -> DrawList:  # fmt: skip
-        """Draws with their places.
+        """Return an array of draws with the numbers of their prepared draws.
 
         Args:
-            key: all that the places depend on besides the draws.
-            draws: (n,) of five uint32, as an indirect draw reads them: count, instances, first, and what depends on
-                whether they are indexed, third and fourth.
-            counters: (n,) numbers of those that draws are counted by.
-            fill: prepares a place: `fill(place, first, count, base_vertex, base_instance)`.
+            key: all that prepared draws depend on besides the draws themselves.
+            draws: (n,) of `rhi.DRAW`, or without `indexed` of `rhi.DRAW_UNINDEXED`.
+            counters: (n,) numbers of the draws' counters, or None.
+            fill: fills in a prepared draw: `fill(slot, first, count, base_vertex, base_instance)`.
         """
         whole = key, draws.tobytes(), None if counters is None else counters.tobytes()
         list_of_all = self._arrays.get(whole)
@@ -82,12 +69,12 @@ class DrawLists:
     def _find_each(
         self, key: object, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
     ) -> tuple[NDArray[np.int64], object]:
-        """The number of each draw's place, and what keeps the places."""
+        """Return the number of each draw's prepared draw, and the object that keeps the prepared draws alive."""
         if self._placed + len(draws) > _MAX_KNOWN:
             self._draws.clear()
             self._placed = 0
-        known = self._draws.setdefault(key, _Known())
-        words = np.ascontiguousarray(draws).view(np.uint32).reshape(-1, 5)[:, _WORDS]
+        known = self._draws.setdefault(key, _KnownDraws())
+        words = np.ascontiguousarray(draws).view(np.uint32).reshape(-1, len(_NAMES))[:, _WORDS]
         hashes = (words * _FACTORS).sum(axis=1, dtype=np.uint64)
         numbers = known.find(words, hashes)
         missing = np.flatnonzero(numbers < 0)
@@ -98,7 +85,7 @@ class DrawLists:
             place = known.places.get((count, first, third, fourth))
             if place is None:
                 place = DrawSlot(self._prepared)
-                # With indices third is a base vertex, which is signed.
+                # The third word of DRAW is the base vertex, which is signed; that of DRAW_UNINDEXED the base instance.
                 bases = (third - (third >> 31 << 32), fourth) if indexed else (0, third)
                 fill(place, first, count, *bases)
                 known.places[count, first, third, fourth] = place
@@ -109,11 +96,11 @@ class DrawLists:
         return numbers, known.places
 
 
-class _Known:
-    """The places of draws that have all else in common, by hashes in order; draws of equal hashes by the dict alone.
+class _KnownDraws:
+    """The prepared draws of one key, found by sorted hashes. Draws with the same hash are found through the dictionary.
 
     Attributes:
-        places: by a draw's words.
+        places: the prepared draws by the words of their draws.
     """
 
     __slots__ = ("_hashes", "_numbers", "_words", "places")
@@ -125,7 +112,7 @@ class _Known:
         self._numbers = np.zeros(0, np.int64)
 
     def find(self, words: NDArray[np.uint32], hashes: NDArray[np.uint64]) -> NDArray[np.int64]:
-        """The number of each draw's place; -1: it isn't found so."""
+        """Return the number of each draw's prepared draw; -1 if its hash doesn't find it."""
         if not len(self._hashes):
             return np.full(len(words), -1, np.int64)
         at = np.minimum(np.searchsorted(self._hashes, hashes), len(self._hashes) - 1)
@@ -134,7 +121,7 @@ class _Known:
     def add(
         self, words: NDArray[np.uint32], hashes: NDArray[np.uint64], numbers: NDArray[np.int64]
     ) -> None:
-        """Draws that weren't found."""
+        """Add draws that weren't found."""
         order = np.argsort(hashes, kind="stable")
         at = np.searchsorted(self._hashes, hashes[order])
         self._hashes = np.insert(self._hashes, at, hashes[order])

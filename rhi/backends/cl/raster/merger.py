@@ -1,10 +1,10 @@
-"""The output merger's Python half: what of states, formats and a program goes into a pipeline's text, and what into
-a draw's state block.
+"""The Python part of the output merger: which states are compiled into a pipeline, and which are data of a draw.
 
-- `make_key` gathers what decides about the code; equal keys share a compiled pipeline. It keeps only what matters:
-  a target that is not written, a test that always passes and the like leave no trace, so few pipelines are built.
-- `make_state` packs the rest into `STATE_WORDS` words: factors, references and masks may change from draw to draw.
-- `MergerKey.defines` is the text before `kernels/targets.cl`, whose comments say how its functions are used.
+- `make_key` collects everything that affects the generated code; equal keys share a compiled pipeline. It normalises:
+  targets that aren't written, tests that always pass and the like leave no trace, so few pipelines are built.
+- `make_state` packs the other states into `STATE_WORDS` words: factors, references and masks may change from draw to
+  draw.
+- `MergerKey.defines` is the text in front of `kernels/targets.cl`, whose comments document the use of its functions.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ __rhi_internal__ = True
 _PASSES: Final = {
     "never": 0, "less": 1, "equal": 2, "less_equal": 3, "greater": 4, "not_equal": 5, "greater_equal": 6, "always": 7,
 }  # fmt: skip
-"""Comparisons by name: 1 lets less pass, 2 equal, 4 greater."""
+"""Comparisons as bits: 1 passes less, 2 equal, 4 greater."""
 _ALWAYS: Final = _PASSES["always"]
 _ORDERED: Final = [_PASSES[name] for name in ("less", "less_equal", "greater", "greater_equal")]
 _FLOAT_BITS: Final = 32
@@ -64,12 +64,12 @@ _FACTORS: Final = {
     BlendFactor.ONE_MINUS_DESTINATION_COLOR: 11, BlendFactor.ONE_MINUS_DESTINATION_ALPHA: 12,
     BlendFactor.ONE_MINUS_CONSTANT: 13,
 }  # fmt: skip
-"""8 more means 1 minus it."""
+"""Blend factors as numbers. Adding 8 means one minus the factor."""
 
-_ALPHA_STATE: Final = 0  # what passes, the reference
+_ALPHA_STATE: Final = 0  # comparison, reference
 _BLEND_STATE: Final = 2  # the constant color
 _STENCIL_STATE: Final = 6  # two words for the front, two for the back
-_COLOR_STATE: Final = 10  # of each target: the blend function, the bits of a texel's 4 words that are written
+_COLOR_STATE: Final = 10  # for each target: blend function, write mask of a texel's 4 words
 _COLOR_WORDS: Final = 5
 STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
 
@@ -77,25 +77,27 @@ STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
 class TestOrder(enum.Enum):
     """When depth and stencil are tested and written.
 
-    EARLY: before shading. SPLIT: tested before it, so that what is hidden isn't shaded, and written after it for
-    what it kept. LATE: both after it, since it gives the depth, or acts on lanes that fail, too.
+    EARLY: before shading. SPLIT: tested before shading, so that hidden fragments aren't shaded, and written after it
+    for the fragments that it kept. LATE: tested and written after shading, since shading computes the depth or has
+    effects for fragments that fail.
     """
 
     EARLY = 0
     SPLIT = 1
     LATE = 2
 
-    __test__ = False  # pytest would collect it
+    __test__ = False  # else pytest would collect it
 
 
 @dataclass(frozen=True, slots=True)
 class ColorKey:
-    """A target that is written.
+    """A color target that is written.
 
     Attributes:
-        location: which attachment.
-        components: how many the fragment stage gives.
-        channels, bits, kind: of a texel, and of each of its channels.
+        location: number of the attachment.
+        components: number of components that the fragment stage outputs.
+        channels, bits, kind: number of channels of a texel; size and kind of each.
+        blends: whether blending is on.
     """
 
     location: int
@@ -108,17 +110,17 @@ class ColorKey:
 
 @dataclass(frozen=True, slots=True)
 class MergerKey:
-    """The targets' part of a pipeline's key.
+    """The output merger's part of a pipeline's key.
 
     Attributes:
-        colors: the targets that are written.
-        depth_bits: 16 or 24, 32 for floats, 0: neither tested nor written.
-        depth_passes: what the test lets pass, as a number of `_PASSES`.
-        depth_writes: whether the depth of what passes is kept.
+        colors: the color targets that are written.
+        depth_bits: 16 or 24, 32 for floats; 0 if depth is neither tested nor written.
+        depth_passes: the depth comparison, as a number of `_PASSES`.
+        depth_writes: whether the depth of fragments that pass is written.
         has_stencil: whether the kernel takes the stencil plane.
-        order: when tests come.
-        shades: whether there is a fragment stage to run.
-        output_words: words of the stage's outputs, four for each location.
+        order: when the tests are executed.
+        shades: whether the fragment stage has to be executed.
+        output_words: number of words of the stage's outputs, four for each location.
     """
 
     colors: tuple[ColorKey, ...]
@@ -140,28 +142,29 @@ class MergerKey:
 
     @property
     def surfaces(self) -> list[str]:
-        """What the kernel calls the surfaces that it takes, in their order."""
+        """The kernel's names for the surfaces that it takes, in order."""
         colors = [f"color{place}" for place in range(len(self.colors))]
         return colors + ["depth"] * self.has_depth + ["stencil"] * self.has_stencil
 
     @property
     def stages_depth(self) -> bool:
-        """Whether the raster kernel keeps a tile's depth at hand: one sample, no stencil."""
+        """Whether the raster kernel stages a tile's depth: with one sample and no stencil."""
         return self.has_depth and not self.has_stencil and self.samples == 1
 
     @property
     def bounds_depth(self) -> bool:
-        """Whether it also knows depths behind which the test fails: before shading, which may change them."""
+        """Whether it also keeps bounds of depth, behind which the test fails. The test has to come before any
+        shading."""
         comes_first = self.order is not TestOrder.LATE or not self.shades
         return self.stages_depth and self.depth_passes in _ORDERED and comes_first
 
     @property
     def depth_step(self) -> float:
-        """Between depths that the target can hold; 0: they are floats."""
+        """Difference between consecutive depths of the target's format; 0 for floats."""
         return 1 / ((1 << self.depth_bits) - 1) if 0 < self.depth_bits < _FLOAT_BITS else 0.0
 
     def defines(self) -> str:
-        """The macros that `kernels/targets.cl` is compiled with."""
+        """Return the macros that `kernels/targets.cl` is compiled with."""
         rows = [
             f"X({place}, {color.location}, {color.components}, {color.channels}, {color.bits}, "
             f"KIND_{color.kind.name}, {int(color.blends)})"
@@ -196,14 +199,14 @@ class MergerKey:
 def make_key(
     program: ProgramDescriptor, values: Mapping[type, Any], colors: Sequence[Format], depth: Format | None, samples: int
 ) -> MergerKey:  # fmt: skip
-    """What of these states a program's pipeline for these targets is compiled with.
+    """Return the key of a program's pipeline for these states and targets.
 
     Args:
-        program: one that draws.
+        program: a program that draws.
         values: the value of each state type; a tuple of `MAX_TARGETS` for those of `PER_TARGET`.
         colors: the formats of the color targets, by location.
-        depth: that of the depth target, if there is one.
-        samples: of all targets.
+        depth: the format of the depth target, if there is one.
+        samples: number of samples of all targets.
     """
     outputs = {output.location: output for output in program.outputs}
     first = outputs.get(0)
@@ -250,7 +253,7 @@ def make_key(
 
 
 def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[np.uint32]:
-    """A draw's state block: (STATE_WORDS,). Arguments as in `make_key`."""
+    """Return a draw's state block, (STATE_WORDS,). Arguments as for `make_key`."""
     state = np.zeros(STATE_WORDS, np.uint32)
     numbers = state.view(np.float32)
     state[_ALPHA_STATE] = _PASSES[values[AlphaFunction].value]
@@ -280,7 +283,7 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
 
 @cache
 def read_source() -> str:
-    """The text of `kernels/targets.cl`."""
+    """Return the text of `kernels/targets.cl`."""
     return files(__package__).joinpath("kernels", "targets.cl").read_text()
 
 
@@ -289,7 +292,7 @@ def _written_channels(write: ColorWrite) -> tuple[bool, bool, bool, bool]:
 
 
 def _pack_function(function: BlendFunction) -> int:
-    """Source factor, destination factor and operation of the color, then of alpha: 4 bits each."""
+    """Pack source factor, destination factor and operation of color, then of alpha, in 4 bits each."""
     parts = (
         _FACTORS[function.source],
         _FACTORS[function.destination],
@@ -303,7 +306,7 @@ def _pack_function(function: BlendFunction) -> int:
 
 @cache
 def _constants() -> str:
-    """What is the same for all keys: the tables above under the names that the kernels use."""
+    """Return the macros that all keys share: the tables above under the kernels' names."""
     numbers: dict[str, object] = {f"KIND_{kind.name}": number for kind, number in _KINDS.items()}
     numbers |= {f"STENCIL_{operation.name}": number for operation, number in _STENCIL_OPERATIONS.items()}
     numbers |= {f"OPERATION_{operation.name}": number for operation, number in _BLEND_OPERATIONS.items()}
@@ -314,8 +317,8 @@ def _constants() -> str:
         "BLEND_STATE": _BLEND_STATE,
         "STENCIL_STATE": _STENCIL_STATE,
         "COLOR_STATE(location)": f"({_COLOR_STATE} + {_COLOR_WORDS} * (location))",
-        # sRGB's powers beyond the curve's straight piece: x^(5/12) as a polynomial in x^(1/4), u^0.4 as one in
-        # u^(1/2). Nearer to 0 than that, where powers have no polynomial, the curve is straight.
+        # The powers of sRGB's curve: x^(5/12) as a polynomial in x^(1/4), u^0.4 as one in u^(1/2). Near 0, where no
+        # polynomial approximates them, the curve is linear.
         "ENCODE_SRGB(x)": _fit(lambda q: q ** (5 / 3), 0.0031308**0.25, 7),
         "DECODE_SRGB(x)": _fit(lambda root: root**0.8, ((0.04045 + 0.055) / 1.055) ** 0.5, 7),
     }
@@ -323,7 +326,7 @@ def _constants() -> str:
 
 
 def _fit(function: Callable[[NDArray[Any]], NDArray[Any]], start: float, degree: int) -> str:
-    """OpenCL C of a polynomial in x that is near `function` between `start` and 1."""
+    """Return OpenCL C of a polynomial in x that approximates `function` between `start` and 1."""
     chebyshev = Chebyshev.interpolate(function, degree, domain=[start, 1.0])
     *lower, highest = chebyshev.convert(kind=Polynomial, domain=[-1, 1], window=[-1, 1]).coef.tolist()
     text = f"(float16)({highest!r}f)"

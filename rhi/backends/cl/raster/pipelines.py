@@ -1,10 +1,12 @@
-"""The kernels that draw: built when they are first needed, and kept.
+"""The kernels that draw, built on first use.
 
-- `set_up`, `prefix` and `scatter` know nothing of programs: one build per device. A program has a vertex kernel for
-  each layout of its vertices, and a raster kernel for each `MergerKey`. All else is data, so few are built.
-- Beside a vertex kernel lies `measure`, where positions can be bounded before they are computed (kernels/vertex.cl).
-- Each takes one argument, the address of a batch, and is launched by `launch`.
-- PoCL keeps what it compiled on disk, elsewhere pyopencl does, under a key of source, options, device and driver.
+- `set_up`, `prefix` and `scatter` don't depend on programs and are built once per device. A program has a vertex kernel
+  for each layout of its vertices and a raster kernel for each `MergerKey`. All else is data, so few kernels are built.
+- A program whose positions can be bounded before they are computed also has the kernel `measure` for each vertex layout
+  (kernels/vertex.cl).
+- Each kernel takes one argument, the address of a batch table.
+- Compiled kernels are cached on disk by PoCL, or by pyopencl for other drivers, under a key of source, options, device
+  and driver.
 """
 
 from __future__ import annotations
@@ -13,16 +15,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Final
+from operator import itemgetter
+from typing import Final, TypeAlias
 
 import pyopencl as cl
 
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses
-from rhi.backends.cl.programs import Faults, make_shader_error
-from rhi.backends.cl.raster import merger as targets
-from rhi.backends.cl.raster import tables
+from rhi.backends.cl.programs import FaultBuffer, make_shader_error
+from rhi.backends.cl.raster import merger, tables
 from rhi.backends.cl.raster.builds import Builds, Kernel
+from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
 
 __rhi_internal__ = True
@@ -30,11 +33,12 @@ __rhi_internal__ = True
 LANGUAGE: Final = "opencl16"
 _BOXED: Final = "#define RHI_BOXED"
 
-Layout = tuple[tuple[int, bool, tuple[object, ...]], ...]
+StreamLayout: TypeAlias = tuple[tuple[int, bool, tuple[object, ...]], ...]
+"""Stride, rate (whether per instance) and attributes of each vertex stream."""
 
 
-class Geometry:
-    """The kernels that all draws share."""
+class GeometryKernels:
+    """The kernels that all programs share."""
 
     def __init__(self, builds: Builds) -> None:
         source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
@@ -43,19 +47,22 @@ class Geometry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VertexKernels:
-    """What is done with vertices of one layout; `measure` where instances can be dropped by boxes."""
+    """The kernels for vertices of one layout; `measure` is None if positions can't be bounded."""
 
     transform: Kernel
     measure: Kernel | None = None
 
 
 class Pipeline:
-    """The kernels of one program that draws.
+    """A program that draws, and its kernels.
 
     Attributes:
-        starts: where each binding's words begin in a draw's row, and where they end.
-        elements: of what is bound by size, where in the row its bytes stand, and those of an element.
-        faults: of a checked program, where each stage leaves what it finds. Their addresses stand in the kernels' text.
+        pick: picks a draw's row out of the columns of all slots.
+        starts: offset of each binding's words behind a row's fixed columns, and at the end their total.
+        elements: for each storage binding, the offset of its size behind the fixed columns, and the size of an element.
+        written: the bindings that the program writes.
+        faults: for a checked program, the memory that each stage reports faults in. Its address is part of the kernels'
+            source.
     """
 
     def __init__(
@@ -69,21 +76,27 @@ class Pipeline:
             for binding, at in zip(descriptor.bindings, self.starts, strict=False)
             if binding.kind is BindingKind.STORAGE
         ]
+        columns = list(range(FIXED_COLUMNS))
+        for binding in descriptor.bindings:
+            start = SLOT_COLUMNS[binding.kind, binding.slot]
+            columns += [start] if binding.kind is BindingKind.UNIFORM else [start, start + 1]
+        self.pick = itemgetter(*columns)
+        self.written = [binding for binding in descriptor.bindings if binding.writes]
         self._vertex_text = descriptor.emit(LANGUAGE, Stage.VERTEX)
         self._fragment_text = StageText("")
         if Stage.FRAGMENT in descriptor.stages:
             self._fragment_text = descriptor.emit(LANGUAGE, Stage.FRAGMENT)
-        self.faults: dict[Stage, Faults] = {}
+        self.faults: dict[Stage, FaultBuffer] = {}
         self._fault_places = dict.fromkeys(Stage, 0)
         for stage in descriptor.stages if descriptor.checked else ():
             text = self._vertex_text if stage is Stage.VERTEX else self._fragment_text
-            self.faults[stage] = Faults(context.context, text.origins)
+            self.faults[stage] = FaultBuffer(context.context, text.origins)
             self._fault_places[stage] = addresses.find(self.faults[stage].memory)
-        self._vertex: dict[Layout, VertexKernels] = {}
-        self._raster: dict[targets.MergerKey, Kernel] = {}
+        self._vertex: dict[StreamLayout, VertexKernels] = {}
+        self._raster: dict[merger.MergerKey, Kernel] = {}
 
     def find_vertex(self, streams: Sequence[VertexStream]) -> VertexKernels:
-        """The kernels for vertices of this layout."""
+        """Return the kernels for vertices of this layout, building them on first use."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
             before = [tables.common_macros(), read_kernels("common")]
@@ -94,12 +107,12 @@ class Pipeline:
             self._vertex[layout] = VertexKernels(*kernels)
         return self._vertex[layout]
 
-    def find_raster(self, key: targets.MergerKey) -> Kernel:
-        """The kernel for targets and states of this key."""
+    def find_raster(self, key: merger.MergerKey) -> Kernel:
+        """Return the raster kernel for targets and states with this key, building it on first use."""
         if key not in self._raster:
             before = [
                 tables.common_macros(), read_kernels("common"), read_kernels("polygon"), key.defines(),
-                targets.read_source(),
+                merger.read_source(),
             ]  # fmt: skip
             macros = tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT])
             behind = [macros, read_kernels("raster")]
@@ -110,7 +123,7 @@ class Pipeline:
     def _build(
         self, stage: Stage, names: Sequence[str], before: list[str], text: StageText, behind: list[str]
     ) -> list[Kernel]:
-        """Kernels of the stage's text and what stands before and behind it."""
+        """Build kernels from the stage's text, and the text before and behind it."""
         source = "\n".join([*before, text.text, *behind])
         try:
             return self._builds.build(source, names, self.descriptor.flushes_denormals)
@@ -122,5 +135,5 @@ class Pipeline:
 
 @cache
 def read_kernels(name: str) -> str:
-    """The text of a file in kernels/."""
+    """Return the text of a file in kernels/."""
     return files(__package__).joinpath("kernels", f"{name}.cl").read_text()

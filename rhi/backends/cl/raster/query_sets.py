@@ -1,4 +1,4 @@
-"""Occlusion queries that are asked together: one segment of counters, and draws that name theirs in a column."""
+"""Query sets: one segment of counters, and draws that name their counters in a column of their rows."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.backends.cl.raster.counters import Segment
+from rhi.backends.cl.raster.queries import Segment
 from rhi.backends.cl.raster.rasteriser import Rasteriser
 from rhi.contract.descriptors import Id, Primitive
 
 __rhi_internal__ = True
 
 
-class QuerySet:
-    """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: those before may still run."""
+class ClQuerySet:
+    """See `rhi.contract.backend.PreparedQueries`. Each `draw` has counters of its own: earlier draws may still run."""
 
     def __init__(self, rasteriser: Rasteriser, size: int) -> None:
         self._rasteriser = rasteriser
@@ -25,14 +25,14 @@ class QuerySet:
     def draw(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
     ) -> None:
-        counters = self._rasteriser.counters
-        self._segment = segment = counters.begin_set(self._size)
+        queries = self._rasteriser.queries
+        self._segment = segment = queries.begin_set(self._size)
         try:
-            self._rasteriser.draw_counted(vertex_array, primitive, draws, rows, segment.address)
+            self._rasteriser.draws.draw_counted(vertex_array, primitive, draws, rows, segment.address)
         finally:
-            counters.end_set(segment)
+            queries.end_set(segment)
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         assert self._segment is not None
-        counted = self._rasteriser.counters.read_set(self._segment)
+        counted = self._rasteriser.queries.read_set(self._segment)
         return None if counted is None else counted.view(np.int64).take(rows)

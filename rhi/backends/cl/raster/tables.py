@@ -1,10 +1,10 @@
-"""What the kernels of a draw read besides their arguments: tables in memory, and macros in front of their text.
+"""The tables that kernels read, and the macros that they are compiled with.
 
-- The dtypes mirror the structs of kernels/common.cl, field by field.
-- The macros hold what a program and its vertices' layout decide: how attributes become words, how bindings become
-  arguments, which varyings are interpolated how.
-- A draw's row: the addresses of what is bound, binding by binding (storage: and the number of elements; textures and
-  images: and the words that describe them), then those of its vertex streams.
+- The dtypes `BATCH_STRUCT`, `DRAW_STRUCT` and `VIEW_STRUCT` mirror the structs of kernels/common.cl, field by field.
+- The macros hold what a program and the layout of its vertices determine: how attributes become words, how bindings
+  become arguments, how each varying is interpolated.
+- A draw's row of bound words: for each binding its address (and the number of elements of storage, or the address of
+  the description of a texture or image), then the addresses of the vertex streams.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _fields(text: str, code: str) -> list[tuple[str, str]]:
     return [(name, code) for name in text.split()]
 
 
-BATCH: Final = np.dtype(
+BATCH_STRUCT: Final = np.dtype(
     [
         ("surfaces", "u8", (MAX_PLANES,)),
         *_fields(
@@ -60,13 +60,13 @@ BATCH: Final = np.dtype(
     ],
     align=True,
 )
-EMPTY_BATCH: Final[dict[str, float]] = dict.fromkeys((BATCH.names or ())[1:], 0)
-"""What of a batch `pack_batch` takes besides its surfaces."""
+EMPTY_BATCH: Final[dict[str, float]] = dict.fromkeys((BATCH_STRUCT.names or ())[1:], 0)
+"""The fields of a batch table without its surfaces, in the order of `pack_batch`, all 0."""
 _CODES: Final = {"u8": "Q", "i4": "i", "f4": "f"}
 _BATCH_WORDS: Final = Struct(
-    f"={MAX_PLANES}Q" + "".join(_CODES[BATCH[name].str[1:]] for name in EMPTY_BATCH)
+    f"={MAX_PLANES}Q" + "".join(_CODES[BATCH_STRUCT[name].str[1:]] for name in EMPTY_BATCH)
 )
-DRAW: Final = np.dtype(
+DRAW_STRUCT: Final = np.dtype(
     [
         *_fields("indices vertex_indices samples condition box", "u8"),
         *_fields(
@@ -77,7 +77,7 @@ DRAW: Final = np.dtype(
     ],
     align=True,
 )
-VIEW: Final = np.dtype(
+VIEW_STRUCT: Final = np.dtype(
     [
         ("scale", "f4", 4),
         ("shift", "f4", 4),
@@ -102,13 +102,13 @@ _INTERPOLATION: Final = {
 
 
 def pack_batch(surfaces: Sequence[int], batch: Mapping[str, float]) -> bytes:
-    """A batch as kernels read it: the addresses of MAX_PLANES surfaces, and the fields of `EMPTY_BATCH` in their order.
-    Plain Python is several times as fast as NumPy at single fields."""
+    """Return a batch table as bytes: the addresses of MAX_PLANES surfaces, then the fields of `EMPTY_BATCH` in order.
+    For single fields plain Python is several times as fast as NumPy."""
     return _BATCH_WORDS.pack(*surfaces, *batch.values())
 
 
 def row_starts(bindings: Sequence[Binding]) -> list[int]:
-    """Where each binding's words begin in a draw's row, and where they end."""
+    """Return the offset of each binding's words in a draw's row of bound words, and at the end their total."""
     starts = [0]
     for binding in bindings:
         starts.append(starts[-1] + _ROW_WORDS[binding.kind])
@@ -116,18 +116,18 @@ def row_starts(bindings: Sequence[Binding]) -> list[int]:
 
 
 def varying_words(descriptor: ProgramDescriptor) -> int:
-    """Words of a vertex's varyings in memory: whole groups of four."""
+    """Return the number of words of a vertex's varyings in memory, rounded up to groups of four."""
     words = max((varying.word + varying.words for varying in descriptor.varyings), default=0)
     return -(-words // 4) * 4
 
 
 def common_macros() -> str:
-    """What every kernel's text begins with."""
+    """Return the macros that every kernel's text begins with."""
     return f"#define STATE_WORDS {STATE_WORDS}\n"
 
 
 def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream], faults: int = 0) -> str:
-    """What kernels/vertex.cl is compiled with; `faults`: where a checked program's go."""
+    """Return the macros of kernels/vertex.cl; `faults`: the address that a checked program reports faults at."""
     starts, words = {}, 0
     for attribute in sorted(descriptor.attributes, key=lambda each: each.location):
         starts[attribute.location] = words
@@ -156,7 +156,7 @@ def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream]
 
 
 def raster_macros(descriptor: ProgramDescriptor, key: MergerKey, faults: int = 0) -> str:
-    """What kernels/raster.cl is compiled with, besides the merger's own; `faults`: as of `vertex_macros`."""
+    """Return the macros of kernels/raster.cl besides those of the merger; `faults`: as for `vertex_macros`."""
     varyings = " ".join(
         f"{_INTERPOLATION[varying.interpolation]}({word})"
         for varying in descriptor.varyings
@@ -180,7 +180,7 @@ def _components(attribute: Attribute) -> int:
 
 
 def _arguments(bindings: Sequence[Binding], faults: int) -> str:
-    """A row's words as a stage's arguments."""
+    """Return the arguments of a stage's function, taken from a row of bound words."""
     arguments = []
     for binding, at in zip(bindings, row_starts(bindings), strict=False):
         match binding.kind:
@@ -198,7 +198,7 @@ def _arguments(bindings: Sequence[Binding], faults: int) -> str:
 
 
 def _fetch(stream: VertexStream, attribute: VertexAttribute, at: int, start: int, size: int) -> Iterator[str]:
-    """The statements that bring an attribute's components to the words of `inputs` from `start` on."""
+    """Yield the statements that load an attribute's components into the words of `inputs` from `start` on."""
     form = attribute.format
     count = -(-form.components * _WORDS[form.code] // 1)
     yield "{ uint16 raw[4];"
@@ -215,7 +215,7 @@ def _fetch(stream: VertexStream, attribute: VertexAttribute, at: int, start: int
 
 
 def _component(form: VertexFormat, component: int) -> str:
-    """A component as a word, out of the words in which its format holds it."""
+    """Return the expression of a component as a word, extracted from the words of its format."""
     bits = 8 * np.dtype(form.code).itemsize
     if bits == 32:
         return f"raw[{component}]"

@@ -1,8 +1,9 @@
-"""What a pass draws into, as kernels see it, and what of it is still to be cleared.
+"""Render targets as kernels see them, and their pending clears.
 
-- A clear waits for the first batch that draws into its surface: each tile then clears its own texels, which all workers
-  do at once, and depth is drawn into without having been to memory before.
-- Whatever else comes first, and the end of a pass that drew nothing, fills what is left (`Target.fill_cleared`).
+- A clear is deferred to the first batch that draws into its surface. Each tile then clears its own texels, on all
+  workers in parallel, and depth is cleared where it is staged, without a round trip through memory.
+- If another command comes first, or the pass ends without draws, the pending clears are executed as fills
+  (`RenderTarget.fill_cleared`).
 """
 
 from __future__ import annotations
@@ -14,9 +15,9 @@ from typing import Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.planes import Plane
+from rhi.backends.cl.planes import TexelPlane
 from rhi.backends.cl.raster.merger import MergerKey
-from rhi.backends.cl.resources import Texture
+from rhi.backends.cl.textures import ClTexture
 from rhi.contract.descriptors import Attachment, DepthAttachment
 from rhi.contract.formats import Format
 from rhi.contract.texels import encode
@@ -24,21 +25,22 @@ from rhi.contract.texels import encode
 __rhi_internal__ = True
 
 PATTERN_BYTES: Final = 16
-"""A texel to clear to is given to kernels repeated to as many bytes."""
+"""Size of the pattern that kernels clear with: the clear value's texel, repeated."""
 
 
-class Surface:
+class RenderSurface:
     """A layer of a texture's plane, with all its samples.
 
     Attributes:
-        address: that of the memory.
-        place: in it: where the first sample begins, bytes from row to row, bytes from sample to sample.
-        clear: the texel that it is still to be cleared to, or None.
+        address: the address of the plane's memory.
+        place: in bytes, the offset of the first sample in that memory, and the distances from row to row and from
+            sample to sample.
+        clear: the texel of a pending clear, or None.
     """
 
     __slots__ = ("_layer", "_plane", "_samples", "address", "clear", "place")
 
-    def __init__(self, plane: Plane, layer: int, samples: int, address: int, clear: bytes | None) -> None:
+    def __init__(self, plane: TexelPlane, layer: int, samples: int, address: int, clear: bytes | None) -> None:
         self._plane = plane
         self._layer = layer
         self._samples = samples
@@ -48,36 +50,36 @@ class Surface:
 
     @property
     def pattern(self) -> bytes:
-        """The texel to clear to, as kernels are given it."""
+        """The texel of the pending clear as kernels take it; zeros without one."""
         texel = self.clear or b"\0"
         return texel * (PATTERN_BYTES // len(texel))
 
     def fill_cleared(self, queue: cl.CommandQueue) -> None:
-        """Clear it now, if that is still to be done.
+        """Execute the pending clear, if there is one.
 
         Raises:
-            pyopencl.Error: the driver refuses; it stays to be done.
+            pyopencl.Error: the driver refused; the clear stays pending.
         """
         if self.clear is not None:
             self._plane.fill(queue, self.clear, self._layer, self._samples)
             self.clear = None
 
 
-class Target:
-    """What a pass draws into.
+class RenderTarget:
+    """The surfaces that a pass draws into.
 
     Attributes:
         size: (width, height).
-        colors: by location.
-        depth, stencil: None without one.
-        texture: the one that depth and stencil belong to.
+        colors: color surfaces by location.
+        depth, stencil: None if the pass has none.
+        texture: the texture that depth and stencil belong to.
     """
 
     __slots__ = ("colors", "depth", "samples", "size", "stencil", "texture")
 
     def __init__(
-        self, size: tuple[int, int], samples: int, colors: Sequence[Surface], depth: Surface | None,
-        stencil: Surface | None, texture: Texture | None,
+        self, size: tuple[int, int], samples: int, colors: Sequence[RenderSurface], depth: RenderSurface | None,
+        stencil: RenderSurface | None, texture: ClTexture | None,
     ) -> None:  # fmt: skip
         self.size = size
         self.samples = samples
@@ -86,8 +88,8 @@ class Target:
         self.stencil = stencil
         self.texture = texture
 
-    def surfaces_of(self, key: MergerKey) -> list[Surface]:
-        """Those that a raster kernel takes, in its order."""
+    def surfaces_of(self, key: MergerKey) -> list[RenderSurface]:
+        """Return the surfaces that a raster kernel takes, in its order."""
         surfaces = [self.colors[color.location] for color in key.colors]
         if key.has_depth:
             assert self.depth is not None
@@ -98,24 +100,24 @@ class Target:
         return surfaces
 
     def fill_cleared(self, queue: cl.CommandQueue) -> None:
-        """Clear now whatever is still to be cleared."""
+        """Execute all pending clears."""
         for surface in (*self.colors, self.depth, self.stencil):
             if surface is not None:
                 surface.fill_cleared(queue)
 
 
 def color_clear(attachment: Attachment, format: Format) -> bytes | None:
-    """The texel that a color target begins with, if it is cleared."""
+    """Return the texel that a color attachment is cleared to, or None."""
     return None if attachment.clear is None else _encode(format, attachment.clear[: format.channels])
 
 
 def depth_clear(attachment: DepthAttachment, format: Format) -> bytes | None:
-    """The same of depth."""
+    """Return the texel that depth is cleared to, or None."""
     return None if attachment.clear is None else _encode(format, (attachment.clear,))
 
 
 def stencil_clear(attachment: DepthAttachment) -> bytes | None:
-    """The same of stencil."""
+    """Return the texel that stencil is cleared to, or None."""
     return None if attachment.clear_stencil is None else bytes([attachment.clear_stencil & 0xFF])
 
 
@@ -125,5 +127,5 @@ def _encode(format: Format, values: Sequence[float]) -> bytes:
 
 @lru_cache(256)
 def _encode_bits(format: Format, values: bytes) -> bytes:
-    """By bits, since -0.0 equals 0.0."""
+    """Encode a texel; cached by the values' bits, since -0.0 equals 0.0."""
     return encode(format, np.frombuffer(values, np.float64)).tobytes()

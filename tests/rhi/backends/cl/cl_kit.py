@@ -1,4 +1,4 @@
-"""Native OpenCL C programs for the tests of the OpenCL backend itself."""
+"""Native OpenCL C programs for the tests of the OpenCL backend, and a backend with helpers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def describe_program(
 
 
 class ClKit:
-    """A backend with the ids handed out, and the few steps that most tests share."""
+    """A backend that numbers its resources, and the steps that most tests share."""
 
     def __init__(self, backend: ClBackend) -> None:
         self.backend = backend
@@ -85,8 +85,8 @@ class ClKit:
         return query
 
     def hold(self) -> cl.UserEvent:
-        """Work given from now on begins once this event is released; after two minutes by itself, so that what waits
-        for it by mistake gets a wrong answer and doesn't hang."""
+        """Hold back all further work until the returned event is released. It is released by itself after two minutes,
+        so that a wait by mistake ends with a wrong result instead of hanging."""
         held = cl.UserEvent(self.backend.context.context)
         cl.enqueue_barrier(self.backend.context.queue, wait_for=[held])
         timer = self._held[held] = threading.Timer(120.0, self._complete, [held])

@@ -1,9 +1,9 @@
-"""Checked memory: every buffer of the OpenCL backend lies between guards, and nothing may write there.
+"""Checked memory: every buffer of the OpenCL backend lies between guards, and writes there are found.
 
 - `install` makes buffers host memory that kernels use in place, with `GUARD` bytes of a pattern before and behind.
-- What the backend itself leaves behind a buffer, for loads that run past the end, holds the pattern too; scratch
-  memory is as large as it was asked for, not more.
-- `find_writes` says where the pattern has changed.
+- The backend's own padding behind a buffer, for loads that run past the end, holds the pattern too. Scratch memory is
+  exactly as large as requested.
+- `find_writes` returns where the pattern has changed.
 
 As a plugin it watches any tests:
 
@@ -21,10 +21,10 @@ import pyopencl as cl
 import pytest
 from numpy.typing import NDArray
 
+from rhi.backends.cl import buffers, planes, textures
 from rhi.backends.cl import pools as memory
-from rhi.backends.cl import resources
 from rhi.backends.cl.context import ClContext, allocate_pages
-from rhi.backends.cl.raster import counters
+from rhi.backends.cl.raster import queries
 
 GUARD: Final = 1 << 14
 PATTERN: Final = 0xB7
@@ -33,7 +33,7 @@ _Buffer: Final[Any] = cl.Buffer
 
 
 class _Guarded:
-    """Memory with guards, and where in it the room is that belongs to nobody."""
+    """Memory between guards. `asked`: its size in bytes; `whole`: with the guards."""
 
     def __init__(self, size: int) -> None:
         self.whole = allocate_pages(size + 2 * GUARD)
@@ -44,12 +44,12 @@ class _Guarded:
         self.owner: weakref.ref[Any] | None = None
 
     def keep_free(self, asked: int) -> None:
-        """Let what lies behind the first `asked` bytes be guard, too."""
+        """Make everything behind the first `asked` bytes part of the guard."""
         self.used[asked:] = PATTERN
         self.asked = asked
 
     def find_write(self) -> str:
-        """Where the pattern has changed; empty if nowhere."""
+        """Return where the pattern has changed; empty if it hasn't."""
         begin, end = GUARD, GUARD + self.asked
         places = np.concatenate(
             [np.flatnonzero(self.whole[:begin] != PATTERN), end + np.flatnonzero(self.whole[end:] != PATTERN)]
@@ -92,7 +92,7 @@ def _allocate(context: ClContext, size: int) -> Any:
 
 
 def _reserve(self: memory.Pool, size: int) -> int:
-    """As much as is asked for, of which nothing is left from before."""
+    """Reserve exactly `size` bytes, in new memory."""
     made: Any = memory.allocate_raw(self._context, size)
     self._context.queue.finish()
     made.guarded.keep_free(size)
@@ -102,21 +102,22 @@ def _reserve(self: memory.Pool, size: int) -> int:
     return self._address
 
 
-_unguarded_allocate: Final = resources.allocate
+_unguarded_allocate: Final = planes.allocate
 
 
 def install(replace: Callable[[Any, str, Any], None] = setattr) -> None:
-    """Guard all buffers made from here on; `replace` sets an attribute, for instance `monkeypatch.setattr`."""
+    """Guard all buffers created from here on; `replace` sets an attribute, for instance `monkeypatch.setattr`."""
     _known.clear()
     replace(cl, "Buffer", _GuardedBuffer)
-    replace(resources, "allocate", _allocate)
+    for module in (buffers, textures):
+        replace(module, "allocate", _allocate)
     replace(memory.Pool, "reserve", _reserve)
-    for module in (resources, memory, counters):
+    for module in (buffers, memory, queries):
         replace(module, "allocate_pages", _allocate_pages)
 
 
 def find_writes() -> list[str]:
-    """Writes outside of buffers, each told once."""
+    """Return the writes outside of buffers, each once."""
     found = []
     for made in list(_known):
         told = made.find_write()
@@ -128,7 +129,7 @@ def find_writes() -> list[str]:
 
 
 def count_guarded() -> int:
-    """How many buffers are watched."""
+    """Return the number of guarded buffers."""
     return len(_known)
 
 
@@ -142,7 +143,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item: pytest.Item) -> Any:
-    """Fail the test in which something was written outside of a buffer, or the one after it."""
+    """Fail the test during which a write outside of a buffer happened, or the one after it."""
     result = yield
     written = find_writes()
     assert not written, "; ".join(written)

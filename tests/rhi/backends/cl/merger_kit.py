@@ -1,6 +1,6 @@
-"""The output merger on its own: a kernel that merges given fragments, and the same in NumPy.
+"""The output merger in isolation: a kernel that merges given fragments, and the same in NumPy.
 
-Images are of whole blocks. Fragments are (samples, height, width) arrays: outputs as 32-bit words, depth, coverage.
+Images consist of whole blocks. Fragments are (samples, height, width) arrays: outputs as 32-bit words, depth, coverage.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _build(key: MergerKey) -> cl.Kernel:
 
 @dataclass
 class Planes:
-    """Targets' contents: (samples, height, width, channels) each, depth and stencil (samples, height, width)."""
+    """Contents of targets: (samples, height, width, channels) each; depth and stencil (samples, height, width)."""
 
     colors: list[NDArray[Any]]
     depth: NDArray[np.float32] | None = None
@@ -87,7 +87,7 @@ class Planes:
 
 
 def state_values(*states: State) -> dict[type, Any]:
-    """All states: the defaults and these."""
+    """Return all states: the defaults, replaced by these."""
     values: dict[type, Any] = {t: (v,) * MAX_TARGETS if t in PER_TARGET else v for t, v in DEFAULTS.items()}
     for state in states:
         target = getattr(state, "target", None)
@@ -103,7 +103,7 @@ def state_values(*states: State) -> dict[type, Any]:
 
 
 def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> ProgramDescriptor:
-    """A program with an output per format."""
+    """Return a program with an output for each format."""
     kinds = {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}
     outputs = tuple(
         FragmentOutput(f"o{i}", i, kinds.get(f.kind, "float"), components) for i, f in enumerate(formats)
@@ -118,7 +118,7 @@ def merge(
     key: MergerKey, state: NDArray[np.uint32], planes: Planes, outputs: NDArray[Any], z: NDArray[np.float32],
     covered: NDArray[np.bool_], front: bool = True,
 ) -> Planes:  # fmt: skip
-    """What the kernel makes of the planes; `outputs` is (samples, height, width, words) of 4 bytes."""
+    """Merge fragments into the planes by the kernel; `outputs`: (samples, height, width, words) of 4 bytes."""
     kernel, queue = _build(key), _context().queue
     samples, height, width = covered.shape
     words = np.concatenate(
@@ -195,7 +195,7 @@ def expected(
     formats: Sequence[Format], depth: Format | None, states: Sequence[State], planes: Planes, outputs: NDArray[Any],
     z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, components: int = 4,
 ) -> tuple[Planes, list[NDArray[np.float64]]]:  # fmt: skip
-    """What the planes must become; colors also unrounded, in stored numbers, where they are written."""
+    """Return the expected planes, and the written colors before rounding, in units of the stored numbers."""
     values, after = state_values(*states), planes.copy()
     mask, exact = covered.copy(), []
     if formats and not formats[0].is_integer and components == 4:

@@ -1,4 +1,4 @@
-"""Primitive assembly: topologies as plain lists, ranges of vertices, what the host knows of index buffers."""
+"""Primitive assembly: topologies as lists, ranges of vertices, the host's copies of index buffers."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Lists = NDArray[np.uint32]
 
 
 class Host:
-    """Buffers on the host, an assembler that counts what it reads and makes."""
+    """Buffers on the host, and an assembler whose reads and uploads are counted."""
 
     def __init__(self) -> None:
         self.data: dict[int, bytearray] = {}
@@ -47,7 +47,7 @@ class Host:
     def vertices(
         self, made: Assembly[Lists], buffer: int = 0, format: IndexFormat = IndexFormat.UINT32
     ) -> list[int]:
-        """The vertices that a kernel would read."""
+        """Return the vertices that a kernel would read."""
         places = made.start + np.arange(made.count)
         if made.indexed:
             own = np.frombuffer(self.data[buffer], format.dtype) if made.memory is None else made.memory
@@ -56,7 +56,7 @@ class Host:
 
 
 def listed(primitive: Primitive, indices: list[int], restart: int) -> list[tuple[int, ...]]:
-    """By the definitions, one primitive after the other."""
+    """Assemble by OpenGL's definitions, one primitive after the other."""
     runs: list[list[int]] = [[]]
     for index in indices:
         if index == restart:

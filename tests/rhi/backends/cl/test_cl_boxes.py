@@ -1,4 +1,4 @@
-"""Instances out of view are dropped by the box of their vertices' attributes, and nothing shows of it."""
+"""Instances out of view are culled by the box of their vertices' attributes, without a visible difference."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ from rhi import (
     Viewport,
 )
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import batches as draws
-from rhi.backends.cl.raster import boxes
+from rhi.backends.cl.raster import boxes, pieces
 from rhi.backends.cl.raster.tables import GROUP
 from rhi.shading import (
     Shader,
@@ -80,7 +79,7 @@ class Placed(Shader):
 
 
 class Bent(Placed):
-    """Not affine."""
+    """A vertex stage that isn't affine."""
 
     def vertex(self, v: Vertex) -> Surface:
         place = self.things[instance_index()].matrix @ vec4(v.position, 1.0)
@@ -92,7 +91,7 @@ class Offset(Struct):
 
 
 class Shifted(Shader):
-    """What an instance adds isn't measured."""
+    """A vertex stage that adds an attribute of the instance, which isn't measured."""
 
     def vertex(self, v: Vertex, i: Offset) -> Surface:
         return Surface(clip=vec4(v.position + vec3(i.offset, 0.0), 1.0), color=v.color)
@@ -108,7 +107,7 @@ def device() -> Iterator[Device]:
 
 
 def triangles(seed: int = 0, count: int = VERTICES) -> NDArray[Any]:
-    """Random ones within ±1/2 on all axes, in random colors."""
+    """Return random triangles within ±1/2 on all axes, in random colors."""
     rng = np.random.default_rng(seed)
     rows = np.zeros(count, Vertex.dtype)
     rows["position"] = rng.uniform(-0.5, 0.5, (count, 3))
@@ -117,7 +116,7 @@ def triangles(seed: int = 0, count: int = VERTICES) -> NDArray[Any]:
 
 
 def rectangle() -> NDArray[Any]:
-    """All of what is seen, at z = 0."""
+    """Return a rectangle that covers the view at z = 0."""
     rows = triangles(count=6)
     rows["position"] = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, -1, 0), (1, 1, 0), (-1, 1, 0)]
     return rows
@@ -130,7 +129,7 @@ def translate(x: float, y: float, z: float) -> NDArray[np.float32]:
 
 
 class Stage:
-    """Some meshes drawn frame by frame, each frame one batch."""
+    """Meshes that are drawn frame by frame, each frame as one batch."""
 
     def __init__(self, device: Device, shader: type[Placed], places: Any, view: Any = IDENTITY) -> None:
         self.device, self.program = device, device.program(shader)
@@ -142,7 +141,7 @@ class Stage:
         self.color, self.depth = device.texture(SIZE, Format.RGBA8), device.texture(SIZE, Format.D32F)
 
     def frame(self, meshes: list[Mesh], *states: Any, clears: bool = True) -> list[NDArray[Any]]:
-        """Color and depth of all meshes, each drawn once."""
+        """Draw each mesh once; return color and depth."""
         return self.run(lambda: [self.device.draw(self.program, mesh, **self.bindings) for mesh in meshes],
                         *states, clears=clears)  # fmt: skip
 
@@ -167,23 +166,24 @@ def assert_same(one: list[NDArray[Any]], other: list[NDArray[Any]]) -> None:
 
 
 def count_dropped(device: Device) -> int:
-    """How many instances of the last piece were dropped before they were transformed, if none has more than a chunk of
-    vertices: their extents lie behind more planes than there are."""
-    batch = device.backend_as(ClBackend)._rasteriser._batch
-    memory, count = batch._pools["extents"]._memory, int(batch._table["vertex_groups"])
+    """Return how many instances of the last piece were culled before they were transformed, if none has more than a
+    chunk of vertices. Their extents are marked as lying behind all planes."""
+    backend = device.backend_as(ClBackend)
+    memory, state = backend._rasteriser._launcher._scratch.pools["extents"]._memory, backend._rasteriser._batch.state
     assert memory is not None
-    words = np.zeros((count, 8), np.int32)
-    cl.enqueue_copy(batch._queue, words, memory)
+    assert state is not None
+    words = np.zeros((int(state.table["vertex_groups"]), 8), np.int32)
+    cl.enqueue_copy(backend.context.queue, words, memory)
     return int((words[:, 7] == -1).sum())
 
 
 def clean(device: Device) -> None:
-    """Forget what earlier batches left in memory."""
-    batch = device.backend_as(ClBackend)._rasteriser._batch
-    pool = batch._pools["extents"]
+    """Clear the extents that earlier batches left in memory."""
+    backend = device.backend_as(ClBackend)
+    pool = backend._rasteriser._launcher._scratch.pools["extents"]
     pool.reserve(32 * 64)
     assert pool._memory is not None
-    cl.enqueue_fill_buffer(batch._queue, pool._memory, np.zeros(1, np.int32), 0, pool.size)
+    cl.enqueue_fill_buffer(backend.context.queue, pool._memory, np.zeros(1, np.int32), 0, pool.size)
 
 
 ASIDE = translate(3.0, 0.0, 0.5)
@@ -191,7 +191,7 @@ INSIDE = translate(0.0, 0.0, 0.5)
 
 
 def parts(mesh: Mesh, count: int) -> list[Mesh]:
-    """Views of a mesh, one for each instance's place."""
+    """Return views of a mesh, one for each instance's transform."""
     return [mesh.view(base_instance=i) for i in range(count)]
 
 
@@ -199,7 +199,7 @@ def parts(mesh: Mesh, count: int) -> list[Mesh]:
 
 
 def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: Device, launches: list[str]) -> None:
-    """The second time its box is measured, and used at once: the first time nothing is known."""
+    """At its second draw a box is measured and used at once; at the first it isn't known."""
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         meshes, dropped, measured, pictures = parts(mesh, 2), [], [], []
@@ -225,7 +225,7 @@ def test_a_draw_out_of_view_is_dropped_from_its_third_time_on(device: Device, la
     ],
 )  # fmt: skip
 def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: Device, place: Any, dropped: bool) -> None:
-    """And nothing else, nor what numbers say nothing about."""
+    """Nothing else is culled, nor anything with numbers that overflow or aren't finite."""
     stage = Stage(device, Placed, [INSIDE, place])
     with device.mesh(triangles()) as mesh:
         meshes = parts(mesh, 2)
@@ -237,7 +237,7 @@ def test_what_lies_beyond_one_plane_of_the_view_is_dropped(device: Device, place
 
 @pytest.mark.parametrize("nearer", [DepthFunction.LESS, DepthFunction.GREATER])
 def test_what_lies_behind_a_wall_is_dropped(device: Device, nearer: DepthFunction) -> None:
-    """By the bounds of depth that an earlier batch left; but not what reaches through it, nor with a bias."""
+    """Bounds of depth that an earlier batch left cull instances, but not those that reach through, nor with a bias."""
     flat = np.diag([1.0, 1.0, 0.2, 1.0])
     depths = [0.8, 0.5, 0.2] if nearer is DepthFunction.LESS else [0.2, 0.5, 0.8]
     behind, through, before = (translate(0.0, 0.0, depth) @ flat for depth in depths)
@@ -290,7 +290,7 @@ def test_instances_have_boxes_of_their_own(device: Device) -> None:
 
 
 def test_a_draw_without_instances_has_no_box(device: Device, launches: list[str]) -> None:
-    """Nothing is launched for it. With instances it is the same prepared draw."""
+    """A draw without instances launches nothing. With instances it uses the same prepared draw."""
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         for instances in (0, 1):
@@ -371,13 +371,13 @@ def test_other_indices_name_other_vertices(device: Device) -> None:
 
 
 def test_boxes_outlive_a_table_that_grows(device: Device) -> None:
-    """They are measured again in its new place."""
+    """Boxes are measured again at the new address."""
     stage = Stage(device, Placed, [INSIDE, ASIDE])
     with device.mesh(triangles()) as mesh:
         meshes = parts(mesh, 2)
         for _ in range(3):
             first = stage.frame(meshes)
-        table = device.backend_as(ClBackend)._rasteriser._batch.prepared
+        table = device.backend_as(ClBackend)._rasteriser._prepared
         views = [mesh.view(first=i % 2, base_instance=i % 2) for i in range(len(table.draws))]
         for _ in range(2):
             stage.frame(views)
@@ -409,7 +409,7 @@ def test_a_vertex_that_is_nowhere_leaves_the_others_in_view(device: Device, wron
 
 @st.composite
 def scenes(draw: st.DrawFn) -> tuple[int, dict[str, Any]]:
-    """A seed, and what kind of numbers there are."""
+    """A seed, and the kind of numbers in the scene."""
     return draw(st.integers(0, 2**32 - 1)), {
         "size": draw(st.sampled_from([0.0, 1e-3, 0.1, 0.3, 1.0, 4.0])),
         "thickness": draw(st.sampled_from([1.0, 0.3, 0.01])),
@@ -427,7 +427,7 @@ def scenes(draw: st.DrawFn) -> tuple[int, dict[str, Any]]:
 
 
 def project(eye: NDArray[Any], near: float) -> NDArray[Any]:
-    """Perspective along +z from a point: depth from 0 at the near plane to 1 at infinity."""
+    """Return a perspective along +z from a point, with depth 0 at the near plane and 1 at infinity."""
     view = np.zeros((4, 4))
     view[0, 0], view[1, 1] = 1.2, 1.8
     view[2] = 0, 0, 1, -near
@@ -436,7 +436,7 @@ def project(eye: NDArray[Any], near: float) -> NDArray[Any]:
 
 
 def scatter(rng: np.random.Generator, kind: dict[str, Any]) -> list[NDArray[Any]]:
-    """Where things are: turned, mirrored, some of them nowhere."""
+    """Return random transforms: rotated, mirrored, sometimes one with a number that overflows or isn't finite."""
     places = []
     for _ in range(64):
         scale = kind["size"] * rng.choice([-1, 1], 3) * rng.uniform(0.1, 2.0, 3)
@@ -455,8 +455,8 @@ def scatter(rng: np.random.Generator, kind: dict[str, Any]) -> list[NDArray[Any]
 
 @pytest.fixture
 def allow_boxes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
-    monkeypatch.setattr(draws, "_FIRST_PIECE_GROUPS", 100)  # later pieces know what earlier ones hide
-    monkeypatch.setattr(draws, "_PIECE_GROUPS", 200)
+    monkeypatch.setattr(pieces, "_FIRST_PIECE_GROUPS", 100)  # later pieces know what earlier ones hide
+    monkeypatch.setattr(pieces, "_PIECE_GROUPS", 200)
     return lambda allowed: monkeypatch.setattr(boxes, "_MIN_GROUPS", 1 if allowed else 1 << 30)
 
 
@@ -465,7 +465,7 @@ def allow_boxes(monkeypatch: pytest.MonkeyPatch) -> Callable[[bool], None]:
 def test_frames_are_the_same_with_and_without_boxes(
     device: Device, allow_boxes: Callable[[bool], None], scene: tuple[int, dict[str, Any]]
 ) -> None:
-    """Color, depth and counts, bit for bit: while boxes are unknown, measured and known."""
+    """Color, depth and counts are the same bits while boxes are unknown, measured and known."""
     seed, kind = scene
     rng = np.random.default_rng(seed)
     rows = triangles(seed, 400)

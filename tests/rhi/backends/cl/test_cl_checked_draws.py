@@ -1,4 +1,4 @@
-"""Checked shaders that draw: an index outside is an error with its line once the draws are done."""
+"""Checked shaders that draw: an index out of range is an error with its line once the draws are complete."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which device is taken, and what is said when there is none."""
+"""Selection of the device, and the errors without one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ WRONG = "__kernel void probe(__global uint *words) { words[get_global_id(0)] = 1
 
 
 def devices_twice(monkeypatch: pytest.MonkeyPatch, first_probe: str) -> None:
-    """The machine's device as two, of which the first has another probe kernel."""
+    """The machine's device listed twice, the first with another probe kernel."""
     probes = [first_probe, context._PROBE]
 
     def probe(made: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool]:

@@ -1,5 +1,4 @@
-"""What triangles cover, how deep it is and how many samples are counted, judged by whole numbers where nothing is
-clipped, else by float64.
+"""Coverage, depth and sample counts of triangles, checked in integers where nothing is clipped, else in float64.
 
 A window position is float32, rounded to 1/256 pixel; from there on coverage is exact. Of what is clipped, corners are
 rounded where they are cut, so that an edge may lie up to 1/256 pixel off, and only that is allowed.
@@ -32,7 +31,7 @@ def device() -> Iterator[Device]:
 
 
 def project(points: Floats) -> Floats:
-    """Clip positions, as the device gets them, of points (…, 3) seen from the origin along -z; near 1, far 0."""
+    """Return clip positions in float32 of points (…, 3) seen from the origin along -z; depth is near 1, far 0."""
     clip = np.stack(
         [1.5 * points[..., 0], 1.5 * points[..., 1], np.full(points.shape[:-1], NEAR), -points[..., 2]], -1
     )
@@ -89,8 +88,8 @@ def cover_exactly(triangle: Floats) -> NDArray[np.bool_]:
 
 
 def find_planes(triangle: Floats) -> tuple[Floats, Floats]:
-    """In the window, for a triangle (3, 4) clipped or not: (3, 3) planes of the corners' weights divided by w, and the
-    plane of depth; of a plane's numbers, the dot product with (x, y, 1) is the value."""
+    """Return planes in the window for a triangle (3, 4), clipped or not: (3, 3) of the corners' weights divided by w,
+    and (3,) of depth. The dot product of a plane with (x, y, 1) is its value."""
     width, height = SIZE
     x, y, z, w = triangle.T
     window = np.stack([(x + w) * width / 2, (w - y) * height / 2, w], 1)
@@ -124,7 +123,7 @@ def draw_alone(device: Device, mesh: Mesh, depth: rhi.Texture, *states: Any) -> 
 
 
 def draw_counted(device: Device, meshes: list[Mesh], depth: rhi.Texture, waits: bool) -> list[int]:
-    """The samples of each mesh that pass, asked in one batch or one by one."""
+    """Count the samples of each mesh that pass, in one batch or one by one."""
     program, queries = device.program(FlatColored), [device.occlusion_query() for _ in meshes]
     counts = []
     with (
@@ -143,7 +142,7 @@ def draw_counted(device: Device, meshes: list[Mesh], depth: rhi.Texture, waits: 
 
 
 def draw_set(device: Device, boxes: Floats, depth: rhi.Texture) -> list[int]:
-    """The samples of each of the boxes (count, 12, 3, 4) that pass, counted by a query set."""
+    """Count the samples of each of the boxes (count, 12, 3, 4) that pass, by a query set."""
     count = len(boxes)
     queries = device.query_set(count)
     with (
@@ -160,8 +159,8 @@ def draw_set(device: Device, boxes: Floats, depth: rhi.Texture) -> list[int]:
 
 @pytest.mark.parametrize("nearest", [1.0, 6.0, -1.0])
 def test_counts_are_those_of_boxes_drawn_alone(device: Device, nearest: float) -> None:
-    """In one batch, one by one, by a query set, and by their pixels; whole boxes, turned ones, and such that the near
-    plane cuts; before and behind a wall."""
+    """Counts in one batch, one by one, by a query set, and by pixels agree, for whole boxes, rotated boxes and boxes
+    that the near plane cuts, in front of and behind a wall."""
     boxes = random_boxes(60, 1, nearest)
     meshes = [device.mesh(corners(box.reshape(-1, 4))) for box in boxes]
     for wall in (0.0, NEAR / (abs(nearest) + 2)):
@@ -179,7 +178,7 @@ def test_counts_are_those_of_boxes_drawn_alone(device: Device, nearest: float) -
 
 
 def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
-    """Triangles of a batch of their own each, some behind one another."""
+    """Triangles in a batch each, some of them behind others."""
     rng = np.random.default_rng(3)
     middle, size = rng.uniform(-1, 1, (80, 1, 2)), 2.0 ** rng.uniform(-6, 1, (80, 1, 1))
     flat = middle + size * rng.uniform(-1, 1, (80, 3, 2))
@@ -205,8 +204,7 @@ def test_counts_of_random_triangles_are_whole_numbers(device: Device) -> None:
 
 @pytest.mark.parametrize("seed", range(2))
 def test_what_is_clipped_covers_what_float64_says(device: Device, seed: int) -> None:
-    """Plains to the horizon, and boxes that the near plane cuts: only samples within 1/256 pixel of an edge may
-    differ."""
+    """Plains to the horizon and boxes that the near plane cuts differ only in samples within 1/256 pixel of an edge."""
     triangles = np.concatenate([plains(40, seed), random_boxes(6, seed, -1.0).reshape(-1, 3, 4)])
     covered = 0
     with device.texture(SIZE, Format.D32F) as depth:
@@ -222,7 +220,7 @@ def test_what_is_clipped_covers_what_float64_says(device: Device, seed: int) -> 
 
 
 def test_depth_of_steep_slivers_is_that_of_unrounded_corners(device: Device) -> None:
-    """Triangles a few subtexels thin, across which depth rises steeply, give the depth of float64's plane."""
+    """Triangles a few subtexels thin with steep depth have the depth of the plane computed in float64."""
     rng = np.random.default_rng(0)
     errors, slopes = [], []
     with device.texture(SIZE, Format.D32F) as depth:

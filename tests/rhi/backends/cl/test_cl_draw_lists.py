@@ -1,4 +1,4 @@
-"""Arrays of draws find their places, whichever draws they hold in whichever order."""
+"""Arrays of draws find their prepared draws, whichever draws they contain in whichever order."""
 
 from __future__ import annotations
 
@@ -9,17 +9,16 @@ import pytest
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster import draw_lists
-from rhi.backends.cl.raster.draw_lists import DrawLists, DrawSlot
-from rhi.backends.cl.raster.prepared import PreparedDraws
-
-COMMAND = np.dtype([(name, "u4") for name in ("count", "instances", "first", "third", "fourth")])
+from rhi.backends.cl.raster.draw_lists import DrawListCache
+from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.contract.descriptors import DRAW
 
 
 class Lists:
-    """Draw lists, and what was filled in: (first, count, base_vertex, base_instance) by place."""
+    """A draw list cache, and the prepared draws: (first, count, base_vertex, base_instance) by number."""
 
     def __init__(self) -> None:
-        self._lists = DrawLists(PreparedDraws())
+        self._lists = DrawListCache(PreparedDraws())
         self.filled: dict[int, tuple[int, ...]] = {}
         self.fails = False
 
@@ -35,16 +34,16 @@ class Lists:
 
 
 def told(draw: Any) -> tuple[int, ...]:
-    return int(draw["first"]), int(draw["count"]), int(draw["third"].view(np.int32)), int(draw["fourth"])
+    return int(draw["first"]), int(draw["count"]), int(draw["base_vertex"]), int(draw["base_instance"])
 
 
 @pytest.fixture
 def draws() -> NDArray[Any]:
-    """Distinct ones, but for their instances; base vertices may be negative."""
+    """Return draws that differ in more than their instances; base vertices may be negative."""
     rng = np.random.default_rng(0)
-    made = np.zeros(300, COMMAND)
+    made = np.zeros(300, DRAW)
     made["count"], made["first"] = rng.integers(1, 9, 300), 3 * np.arange(300)
-    made["third"], made["fourth"] = rng.integers(-5, 5, 300).astype(np.int32).view(np.uint32), rng.integers(0, 3, 300)
+    made["base_vertex"], made["base_instance"] = rng.integers(-5, 5, 300), rng.integers(0, 3, 300)
     made["instances"] = 1
     return made
 
@@ -102,7 +101,7 @@ def test_an_array_keeps_its_places_when_others_are_forgotten(
 ) -> None:
     monkeypatch.setattr(draw_lists, "_MAX_KNOWN", 310)
     prepared = PreparedDraws()
-    lists = DrawLists(prepared)
+    lists = DrawListCache(prepared)
     first = lists.find(0, draws, None, True, lambda *_: None)
     other = lists.find(1, draws[:50], None, True, lambda *_: None)  # one too many: all is forgotten
     prepared.recycle()

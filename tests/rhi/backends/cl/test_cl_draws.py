@@ -1,4 +1,4 @@
-"""How draws gather, and that neither pieces, slices nor lists of tiles show in the picture."""
+"""Gathering of draws; neither pieces, slices nor lists of tiles affect the picture."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from rhi import (
 from rhi.backends.cl import context
 from rhi.backends.cl import pools as memory
 from rhi.backends.cl.backend import ClBackend
-from rhi.backends.cl.raster import batches as draws
+from rhi.backends.cl.raster import launcher, pieces
 from rhi.conformance.compare import assert_mask
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner
@@ -61,7 +61,7 @@ class Start(Struct):
 
 
 class Indices(Shader):
-    """Counts from a number on."""
+    """Writes consecutive indices from a start value on."""
 
     work_group = (1,)
     start: Uniform[Start]
@@ -80,7 +80,7 @@ def device() -> Iterator[Device]:
 
 @pytest.fixture
 def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
-    """A device that doesn't read the host's memory in place, as far as the backend knows."""
+    """A device that the backend treats as one that doesn't read host memory in place."""
     probe = context.probe
     monkeypatch.setattr(context, "probe", lambda made, queue: (probe(made, queue)[0], False))
     with rhi.create_device("cl") as made:
@@ -88,7 +88,7 @@ def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
 
 
 def random_corners(count: int, seed: int = 0) -> NDArray[Any]:
-    """Triangles of all sizes whose order shows: each covers with a color of its own."""
+    """Return triangles of all sizes, each in another color, so that their order is visible."""
     rng = np.random.default_rng(seed)
     middle, size = rng.uniform(-1, 1, (count, 1, 2)), 2.0 ** rng.uniform(-6, 1, (count, 1, 1))
     places = middle + size * rng.uniform(-1, 1, (count, 3, 2))
@@ -97,7 +97,7 @@ def random_corners(count: int, seed: int = 0) -> NDArray[Any]:
 
 
 def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
-    """Of all triangles in one draw, or in so many."""
+    """Draw all triangles in `parts` draws; return the picture."""
     with device.texture(SIZE, Format.RGBA8) as image, device.mesh(rows) as mesh:
         ends = np.linspace(0, len(rows) // 3, parts + 1).astype(int) * 3
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE, DepthWrite.OFF):
@@ -107,12 +107,13 @@ def picture(device: Device, rows: NDArray[Any], parts: int = 1) -> NDArray[Any]:
 
 
 def count_survivors(device: Device) -> int:
-    """The primitives of the last slice that set-up made records of."""
-    batch = device.backend_as(ClBackend)._rasteriser._batch
-    memory = batch._pools["survivors"]._memory
+    """Return the number of records that set-up made in the last slice."""
+    backend = device.backend_as(ClBackend)
+    memory, state = backend._rasteriser._launcher._scratch.pools["survivors"]._memory, backend._rasteriser._batch.state
     assert memory is not None
-    counts = np.zeros(int(batch._table["chunks"]), np.uint32)
-    cl.enqueue_copy(batch._queue, counts, memory)
+    assert state is not None
+    counts = np.zeros(int(state.table["chunks"]), np.uint32)
+    cl.enqueue_copy(backend.context.queue, counts, memory)
     return int(counts.sum())
 
 
@@ -125,7 +126,7 @@ def test_draws_of_one_program_are_one_batch(device: Device, launches: list[str])
 
 
 def test_what_draws_bind_does_not_end_a_batch(device: Device, launches: list[str]) -> None:
-    """Nor do their meshes, viewports and culling; each draw keeps its own."""
+    """Meshes, viewports and culling don't end a batch either; each draw has its own."""
     tints = [device.uniform(Tint(color=(i / 255, 0, 0, 1))) for i in range(1, 9)]
     meshes = [device.mesh(rectangle()[:: 1 if i % 2 else -1]) for i in range(8)]
     with device.texture((64, 4), Format.RGBA8) as image:
@@ -176,7 +177,7 @@ def test_indices_that_change_between_draws_name_other_vertices(device: Device) -
 
 @pytest.mark.parametrize("first", [0, 6])
 def test_indices_that_the_device_wrote_are_drawn(device: Device, first: int) -> None:
-    """The host can't know them: it transforms a vertex for each."""
+    """The host can't know these indices, so a vertex is transformed for each of them."""
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(0, -1, 1, 1)])
     buffer = device.buffer(6, np.dtype("u4"))
     with device.texture((2, 1), Format.RGBA8) as image, device.mesh(rows, buffer) as mesh:
@@ -213,7 +214,7 @@ def test_limits_of_memory_do_not_show(
     usual = picture(device, rows, parts=3)
     before = len(launches)
     for name, value in limits.items():
-        monkeypatch.setattr(draws, name, value)
+        monkeypatch.setattr(pieces if name == "_PIECE_GROUPS" else launcher, name, value)
     assert (picture(device, rows, parts=3) == usual).all()
     assert (usual[..., 3] > 0).mean() > 0.9
     if set(limits) & {"_SLICE_GROUPS", "_PIECE_GROUPS"}:
@@ -224,7 +225,7 @@ def test_limits_of_memory_do_not_show(
 
 
 def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
-    """Beyond a slice's worth memory doesn't grow with the triangles; what does are their vertices."""
+    """Beyond a slice, memory grows with the vertices but not with the triangles."""
     grid = 500
     y, x = np.mgrid[0:grid, 0:grid] / (grid - 1) * 2 - 1
     rows = corners(np.stack([x.ravel(), y.ravel()], axis=1))
@@ -234,12 +235,12 @@ def test_a_triangle_in_flight_takes_at_most_200_bytes(device: Device) -> None:
         with device.render_pass(image), device.states(CullMode.NONE):
             device.draw(device.program(Colored), mesh)
         assert (image.read() > 0).any()
-    pools = device.backend_as(ClBackend)._rasteriser._batch._pools
+    pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * (grid - 1) ** 2
 
 
 class Placed(Shader):
-    """A square for each instance, row by row from the top left, 512 in a row."""
+    """A square for each instance, row by row from the top left, 512 per row."""
 
     def vertex(self, v: Corner) -> Bare:
         i = instance_index()
@@ -252,7 +253,7 @@ class Placed(Shader):
 
 @pytest.mark.parametrize("before", [0, 1], ids=["alone", "behind_another"])
 def test_many_instances_take_no_more_memory_than_many_draws(device: Device, before: int) -> None:
-    """They go in pieces: 200 bytes a triangle at the most, and each instance at its place."""
+    """Instances are processed in pieces: at most 200 bytes per triangle, and each instance in its place."""
     instances, program = 512 * 480, device.program(Placed)
     draws_of = [(512 * 500, 512 * 12), (512, instances)][1 - before :]
     queries = [device.occlusion_query() for _ in draws_of]
@@ -264,7 +265,7 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: Device, befo
         rows = (image.read()[::-1] > 0).all(axis=1)
     assert np.flatnonzero(rows).tolist() == [*range(1, 481), *range(500, 512)][: 480 + 12 * before]
     assert [query.wait() for query in queries] == [count for _, count in draws_of]
-    pools = device.backend_as(ClBackend)._rasteriser._batch._pools
+    pools = device.backend_as(ClBackend)._rasteriser._launcher._scratch.pools
     assert sum(pool.size for pool in pools.values()) <= 200 * 2 * instances
 
 
@@ -272,9 +273,9 @@ def test_many_instances_take_no_more_memory_than_many_draws(device: Device, befo
 def test_draws_split_into_pieces_are_each_instance_once(
     monkeypatch: pytest.MonkeyPatch, instances: int
 ) -> None:
-    monkeypatch.setattr(draws, "_FIRST_PIECE_GROUPS", 1 << 19)
+    monkeypatch.setattr(pieces, "_FIRST_PIECE_GROUPS", 1 << 19)
     groups, counts = np.array([1, 3, 1 << 20, 0, 7], np.int32), np.array([instances, 0, 3, 5, 1])
-    which, parts, done = draws.split_instances(groups, counts)
+    which, parts, done = pieces.split_instances(groups, counts)
     assert np.array_equal(np.bincount(which, parts), counts)
     assert (parts * groups[which] <= np.maximum(1 << 19, groups[which])).all()
     ends = np.cumsum(parts) - np.repeat(np.cumsum(counts) - counts, np.bincount(which))
@@ -317,7 +318,7 @@ def test_out_of_memory_names_the_draw_and_the_device_goes_on(
         raise MemoryError
 
     with monkeypatch.context() as patch:
-        patch.setattr(draws.Pool, "reserve", fail)
+        patch.setattr(memory.Pool, "reserve", fail)
         with pytest.raises(DeviceError) as caught:
             picture(device, random_corners(500))  # more than there is memory for
     assert caught.value.rule.id == "device-out-of-memory"
@@ -350,13 +351,13 @@ def test_an_array_of_draws_that_comes_again_brings_its_table(
     device: Device, bars: rhi.Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[int] = []
-    number = draws.number_groups
+    number = pieces.number_groups
 
     def note(*args: Any) -> Any:
         made.append(len(args[0]))
         return number(*args)
 
-    monkeypatch.setattr(draws, "number_groups", note)
+    monkeypatch.setattr(pieces, "number_groups", note)
     queries = device.query_set(16)
     array = bars.draws(6 * np.arange(16), 6)
     with device.texture((16, 4), Format.R8) as image, device.states(ColorWrite.OFF, DepthWrite.OFF):
@@ -392,8 +393,8 @@ def test_an_array_of_draws_and_others_are_one_batch(
 
 
 def test_counters_are_used_again(device: Device) -> None:
-    """Pages are, once nobody needs their answers, and count from zero."""
-    counters = device.backend_as(ClBackend)._rasteriser.counters
+    """Pages of counters are reused once their results aren't needed, and count from zero."""
+    queries = device.backend_as(ClBackend)._rasteriser.queries
     with device.texture((4, 4), Format.R8) as image, device.mesh(rectangle()) as mesh:
         query = device.occlusion_query()
         for _ in range(4):
@@ -401,7 +402,7 @@ def test_counters_are_used_again(device: Device) -> None:
                 with device.render_pass(image), query:
                     device.draw(device.program(Colored), mesh)
             assert query.wait() == 16
-    assert 1 <= len(counters._free) <= 2
+    assert 1 <= len(queries._free) <= 2
 
 
 def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:
@@ -416,7 +417,7 @@ def test_a_query_around_no_draws_counts_nothing(device: Device) -> None:
 
 @pytest.mark.parametrize("primitive", [Primitive.LINES, Primitive.POINTS], ids=lambda p: p.name)
 def test_lines_and_points_keep_their_place_among_triangles(device: Device, primitive: Primitive) -> None:
-    """They are drawn after what was drawn before them, and under what comes later."""
+    """Lines and points keep their place in the order of draws."""
     rows = corners([(-0.9, 0.1), (0.9, 0.1)] if primitive is Primitive.LINES else [(0.05, 0.1)], (0, 1, 0, 1))
     below, above = rectangle(-1, -1, 1, 1), rectangle(0.5, -1, 1, 1)
     below["color"], above["color"] = (1, 0, 0, 1), (0, 0, 1, 1)
@@ -441,7 +442,7 @@ def test_lines_and_points_keep_their_place_among_triangles(device: Device, primi
 
 @pytest.mark.parametrize("nearest", [10.0, -5.0], ids=["behind_the_eye", "before_it"])
 def test_a_plane_to_the_horizon_has_its_depth(device: Device, nearest: float) -> None:
-    """Its far corners lie a fraction of a pixel below the horizon: their rounding must not tilt the plane."""
+    """The far corners lie a fraction of a pixel below the horizon. Their rounding must not tilt the plane."""
     width, height, below, near, scale = 256, 144, 2.3, 0.2, 1.7320508
     x, z = (
         np.array([-900.0, 900, 900, -900, 900, -900]),
@@ -484,7 +485,7 @@ def test_edges_across_the_largest_targets_are_exact(device: Device, size: tuple[
 def test_what_lies_behind_a_tile_s_bounds_is_what_the_test_drops(
     device: Device, function: DepthFunction, depth_format: tuple[Format, Format]
 ) -> None:
-    """With a stencil test depth isn't staged and has no bounds."""
+    """With a stencil test, depth isn't staged and has no bounds."""
     rows = random_corners(6000)
     rng = np.random.default_rng(5)
     # Most depths are near their triangle's, some slopes are steep, some triangles face the eye and meet others.
@@ -530,7 +531,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     depth_format: tuple[Format, Format],
     offset: float,
 ) -> None:
-    """Whole draws and single primitives; with a stencil test nothing is known of earlier slices."""
+    """Whole draws and single primitives are culled; with a stencil test there are no bounds from earlier slices."""
     count, each = 120, 24
     rng = np.random.default_rng(7)
     middle, size = rng.uniform(-1.1, 1.1, (count, 1, 1, 2)), 2.0 ** rng.uniform(-7, 0, (count, each, 1, 1))
@@ -540,7 +541,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     rows = corners(places.reshape(-1, 2), colors, np.clip(away, 0, 1).ravel())
     pictures, survivors = [], []
     for form, groups in ((depth_format[1], 1 << 15), (depth_format[0], 1 << 15), (depth_format[0], 32)):
-        monkeypatch.setattr(draws, "_SLICE_GROUPS", groups)
+        monkeypatch.setattr(launcher, "_SLICE_GROUPS", groups)
         with (
             device.texture(SIZE, Format.RGBA8) as image,
             device.texture(SIZE, form) as depth,
@@ -565,7 +566,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
 def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(draws, "_SLICE_GROUPS", 1)  # each draw is a slice
+    monkeypatch.setattr(launcher, "_SLICE_GROUPS", 1)  # each draw is a slice
     left = []
     for place in (0.5, 5.0):  # what is drawn last lies in the view, or not
         for last in (0.25, 0.75):  # before the wall, or behind it
@@ -581,7 +582,7 @@ def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
 
 
 def _leave(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
-    """Nothing happens to the depth."""
+    """The depth doesn't change."""
 
 
 def _copy(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
@@ -594,7 +595,7 @@ def _clear(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
 
 
 def _draw_elsewhere(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
-    """The bounds in memory become another depth's."""
+    """The bounds in memory are overwritten with those of another depth target."""
     with (
         device.mesh(rectangle(depth=0.9)) as mesh,
         device.render_pass(depth=other),
@@ -604,7 +605,7 @@ def _draw_elsewhere(depth: rhi.Texture, other: rhi.Texture, device: Device) -> N
 
 
 def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> None:
-    """Draws that keep no bounds move depth away."""
+    """Draws that keep no bounds move the depth away."""
     with (
         device.mesh(rectangle(depth=1.0)) as mesh,
         device.render_pass(depth=depth),

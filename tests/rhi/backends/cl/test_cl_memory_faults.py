@@ -1,5 +1,5 @@
-"""Every allocation and every command fails in turn: a named error with a tip and the user's line, nothing half-made,
-and the device goes on."""
+"""Every allocation and every command fails in turn. Each failure is a rule's error with a tip and the user's line,
+leaves nothing half-made, and the device continues."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rhi import (
     Region,
     TextureKind,
 )
-from rhi.backends.cl import resources
+from rhi.backends.cl import planes
 from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
@@ -40,7 +40,7 @@ class Textured(Struct):
 
 
 class Painted(Shader):
-    """An image over the whole target."""
+    """Draws an image over the whole target."""
 
     image: Texture2D
 
@@ -86,7 +86,7 @@ def gives_back(do: Callable[[Device, Keep], Results]) -> Callable[[Device], Resu
 
 @gives_back
 def work(device: Device, keep: Keep) -> Results:
-    """A bit of all that takes memory; gives back what it made."""
+    """Do something of everything that allocates memory; return the results."""
     image = keep(device.texture((64, 64), Format.RGBA8, levels=None))
     depth = keep(device.texture((64, 64), Format.D24S8))
     several = keep(device.texture((64, 64), Format.RGBA8, samples=4))
@@ -122,7 +122,8 @@ class Allocations:
     """Counts buffers and lets one fail as OpenCL does.
 
     Attributes:
-        count: those made so far. failing: the number of the one that fails.
+        count: the number of buffers so far.
+        failing: the number of the buffer that fails.
     """
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -183,7 +184,7 @@ def test_without_memory_no_device_is_made(monkeypatch: pytest.MonkeyPatch) -> No
 
 @gives_back
 def move(device: Device, keep: Keep) -> Results:
-    """A bit of all that moves memory about, and of what waits for it; gives back what it made."""
+    """Do something of everything that moves memory or waits for it; return the results."""
     size, texels = (16, 16), np.arange(1024, dtype=np.uint8).reshape(16, 16, 4)
     image, copy = keep(device.texture(size, Format.RGBA8)), keep(device.texture(size, Format.RGBA8))
     several, target = (keep(device.texture(size, Format.RGBA8, samples=n)) for n in (4, 1))
@@ -211,10 +212,10 @@ def move(device: Device, keep: Keep) -> Results:
 
 
 class Commands:
-    """Lets OpenCL's commands fail, once for each place where the backend gives one: the innermost three calls.
+    """Lets OpenCL's commands fail once for each place that enqueues them, identified by the innermost three calls.
 
     Attributes:
-        fail: whether to let the next one fail at a place that hasn't failed yet.
+        fail: whether the next command fails whose place hasn't failed yet.
     """
 
     NAMES = ("enqueue_nd_range_kernel", "enqueue_copy", "enqueue_fill_buffer", "enqueue_marker")
@@ -222,7 +223,7 @@ class Commands:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self._failed: set[object] = set()
         self.fail = False
-        monkeypatch.setattr(resources, "_copy_box", partial(self._call, cl.enqueue_copy))
+        monkeypatch.setattr(planes, "_copy_box", partial(self._call, cl.enqueue_copy))
         for name in self.NAMES:
             monkeypatch.setattr(cl, name, partial(self._call, getattr(cl, name)))
 

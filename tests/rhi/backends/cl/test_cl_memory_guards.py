@@ -1,4 +1,4 @@
-"""Nothing is written outside of a buffer: draws, compute, copies and queries between guards."""
+"""Draws, compute, copies and queries write nothing outside of buffers."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def guards(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 @pytest.mark.parametrize("usage", BufferUsage)
 @pytest.mark.parametrize("count", [32, 64, 100])
 def test_a_write_behind_a_buffer_is_found(usage: BufferUsage, count: int) -> None:
-    """The control case first: a kernel that stays within its 128 bytes."""
+    """Run the control case first: a kernel that stays within its 128 bytes."""
     kit = ClKit(create_backend())
     buffer = kit.buffer(bytes(128), usage)
     kit.backend.bind_storage(0, buffer, 0, 128)
@@ -124,7 +124,7 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
 def test_a_stray_write_of_a_draw_is_found(
     monkeypatch: pytest.MonkeyPatch, kernel: str, before: str, found: str
 ) -> None:
-    """One line more in a kernel of the rasteriser; the control case is the kernel without it."""
+    """A line is added to a kernel of the rasteriser; the control case is the kernel without it."""
     real = pipelines.read_kernels
     changed = real(kernel).replace(before, f"{found}\n    {before}")
     assert changed.count(found) == 1

@@ -1,4 +1,4 @@
-"""Kernels, their arguments and their work-groups; what a driver says of a text."""
+"""Compute kernels, their arguments and work-groups; errors of the driver's compiler."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The fence and timestamps, against work that is held up."""
+"""The fence and timestamps, with work that is held back."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_a_fence_that_nobody_signals_is_not_waited_for(cl_kit: ClKit) -> None:
 
 
 def test_timestamps_enclose_the_time_of_the_work_between_them(cl_kit: ClKit) -> None:
-    """Work held up for as long as the clock says."""
+    """Hold work back for a time by the clock."""
     backend, before, after = cl_kit.backend, cl_kit.timestamp(), cl_kit.timestamp()
     assert backend.read_query(before) is None
     start = time.monotonic_ns()
@@ -115,7 +115,7 @@ def test_a_command_that_failed_is_reported_and_not_waited_for() -> None:
 def test_a_lost_queue_is_told_of_by_whoever_asks_and_the_device_can_be_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """PoCL 3.1 ends the process when a command fails, so what it should have said is put in its mouth."""
+    """PoCL 3.1 ends the process when a command fails, so the status is mocked."""
 
     class Failed:
         command_execution_status = -5

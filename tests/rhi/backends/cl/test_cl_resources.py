@@ -1,4 +1,4 @@
-"""Buffers and textures: what the backend's own structure could get wrong."""
+"""Buffers and textures: staging, ranges, padding and copies of this backend."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pyopencl as cl
 import pytest
 from cl_kit import FILL, ClKit, describe_program
 
-from rhi.backends.cl import resources
+from rhi.backends.cl import buffers, textures
 from rhi.backends.cl.backend import ClBackend
 from rhi.contract.descriptors import (
     Attachment,
@@ -99,9 +99,9 @@ def test_copies_are_let_go_when_their_fence_has_passed(cl_kit: ClKit) -> None:
     for value in range(1, 4):
         cl_kit.buffer(bytes(1 << 23))
         cl_kit.buffer(bytes(1 << 23))
-        assert not backend._fence._staging.takes(1)
+        assert not backend._fence._staging.has_room(1)
         backend.signal(value)
-        assert backend._fence._staging.takes(1 << 24)
+        assert backend._fence._staging.has_room(1 << 24)
     assert backend.wait(3, 10.0)
     assert not backend._fence._pending
 
@@ -149,7 +149,7 @@ def test_an_allocation_that_fails_half_way_leaves_nothing(
     cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     made: list[cl.Buffer] = []
-    allocate = resources.allocate
+    allocate = textures.allocate
 
     def fail_second(context: object, size: int) -> object:
         if made:
@@ -157,7 +157,7 @@ def test_an_allocation_that_fails_half_way_leaves_nothing(
         made.append(allocate(context, size))  # type: ignore[arg-type]
         return made[0]
 
-    monkeypatch.setattr(resources, "allocate", fail_second)
+    monkeypatch.setattr(textures, "allocate", fail_second)
     with pytest.raises(DeviceError):
         cl_kit.backend.create_texture(1, TextureDescriptor((4, 4), Format.D24S8))
     with pytest.raises(cl.Error, match="double-unref"):
@@ -176,7 +176,7 @@ def test_a_range_is_bound_where_it_begins_and_knows_its_size(cl_kit: ClKit) -> N
 
 
 def test_more_ranges_than_are_kept_may_be_bound(cl_kit: ClKit, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(resources, "_MAX_RANGES", 2)
+    monkeypatch.setattr(buffers, "_MAX_RANGES", 2)
     grain = cl_kit.backend.capabilities.storage_alignment
     buffer, program = cl_kit.buffer(bytes(8 * grain)), cl_kit.program(describe_program(FILL))
     for part in range(1, 8):
@@ -258,7 +258,7 @@ def test_the_end_of_a_pass_resolves_what_its_begin_cleared_in_all_samples(cl_kit
 
 @pytest.mark.parametrize("size", [(5, 7), (1, 9), (6, 3), (2, 1)], ids=str)
 def test_mip_levels_of_odd_sizes_keep_the_mean(cl_kit: ClKit, size: tuple[int, int]) -> None:
-    """Every texel of a level weighs the same in the next one, whatever the size."""
+    """Every texel of a level has the same weight in the next one, for any size."""
     width, height = size
     texels = np.random.default_rng(0).random((height, width, 1)).astype(np.float32)
     texture = cl_kit.texture(TextureDescriptor(size, Format.R32F, levels=max(size).bit_length()))

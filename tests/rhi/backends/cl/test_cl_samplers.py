@@ -1,4 +1,4 @@
-"""What kernels are told about textures: when it is made, and that padding never shows."""
+"""Descriptions of textures: when they are written, and that padding is never visible."""
 
 from __future__ import annotations
 

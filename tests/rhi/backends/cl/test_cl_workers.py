@@ -1,4 +1,4 @@
-"""PoCL's worker threads stay on CPUs of their own."""
+"""PoCL's worker threads are pinned to CPUs of their own."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ print(sorted(sorted(os.sched_getaffinity(thread)) for thread in list_threads() -
 
 @pytest.fixture
 def threads() -> Iterator[list[int]]:
-    """The ids of two threads that do nothing."""
+    """The ids of two idle threads."""
     done = threading.Event()
     made = [threading.Thread(target=done.wait) for _ in range(2)]
     for thread in made:

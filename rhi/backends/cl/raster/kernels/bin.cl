@@ -1,8 +1,8 @@
-// Which records each tile has to do with, in the order of primitives and without atomics.
+// Binning: lists of the records that touch each tile, in the order of primitives and without atomics.
 //
-// - Set-up has counted, for each chunk of primitives, the records that touch each tile. `prefix` turns the counts into
-//   places of one list, `scatter` writes it: a tile's records lie together, chunk after chunk.
-// - A batch of few records has no list, nor one whose list would be too long: raster.cl then looks through all boxes.
+// - Set-up has counted the records of each chunk of primitives that touch each tile. `prefix` turns the counts into
+//   positions in one list, and `scatter` writes it: a tile's records are contiguous, chunk after chunk.
+// - A batch of few records has no lists, nor does one whose lists would be too long. raster.cl then tests all boxes.
 
 SINGLE prefix(ulong address) {
     global const Batch *batch = AT(const Batch, address);

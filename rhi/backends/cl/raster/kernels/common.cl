@@ -1,47 +1,47 @@
-// What the kernels of a draw share: the tables they read, and 16 lanes.
+// Definitions that all kernels of the rasteriser share: the tables that they read, and operations on 16 lanes.
 //
-// - A batch is many draws of one program into one pass. Its kernels take one argument, the address of its `Batch`,
-//   and find all else through addresses in memory: no argument is set per draw, whatever a draw binds.
-// - Work comes in groups of 16 vertices or primitives. A group belongs to one instance of one draw, so all that
-//   differs from draw to draw is the same for 16 lanes. Tables are mirrored in tables.py.
-// - Window positions are whole numbers of 1/256 texel from the centre of texel 0, 0; y counts from the top.
+// - A batch consists of many draws of one program into one pass. Its kernels take one argument, the address of its
+//   `Batch`, and access everything else by addresses in memory: no argument is set per draw, whatever a draw binds.
+// - Work is divided into groups of 16 vertices or primitives. A group belongs to one instance of one draw, so everything
+//   that differs from draw to draw is uniform over its 16 lanes. tables.py mirrors the structs.
+// - Window positions are integers in subtexels (1/256 texel) from the centre of texel 0, 0; y counts from the top.
 
 #define INLINE static inline __attribute__((always_inline))
 #define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define AT(type, address) ((global type *)(address))
 #define LANES (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
 #define GROUP 16
-typedef uint4 word_uint4 __attribute__((aligned(4)));  // one that lies anywhere
-#define UNROLL _Pragma("unroll")  // PoCL unrolls only what it is told to; else arrays would lie in memory
+typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 16 bytes
+#define UNROLL _Pragma("unroll")  // PoCL unrolls only loops with a pragma; else arrays would be stored in memory
 
 #define SUBTEXELS 256
-// Floats below 2^22 are rounded to whole numbers by adding 1.5 * 2^23. So positions reach 2^22 subtexels, 16384 texels,
-// from the target's corner, twice the largest target; what lies beyond is clipped to a little less.
+// Floats below 2^22 are rounded to integers by adding 1.5 * 2^23. So positions may lie 2^22 subtexels, 16384 texels, from
+// the target's corner, twice the size of the largest target. Primitives that reach further are clipped to a little less.
 #define POSITION_LIMIT 4194000.0f
 #define CLIP_LIMIT 16380.0f  // texels
 
 #define TILE_BITS 6
-#define TILE (1 << TILE_BITS)  // texels along its edge: 4096 depths are 16 KiB, half of a core's first cache
+#define TILE (1 << TILE_BITS)  // edge length in texels: 4096 depths are 16 KiB, half of a core's L1 cache
 
-// A depth bound is kept for each PART × PART texels.
+// There is a bound of depth for each PART × PART texels.
 #define PART_BITS 4
 #define PART (1 << PART_BITS)
 #define PARTS (TILE >> PART_BITS)  // in a row of a tile
 
 enum { POINTS = 1, LINES = 2, TRIANGLES = 3 };
 
-// Records of primitives, 16 words each: three edges A x + B y + C, depth as a plane from the box's first texel on, the
-// first and the last texel of the box, flags, the depth that is most likely to pass. How edges are given: see setup.cl.
+// Records of primitives, 16 words each: three edges A x + B y + C, depth as a plane that begins at the box's first texel,
+// the first and the last texel of the box, flags, the nearest depth. setup.cl documents the representation of edges.
 enum { SMALL, BIG, POLYGON };
 enum { EDGE_A = 0, EDGE_B = 3, EDGE_C = 6, DEPTH_PLANE = 9, BOX_FIRST = 12, BOX_LAST = 13, FLAGS = 14, NEAREST = 15 };
-// Records for shading: 1/w and the weights of corners 1 and 2, divided by w, as planes; the two corners' w if something
-// is interpolated in the window; the slots of the three corners; the primitive's number in its draw.
+// Records for shading: 1/w, and the weights of corners 1 and 2 divided by w, as planes; the w of these two corners, for
+// varyings without perspective; the slots of the three corners; the primitive's number in its draw.
 enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14 };
 enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
-// Flags: the draw's number, whether less may be drawn than the blocks that the box touches, whether it is a front, the kind.
+// Flags: the draw's number; whether the view cuts the blocks that the box touches; whether it is front-facing; the kind.
 #define PACK_FLAGS(draw, cuts, front, kind) ((draw) << 4 | (cuts) << 3 | (front) << 2 | (kind))
 
-// Whether an edge owns what lies on it: it is a left or a top one. Of vectors true is -1, of scalars 1.
+// Whether an edge owns the points on it: it is a left or a top edge. True is -1 for vectors and 1 for scalars.
 #define OWNS(a, b) (((a) > 0) | (((a) == 0) & ((b) > 0)))
 
 #define SAMPLE_REACH 96  // subtexels from a texel's centre to its outermost sample, along an axis
@@ -50,39 +50,39 @@ typedef struct {
     ulong surfaces[10];               // color targets, depth, stencil
     ulong draws, views, rows, positions, clips, varyings, records, planes, boxes, counts, starts, list, survivors, scratch;
     ulong extents, bounds, counters;
-    ulong places;                     // where surfaces begin in their memory, and the texels that they are cleared to, each
+    ulong places;                     // the surfaces' offsets in their memory and pitches; then their clear values, each
                                       // repeated to 4 words
     int draw_count, row_words;
-    int vertex_groups, vertex_chunk;  // of the batch, and for one work-item
-    int first_group, end_group, chunk_groups, chunks;  // of primitives: this slice, and for one work-item
+    int vertex_groups, vertex_chunk;  // of the batch, and per work-item
+    int first_group, end_group, chunk_groups, chunks;  // of primitives: of the slice, and per work-item
     int tiles_x, tiles, list_size, listed;
     int samples, shades, linear, width, height;
-    int near_is_less;                 // of depths: which way the test goes
-    int bounded;                      // whether raster kernels left bounds of depth that still hold
-    int cleared;                      // surfaces that are to be cleared first, as bits
-    float depth_step;                 // of the depths that the target can hold, 0: that of floats
+    int near_is_less;                 // direction of the depth test
+    int bounded;                      // whether raster kernels left valid bounds of depth
+    int cleared;                      // surfaces with pending clears, as bits
+    float depth_step;                 // difference between depths of the target's format; 0 for floats
 } Batch;
 
-// Where the vertices of one instance lie that one work-item transformed: what is drawn of them lies there, too. It stands
-// at the number of their first group.
+// The bounds of the vertices of one instance that one work-item transformed; the primitives made of them lie within. It is
+// stored at the number of their first group.
 typedef struct {
     int low_x, low_y, high_x, high_y;       // subtexels
     float low, high;                        // depth
-    int fit;                                // whether all of them have a window position; else the others say nothing
-    int behind;                             // the planes that all of them lie behind
+    int fit;                                // whether all of them have a window position; else the bounds are invalid
+    int behind;                             // the clip planes that all of them lie behind, as bits
 } Extent;
 
 typedef struct {
-    ulong indices;                          // of its first corner; 0: vertices in order
-    ulong vertex_indices;                   // of its first vertex; 0: those from first_vertex on
-    ulong samples;                          // its counter, from the batch's `counters` on; 0: none
-    ulong condition;                        // the address of a counter; 0: none
-    ulong box;                              // what its vertices' attributes lie between; 0: unknown, odd: to be measured
+    ulong indices;                          // address of the first corner's index; 0: vertices in order
+    ulong vertex_indices;                   // address of the first vertex's index; 0: vertices from first_vertex on
+    ulong samples;                          // its counter, relative to the batch's `counters`; 0: none
+    ulong condition;                        // address of a counter; 0: none
+    ulong box;                              // address of its attributes' box; 0: none, odd: to be measured
     int vertex_group, primitive_group;      // numbers of its first groups in the batch
     int vertex_groups, primitive_groups;    // for one instance
-    int first_vertex, vertices;             // what is added to a vertex's number; how many are transformed
-    int lowest;                             // the index of the first of them
-    int primitives, primitive;              // number and kind
+    int first_vertex, vertices;             // added to a vertex's number; number of vertices to transform
+    int lowest;                             // index of the first of them
+    int primitives, primitive;              // their number, and corners of each
     int index_bytes, vertex_index_bytes;
     int base_instance, number;
     int row, view, inverted;
@@ -90,16 +90,16 @@ typedef struct {
 
 typedef struct {
     float scale[4], shift[4];  // window = clip / w * scale + shift, in texels; then depth
-    int box[4];                // first and last texel that may be drawn
-    int culled;                // 1: those with positive area in the window, 2: negative, 3: both
-    int front;                 // 1: a positive area is a front
-    float bias_units, bias_slope, bias_clamp, bias_step;  // step 0: that of floats
-    uint state[STATE_WORDS];   // of targets.cl
+    int box[4];                // first and last texel that may be drawn: viewport and scissor
+    int culled;                // 1: positive area in the window, 2: negative, 3: both
+    int front;                 // 1: positive area is front-facing
+    float bias_units, bias_slope, bias_clamp, bias_step;  // step 0: floats
+    uint state[STATE_WORDS];   // see targets.cl
 } View;
 
 #define SHUFFLE __builtin_shufflevector
 
-// Four vectors of four quarters, transposed: between 4 rows of 16 texels and 4 blocks of 4 × 4.
+// Transpose four vectors of four quarters: converts between 4 rows of 16 texels and 4 blocks of 4 × 4.
 #define EXCHANGE_QUARTERS(type) \
 static inline __attribute__((always_inline, overloadable)) void exchange_quarters(const type *from, type *to) { \
     type a = SHUFFLE(from[0], from[1], 0, 1, 2, 3, 16, 17, 18, 19, 4, 5, 6, 7, 20, 21, 22, 23); \
@@ -115,7 +115,7 @@ static inline __attribute__((always_inline, overloadable)) void exchange_quarter
 EXCHANGE_QUARTERS(uint16)
 EXCHANGE_QUARTERS(float16)
 
-// 16 lanes combined to one number.
+// Reduce 16 lanes to one number.
 #define REDUCTION(name, type, combine) \
 static inline __attribute__((always_inline, overloadable)) type name(type##16 lanes) { \
     type##8 eight = combine(lanes.lo, lanes.hi); \
@@ -133,7 +133,7 @@ REDUCTION(find_greatest, float, fmax)
 REDUCTION(find_common, int, AND)
 REDUCTION(find_sum, int, ADD)
 
-// The lanes of a mask as bits.
+// Return the lanes of a mask as bits.
 INLINE uint bits_of(int16 mask) {
 #if defined(__AVX512DQ__)
     return (uint)(ushort)__builtin_ia32_cvtd2mask512(mask);
@@ -148,8 +148,8 @@ INLINE uint bits_of(int16 mask) {
 #endif
 }
 
-// Four vectors of 4 × 4 words each, transposed within each 4 × 4: from 16 rows of 4 words (row 4 i + j in quarter i of
-// vector j) to the 4 columns, and back.
+// Transpose each 4 × 4 words of four vectors: converts 16 rows of 4 words (row 4 i + j in quarter i of vector j) to the
+// 4 columns, and back.
 INLINE void transpose4(const uint16 *rows, uint16 *columns) {
     uint16 a = SHUFFLE(rows[0], rows[1], 0, 16, 1, 17, 4, 20, 5, 21, 8, 24, 9, 25, 12, 28, 13, 29);
     uint16 b = SHUFFLE(rows[0], rows[1], 2, 18, 3, 19, 6, 22, 7, 23, 10, 26, 11, 27, 14, 30, 15, 31);
@@ -161,7 +161,7 @@ INLINE void transpose4(const uint16 *rows, uint16 *columns) {
     columns[3] = SHUFFLE(b, d, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14, 15, 30, 31);
 }
 
-// The draw that a group belongs to: the last one whose `field`, the number of its first group, isn't beyond it.
+// Find the draw that a group belongs to: the last one whose `field`, the number of its first group, isn't greater.
 #define FIND_DRAW(name, field) \
 INLINE int name(global const Draw *draws, int count, int group) { \
     int low = 0, high = count - 1; \
@@ -173,14 +173,14 @@ INLINE int name(global const Draw *draws, int count, int group) { \
     return low; \
 }
 
-// The i-th of `count` pieces of work, every other one first: drivers hand out runs of work-items, and what is costly lies
-// together.
+// Return the i-th of `count` pieces of work in an order of every other one first: drivers assign runs of work-items to
+// threads, and costly pieces are often neighbours.
 INLINE int spread_work(int i, int count) {
     int half_way = (count + 1) / 2;
     return i < half_way ? 2 * i : 2 * (i - half_way) + 1;
 }
 
-// Whether all depths stored in a box of texels are nearer than `nearest`. `bounds`: of the target's parts.
+// Return whether all depths stored in a box of texels are nearer than `nearest`. `bounds`: those of the target's parts.
 INLINE bool is_hidden(
     global const float *bounds, int tiles_x, bool near_is_less, int left, int top, int right, int bottom, float nearest
 ) {
@@ -192,8 +192,8 @@ INLINE bool is_hidden(
     return true;
 }
 
-// Whether nothing of an instance can be seen whose vertices reach so far: they lie outside the view, or behind all that is
-// stored.
+// Return whether an instance whose vertices lie within `whole` is invisible: outside of the view, or behind all stored
+// depths.
 INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, Extent whole) {
     if (whole.behind) return true;
     if (!whole.fit || draw->primitive != TRIANGLES) return false;
@@ -202,13 +202,13 @@ INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global
     int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);
     if (left > right || top > bottom) return true;
     if (!batch->bounded || view->bias_units != 0.0f || view->bias_slope != 0.0f) return false;
-    // Depth is rounded, and so are corners, by which slopes change: a sliver's depth may lie a little beyond its corners'.
+    // Depths are rounded, and so are corners, which changes slopes: a sliver's depth may lie slightly beyond its corners'.
     float slack = 1e-6f + batch->depth_step + (whole.high - whole.low) * (1.0f / 64.0f);
     return is_hidden(AT(const float, batch->bounds), batch->tiles_x, batch->near_is_less, left, top, right, bottom,
                      batch->near_is_less ? whole.low - slack : whole.high + slack);
 }
 
-// Whether a draw is dropped by its condition: the counter of a query, which is two words.
+// Return whether a draw is skipped by its condition, the counter of a query (two words).
 INLINE bool is_dropped(global const Draw *draw) {
     if (!draw->condition) return false;
     global const uint *counter = AT(const uint, draw->condition);

@@ -1,19 +1,19 @@
-// Primitives that are drawn as convex polygons: triangles that are clipped, lines, points.
+// Primitives that are rasterised as convex polygons: clipped triangles, lines, points.
 //
-// - They are few, so each is done by itself in plain scalars, and twice: set-up needs its box, and each tile that it
-//   touches its corners. So one record is enough for any polygon, and the order of primitives holds.
-// - Clipping is against the view's depth range and a guard band far outside the target, never against the target.
-//   New corners are computed from the inner to the outer end of an edge: two triangles that share it agree.
-// - What a clipped triangle carries comes from the whole one (setup.cl), so nothing but positions is clipped.
+// - They are few, so each is computed by itself in scalars, and twice: set-up needs its box, and each tile that it touches
+//   needs its corners. So one record suffices for any polygon, and primitives keep their order.
+// - Clipping is against the view's depth range and a guard band far outside the target, never against the target. New
+//   corners are computed from the inner to the outer end of an edge, so two triangles that share the edge agree.
+// - The varyings of a clipped triangle are interpolated over the whole one (setup.cl), so only positions are clipped.
 
-#define MAX_CORNERS 9  // a triangle's, and one more for each of six planes
+#define MAX_CORNERS 9  // three, and one more for each of six planes
 
 INLINE float4 load_clip(global const Batch *batch, uint slot) {
     global const float *group = AT(const float, batch->clips) + (long)(slot / GROUP) * (4 * GROUP) + slot % GROUP;
     return (float4)(group[0], group[GROUP], group[2 * GROUP], group[3 * GROUP]);
 }
 
-// How far a clip position is inside of a plane: near, far, then the four sides of the guard band.
+// Return the signed distance of a clip position from a plane: near, far, then the four sides of the guard band.
 INLINE float inside_of(global const View *view, float4 p, int plane) {
     switch (plane) {
     case 0: return p.z;
@@ -35,8 +35,8 @@ INLINE int2 to_window(global const View *view, float4 p) {
     return (int2)(convert_int_rte((x - 0.5f) * SUBTEXELS), convert_int_rte((y - 0.5f) * SUBTEXELS));
 }
 
-// The corners of a primitive in the window, in an order that makes its area positive; their number, 0 if nothing is
-// left of it. Of a triangle, `flipped` says whether it is seen with a negative area.
+// Compute the corners of a primitive in the window, in an order that makes its area positive. Return their number, or 0 if
+// nothing is left of it. `flipped`: whether a triangle has a negative area in the window.
 INLINE int make_polygon(
     global const View *view, const float4 *clips, int primitive, bool flipped, int2 *points
 ) {
@@ -73,8 +73,8 @@ INLINE int make_polygon(
         points[3] = start + (int2)(-SUBTEXELS / 2, SUBTEXELS / 2);
         return 4;
     }
-    // A line is a parallelogram, one texel high or wide, that holds its start and not its end: the fill rule takes
-    // what lies on the left or top edge, so a line the other way round moves on by the smallest step.
+    // A line is a parallelogram, one texel high or wide, that contains its start and not its end. The fill rule includes
+    // points on the left or top edge, so a line in the opposite direction is shifted by the smallest step.
     if (!(corners[1].w > 0.0f)) return 0;
     int2 end = to_window(view, corners[1]);
     int2 step = end - start;

@@ -1,22 +1,23 @@
-// Records to fragments: a work-item per tile, which nobody else writes, record after record in order.
+// Rasterisation: a work-item per tile, which it alone writes, processes the tile's records in order.
 //
-// - A tile is 4 × 4 parts, a part 4 × 4 blocks, a block 4 × 4 texels: 16 lanes each, lane = x + 4 y. Of the parts and
-//   then the blocks that a record's box touches, those that lie outside of an edge are dropped 16 at a time. In the
-//   blocks that are left, coverage, depth and shading are each a vector of 16.
-// - Large primitives find their edges at the tile in 64 bits; an edge that all of the tile lies inside of is dropped, one
-//   that all lies outside of ends the record. What is left fits in 32 bits. A polygon is a fan of such triangles.
-// - Multi-sampled: four coverages, one shading.
+// - A tile is 4 × 4 parts, a part 4 × 4 blocks, a block 4 × 4 texels: 16 lanes each, lane = x + 4 y. Of the parts and then
+//   the blocks that a record's box touches, those outside of an edge are discarded 16 at a time. In the remaining blocks,
+//   coverage, depth and shading are vectors of 16.
+// - The edges of large primitives are computed at the tile in 64 bits. An edge with all of the tile on its inside is
+//   dropped; one with all of the tile on its outside ends the record. The others fit in 32 bits. A polygon is a fan of
+//   such triangles.
+// - Multi-sampled targets have four coverages and one shading.
 // - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
-// - Before this text stand targets.cl, the fragment stage and what tables.py writes: OPEN_SURFACES, BINDINGS,
-//   VARYING_WORDS, VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH.
+// - targets.cl, the fragment stage and the macros of tables.py precede this text: OPEN_SURFACES, BINDINGS, VARYING_WORDS,
+//   VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH.
 
 #define LANE_X (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #define LANE_Y (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
 #define LANE_FX (float16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #define LANE_FY (float16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
-#define AHEAD 12  // records: memory's latency over the time that one takes
+#define AHEAD 12  // records to prefetch: memory latency divided by the time of a record
 
-// Which records a tile has to do with: those of its list, or, without lists, those whose boxes hold it.
+// Iterator over the records of a tile: those in its list, or without lists those whose boxes contain it.
 typedef struct {
     global const uint *list, *boxes, *survivors;
     uint next, end, chunk, chunks, chunk_records, column, row;
@@ -39,7 +40,7 @@ INLINE Records find_records(global const Batch *batch, int tile) {
     return records;
 }
 
-// The next record's place; -1: there is none.
+// Return the number of the next record, or -1.
 INLINE int next_record(Records *records) {
     for (;;) {
         if (records->next < records->end) {
@@ -59,20 +60,20 @@ INLINE int next_record(Records *records) {
 
 typedef struct {
     int a[3], b[3];        // per texel
-    int x, y;              // the texel that they begin at
-    int c[SAMPLES][3];     // there, rounded down to whole texels
-    int16 lanes[3];        // what is added for the texels of a block
+    int x, y;              // the texel at which `c` is valid
+    int c[SAMPLES][3];     // rounded down to whole texels
+    int16 lanes[3];        // increments for the texels of a block
 } Edges;
 
 #if SAMPLES == 4
-constant int sample_x[4] = {-32, 96, -96, 32}, sample_y[4] = {-96, -32, 32, 96};  // from the texel's centre
+constant int sample_x[4] = {-32, 96, -96, 32}, sample_y[4] = {-96, -32, 32, 96};  // from the texel's centre, in subtexels
 #elif SAMPLES == 2
-constant int sample_x[2] = {-32, 32}, sample_y[2] = {-96, 96};  // off both diagonals, whose edges would have both or none
+constant int sample_x[2] = {-32, 32}, sample_y[2] = {-96, 96};  // off both diagonals, whose edges would cover both or none
 #else
 constant int sample_x[1] = {0}, sample_y[1] = {0};
 #endif
 
-// The edges of a triangle of any size, that begin at texel x, y; false if none of the tile behind it can be covered.
+// Compute the edges of a triangle of any size at texel x, y. Return false if it covers nothing of the tile from there on.
 INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
     edges->x = x;
     edges->y = y;
@@ -80,7 +81,7 @@ INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
         int2 from = points[i], to = points[i < 2 ? i + 1 : 0];
         int a = from.y - to.y, b = to.x - from.x;
         long start = (long)a * (x * SUBTEXELS - from.x) + (long)b * (y * SUBTEXELS - from.y) - 1 + OWNS(a, b);
-        // A tile more than needed: samples lie off the centres.
+        // With a margin, since samples lie off the centres.
         long across = (long)TILE * (max(a, 0) + max(b, 0)) + abs(a) + abs(b), back = (long)TILE * (min(a, 0) + min(b, 0));
         if ((start >> 8) + across < 0) return false;
         bool holds = (start >> 8) + back - abs(a) - abs(b) >= 0;
@@ -92,16 +93,16 @@ INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
     return true;
 }
 
-// 4 × 4 squares, a bit for each: the parts of a tile, the blocks of a part. A square has 2^`bits` texels a side.
+// Sets of 4 × 4 squares as bits: the parts of a tile, or the blocks of a part. A square has 2^`bits` texels a side.
 
-// Those that a box touches, whose first and last texel are given from the first square on.
+// Return the squares that a box touches, whose first and last texel are relative to the first square.
 INLINE uint touch_squares(int x0, int y0, int x1, int y1, const int bits) {
     const uint columns = (2u << (x1 >> bits)) - (1u << (x0 >> bits));
     return columns * (((16u << (y1 >> bits) * 4) - (1u << (y0 >> bits) * 4)) & 0x1111u);
 }
 
-// Those that no edge lies wholly outside of; the first begins at texel x, y. `starts`: the edges at each one's first
-// texel.
+// Return the squares that don't lie outside of any edge; the first square begins at texel x, y. `starts`: the edges at each
+// square's first texel.
 INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int16 *starts) {
     x -= edges->x;
     y -= edges->y;
@@ -117,10 +118,10 @@ INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int1
 }
 
 #if SHADES
-// Weights of the corners at 16 places, and what they make of the varyings.
+// Weights of the corners at 16 places, which interpolate the varyings.
 typedef struct {
-    float16 near_w, weight1, weight2;  // in the world
-    float16 straight1, straight2;      // in the window
+    float16 near_w, weight1, weight2;  // with perspective
+    float16 straight1, straight2;      // without perspective
 } Weights;
 
 INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
@@ -144,24 +145,24 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
 #endif
 
 #if STAGES_DEPTH
-// The tile's depths, part by part and block by block: a block is one vector, and in the first cache. The plane's rows are
-// read and written once per tile, 16 texels of 4 rows at a time.
+// The tile's depths are staged part by part and block by block: a block is one vector, in the L1 cache. The plane's rows
+// are read and written once per tile, 16 texels of 4 rows at a time.
 #define PART_BLOCKS 16
 
-// Bounds: of each part and of each of its blocks, a depth that all stored ones lie nearer than. What lies behind the bounds
-// of all parts that its box touches is dropped before its edges are looked at. They are found anew after some writes. The last
-// ones are left for set-up, which drops what the batch's later primitives hide behind them.
-#define WRITES_BEFORE_BOUND 16  // of blocks
+// Each part and each block has a bound: no stored depth is farther. A primitive behind the bounds of all parts that its box
+// touches is culled before its edges are evaluated. Bounds are recomputed after some writes. The final ones are left in
+// memory for set-up, which culls later primitives behind them.
+#define WRITES_BEFORE_BOUND 16  // number of blocks
 #define NEAR_IS_LESS (DEPTH_PASSES < 4)
-// A compare is cheaper than fmax. A NaN that is stored lets nothing pass; as `b` it is left out.
+// A comparison is cheaper than fmax. A stored NaN lets nothing pass; as `b` it is ignored.
 #define FARTHER(a, b) (NEAR_IS_LESS ? ((b) > (a) ? (b) : (a)) : ((b) < (a) ? (b) : (a)))
 #define BEHIND(depth, bound) (NEAR_IS_LESS ? (depth) > (bound) : (depth) < (bound))
-#define NEARER (NEAR_IS_LESS ? -INFINITY : INFINITY)  // than all depths
+#define NEARER (NEAR_IS_LESS ? -INFINITY : INFINITY)  // nearer than all depths
 #define GETS_NEARER(slope) (NEAR_IS_LESS ? (slope) < 0.0f : (slope) > 0.0f)
 
 REDUCTION(find_farthest, float, FARTHER)
 
-// The bounds of a part's blocks: 16 vectors become the vector of what is farthest in each.
+// Return the bounds of a part's blocks: the farthest depth of each of 16 vectors.
 INLINE float16 find_block_bounds(const float16 *blocks) {
     float16 halves[8], quarters[4], eighths[2];
     UNROLL for (int i = 0; i < 8; ++i) {
@@ -185,12 +186,12 @@ INLINE float16 find_block_bounds(const float16 *blocks) {
     return FARTHER(even, odd);
 }
 
-// Between the plane and a tile's blocks; `width` and `height` are what of the tile lies in the plane, whole blocks.
+// Copy between the plane and a tile's blocks. `width`, `height`: the part of the tile inside the plane, in whole blocks.
 INLINE void stage_depth(const Targets *targets, int x, int y, int width, int height, float16 *blocks, const bool back) {
     const ulong pitch = targets->depth.pitch;
     for (int row = 0; row < height; row += 4) {
         global float *line = (global float *)locate(&targets->depth, x, y + row, 0, 4);
-        float16 *block = blocks + row / PART * (PARTS * PART_BLOCKS) + row % PART;  // a row of 4 blocks is 4 texels high
+        float16 *block = blocks + row / PART * (PARTS * PART_BLOCKS) + row % PART;  // a row of blocks is 4 texels high
         int column = 0;
         for (; column + 16 <= width; column += 16, line += 16, block += PART_BLOCKS) {
             float16 rows[4], four[4];
@@ -213,7 +214,7 @@ INLINE void stage_depth(const Targets *targets, int x, int y, int width, int hei
 #endif
 
 #if STAGES_DEPTH
-// All staged depths become one.
+// Set all staged depths to one value.
 INLINE void fill_blocks(float16 *blocks, int width, int height, float depth) {
     for (int row = 0; row < height; row += 4) {
         float16 *block = blocks + row / PART * (PARTS * PART_BLOCKS) + row % PART;
@@ -222,7 +223,7 @@ INLINE void fill_blocks(float16 *blocks, int width, int height, float depth) {
 }
 #endif
 
-// Add what each lane has passed to the batch's counter at `samples`, if that is one.
+// Add the samples that each lane has passed to the counter at `samples`, if there is one.
 INLINE void count_samples(global const Batch *batch, ulong samples, int16 passed) {
     uint count = samples ? find_sum(passed) : 0;
     if (!count) return;
@@ -247,9 +248,9 @@ SINGLE raster(ulong address) {
     if (place < 0 && !cleared) return;
     OPEN_SURFACES
     const Targets targets = open_targets(TARGET_ARGUMENTS);
-    const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of what lies in the target, whole blocks
+    const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of the part inside the target, in whole blocks
     const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
-    // Depth that is staged and stored is cleared where it is staged.
+    // Depth that is staged and written back is cleared in the staging area.
     const bool fills = STAGES_DEPTH && DEPTH_WRITES && place >= 0 && cleared >> COLOR_COUNT & 1;
     const uint in_memory = cleared ^ (uint)fills << COLOR_COUNT;
     if (in_memory) clear_targets(&targets, target_places, in_memory, tile_x, tile_y, width, height);
@@ -257,7 +258,7 @@ SINGLE raster(ulong address) {
 #if STAGES_DEPTH
     float16 blocks[PARTS * PARTS * PART_BLOCKS];
 #if BOUNDS_DEPTH
-    // Beyond the target nothing is farther than what is stored in it.
+    // Depths outside of the target must not affect bounds.
     if (width < TILE || height < TILE)
         for (int i = 0; i < PARTS * PARTS * PART_BLOCKS; ++i) blocks[i] = (float16)(NEARER);
 #endif
@@ -267,7 +268,7 @@ SINGLE raster(ulong address) {
 #if BOUNDS_DEPTH
     float16 block_bounds[PARTS * PARTS];
     float bounds[PARTS * PARTS] __attribute__((aligned(64)));
-    uchar writes[PARTS * PARTS];  // of blocks, since the bounds were found
+    uchar writes[PARTS * PARTS];  // number of blocks written since the bound was computed
 #define FIND_BOUNDS(part) { \
         block_bounds[part] = find_block_bounds(blocks + part * PART_BLOCKS); \
         bounds[part] = find_farthest(block_bounds[part]); \
@@ -285,13 +286,13 @@ SINGLE raster(ulong address) {
 #endif
     global const int *record_memory = AT(const int, batch->records);
     global const Draw *draws = AT(const Draw, batch->draws);
-    global const Draw *draw = 0;  // the one of the record at hand, and what it uses
+    global const Draw *draw = 0;  // that of the current record, with its state
     global const View *view = 0;
     global const uint *state = 0;
     global const ulong *row = 0;
     int number = -1;
     ulong samples = 0;
-    int16 passed = (int16)(0);  // by each lane, for this counter
+    int16 passed = (int16)(0);  // samples of each lane for the current counter
     for (; place >= 0; place = next_record(&records)) {
         global const int *record = record_memory + (long)place * 16;
         if (records.list) {
@@ -300,7 +301,7 @@ SINGLE raster(ulong address) {
         }
         const int flags = record[FLAGS], first = record[BOX_FIRST], last = record[BOX_LAST];
         const int kind = flags & 3, front = flags >> 2 & 1;
-        const int box_x = first & 0xFFFF, box_y = first >> 16;  // where planes begin
+        const int box_x = first & 0xFFFF, box_y = first >> 16;  // the texel at which planes begin
         int first_x = box_x, first_y = box_y, last_x = last & 0xFFFF, last_y = last >> 16;
         if (flags & 8) {
             global const int *drawn = AT(const View, batch->views)[draws[flags >> 4].view].box;
@@ -334,7 +335,7 @@ SINGLE raster(ulong address) {
         const float16 lane_depth = fma((float16)(depth_x), LANE_FX, depth_y * LANE_FY);
 #if BOUNDS_DEPTH
         if (parts & (parts - 1)) {
-            // The nearest that the plane comes to in each part, less what rounding may add.
+            // The nearest depth of the plane in each part, with a margin for rounding.
             const int away_x = tile_x - box_x, away_y = tile_y - box_y;
             const float slope_x = fabs(depth_x), slope_y = fabs(depth_y), middle = (PART - 1) / 2.0f;
             float reach = (slope_x + slope_y) * middle + 1e-6f + batch->depth_step +
@@ -345,7 +346,7 @@ SINGLE raster(ulong address) {
             parts &= ~bits_of(BEHIND(nearest, bound));
             if (!parts) continue;
         }
-        // What is added to a block's first depth for its nearest one: what the lane of that corner adds.
+        // Difference between the depth of a block's first texel and that of its nearest corner.
         const float to_nearest = fma(depth_x, GETS_NEARER(depth_x) ? 3.0f : 0.0f, depth_y * (GETS_NEARER(depth_y) ? 3.0f : 0.0f));
 #endif
 #if SHADES
@@ -397,19 +398,19 @@ SINGLE raster(ulong address) {
                 const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
                 uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
                                           min(y1 - part_y, PART - 1), 2);
-                int start[3][16] __attribute__((aligned(64)));  // edges and depth at each block's first texel
+                int start[3][16] __attribute__((aligned(64)));  // edges and depth at the first texel of each block
                 float start_depth[16] __attribute__((aligned(64)));
                 const float part_depth = depth_plane[2] + depth_x * (float)(part_x - box_x) + depth_y * (float)(part_y - box_y);
                 if (todo & (todo - 1)) {
                     todo &= cross_squares(&edges, part_x, part_y, 2, starts);
                     const float16 first_depths = lane_depth * 4.0f + part_depth;
-#if BOUNDS_DEPTH && DEPTH_WRITES  // where none is written, blocks mostly have their part's bound, which was tested
+#if BOUNDS_DEPTH && DEPTH_WRITES  // without writes, most blocks have the bound of their part, which was tested
                     todo &= ~bits_of(BEHIND(quantize_depth(first_depths + to_nearest), block_bounds[part]));
 #endif
                     if (!todo) continue;
                     UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
                     *(float16 *)start_depth = first_depths;
-                } else {  // a single block, as of most small triangles, isn't worth a test
+                } else {  // a single block, as most small triangles touch, isn't worth a test
                     const int block = 31 - clz(todo), column = block % 4, row_of_blocks = block / 4;
                     const int x = part_x + column * 4 - edges.x, y = part_y + row_of_blocks * 4 - edges.y;
                     UNROLL for (int i = 0; i < 3; ++i) start[i][block] = edges.c[0][i] + edges.a[i] * x + edges.b[i] * y;
@@ -436,7 +437,7 @@ SINGLE raster(ulong address) {
                         covered |= masks[sample];
                     }
 #if STAGES_DEPTH
-                    // One sample and no stencil: what merge_depth_stencil does, on the staged block.
+                    // The same as merge_depth_stencil for one sample without stencil, on the staged block.
                     float16 *block = blocks + part * PART_BLOCKS + place_in_part;
                     float16 stored = *block, fresh = quantize_depth(z);
 #if TEST_ORDER != TEST_LATE || !SHADES

@@ -1,24 +1,24 @@
-// Primitives become records: 16 at a time from their vertices' window positions.
+// Primitive set-up: turns primitives into records, 16 at a time, from the window positions of their vertices.
 //
-// - A work-item does a chunk of groups in order. What survives culling gets a record of 64 bytes (coverage, depth) and,
-//   if something is shaded, a second one (1/w and the weights of the corners as planes in the window).
-// - A texel is covered if A x + B y + C >= 0 for the three edges, in subtexels. At texel centres (multiples of 256)
-//   that is the same with C / 256 rounded down, which keeps small triangles in 32 bits: SMALL. Larger ones are BIG:
-//   their record has a corner instead of C, and each tile finds its own in 64 bits. POLYGON: see polygon.cl.
-// - A record's box is cut by the target and not by what may be drawn of it: its planes begin there, and what is drawn
-//   twice has the same depth each time, wherever the scissor lies. Where that cuts the box, a flag says so.
-// - An edge that is neither top nor left doesn't own what lies on it: C is less by one before it is divided.
-// - Windings are made positive by swapping two corners; the first one, whose flat values count, stays.
+// - A work-item processes a chunk of groups in order. A primitive that survives culling gets a record of 64 bytes (coverage,
+//   depth) and, if a fragment stage runs, a second one (1/w and the weights of the corners as planes in the window).
+// - A texel is covered if A x + B y + C >= 0 for the three edges, in subtexels. At texel centres (multiples of 256) that
+//   is equivalent with C / 256 rounded down, which keeps small triangles in 32 bits: SMALL. Larger ones are BIG: their
+//   record has a corner instead of C, and each tile computes its own C in 64 bits. POLYGON: see polygon.cl.
+// - A record's box is clamped to the target and not to the viewport and scissor. Its planes begin there, so a primitive
+//   that is drawn twice has the same depth each time, wherever the scissor lies. A flag says whether the view cuts the box.
+// - An edge that is neither top nor left doesn't own the points on it: its C is decreased by one before the division.
+// - Areas are made positive by swapping two corners. The first one, which provides flat varyings, stays.
 
 // Up to this extent, products of two distances and their sums fit in 31 bits.
 #define SMALL_EXTENT 23000
-// Depth per texel from which on a corner's rounding would move depth by more than 2^-18 or so.
+// Slope of depth per texel beyond which the rounding of a corner would change depth by more than about 2^-18.
 #define STEEP 0x1p-9f
 
 FIND_DRAW(find_draw_of_primitives, primitive_group)
 
-// The indices of a group's corners, three for each primitive: its own, or a list written to `scratch`, in which lines and
-// points repeat their last one. Scalar loads from memory are faster than to take vectors apart.
+// Return the indices of a group's corners, three for each primitive: those of the draw, or a list written to `scratch`, in
+// which lines and points repeat their last corner. Scalar loads from memory are faster than extracting lanes.
 INLINE global const uint *find_corners(global const Draw *draw, int first, int last, global uint *scratch) {
     int corner_count = draw->primitive, bytes = draw->index_bytes;
     if (last >= GROUP - 1 && corner_count == TRIANGLES) {
@@ -30,7 +30,7 @@ INLINE global const uint *find_corners(global const Draw *draw, int first, int l
         }
         return scratch;
     }
-    if (corner_count == TRIANGLES && bytes == 4) {  // few triangles, as of a box: the last one again and again
+    if (corner_count == TRIANGLES && bytes == 4) {  // few triangles, as those of a box: the last one is repeated
         global const uint *from = AT(const uint, draw->indices) + 3 * (long)first;
         for (int i = 0; i < GROUP; ++i) {
             int primitive = 3 * min(i, last);
@@ -49,7 +49,7 @@ INLINE global const uint *find_corners(global const Draw *draw, int first, int l
     return scratch;
 }
 
-// Corner `k` of 16 primitives.
+// Load the positions of corner `k` of 16 primitives.
 #define LOAD_POSITIONS(k) { \
     uint16 rows[4], columns[4]; \
     UNROLL for (int i = 0; i < 4; ++i) \
@@ -59,7 +59,7 @@ INLINE global const uint *find_corners(global const Draw *draw, int first, int l
     x[k] = as_int16(columns[0]); y[k] = as_int16(columns[1]); \
     z[k] = as_float16(columns[2]); near_w[k] = as_float16(columns[3]); }
 
-// The slots of 16 primitives' corners: every third of 48 words.
+// Load the slots of 16 primitives' corners: every third of 48 words.
 INLINE void load_slots(global const uint *corners, int to_slot, uint16 *slots) {
     uint16 a = vload16(0, corners), b = vload16(1, corners), c = vload16(2, corners), ab;
     ab = SHUFFLE(a, b, 0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 0, 0, 0, 0, 0);
@@ -70,11 +70,11 @@ INLINE void load_slots(global const uint *corners, int to_slot, uint16 *slots) {
     slots[2] = SHUFFLE(ab, c, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 16, 19, 22, 25, 28, 31) + (uint)to_slot;
 }
 
-// 16 vectors of 16 words, transposed.
+// Transpose 16 vectors of 16 words.
 INLINE void transpose16(const uint16 *fields, uint16 *records) {
     uint16 a[16];
     UNROLL for (int i = 0; i < 4; ++i) transpose4(fields + 4 * i, a + 4 * i);
-    // a[4 i + j] has in quarter q the fields 4 i … 4 i + 3 of primitive 4 q + j.
+    // Quarter q of a[4 i + j] has the fields 4 i … 4 i + 3 of primitive 4 q + j.
     UNROLL for (int j = 0; j < 4; ++j) {
         uint16 t = SHUFFLE(a[j], a[4 + j], 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22, 23);
         uint16 u = SHUFFLE(a[j], a[4 + j], 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27, 28, 29, 30, 31);
@@ -87,7 +87,7 @@ INLINE void transpose16(const uint16 *fields, uint16 *records) {
     }
 }
 
-// The slope-scaled offset of a polygon's depth. The smallest step of floats is that at its largest depth.
+// Return the depth bias of a polygon. For float depths the unit is the smallest step at its largest depth.
 INLINE float offset_depth(global const View *view, float slope_x, float slope_y, float largest) {
     float step = view->bias_step != 0.0f ? view->bias_step
                  : as_float(max((as_int(largest) & 0x7F800000) - (23 << 23), 0));
@@ -96,10 +96,10 @@ INLINE float offset_depth(global const View *view, float slope_x, float slope_y,
     return limit > 0.0f ? fmin(offset, limit) : limit < 0.0f ? fmax(offset, limit) : offset;
 }
 
-// Planes in scalars, from clip positions, whose places in the window aren't rounded: for polygons, and for triangles so
-// wide or so steep that a corner's rounding would be seen in their depth. Everything is linear in the window for the
-// whole primitive, clipped or not: with P its corners {x, y, w} before the division, the weight of corner i / w is
-// (Pj × Pk) · {x, y, 1} / det P (Olano & Greer 1997). `left` and `top` are the texel that planes begin at.
+// Compute planes in scalars from clip positions, which aren't rounded: for polygons, and for triangles so wide or so steep
+// that the rounding of a corner would be visible in their depth. All planes are linear in the window over the whole
+// primitive, clipped or not: with P its corners {x, y, w} before the division, the weight of corner i / w is
+// (Pj × Pk) · {x, y, 1} / det P (Olano & Greer 1997). `left` and `top`: the texel that planes begin at.
 void find_planes(
     global const View *view, const float4 *clips, const uint *slots, int primitive, int number, int left, int top,
     int *record, float *planes
@@ -108,7 +108,7 @@ void find_planes(
     for (int i = 0; i < 3; ++i)
         p[i] = (double3)((double)clips[i].x * view->scale[0] + ((double)view->shift[0] - 0.5) * clips[i].w,
                          (double)clips[i].y * view->scale[1] + ((double)view->shift[1] - 0.5) * clips[i].w, clips[i].w);
-    double plane_x[3], plane_y[3], plane_c[3];  // of corner i's weight / w
+    double plane_x[3], plane_y[3], plane_c[3];  // planes of corner i's weight / w
     double3 origin = (double3)(left, top, 1.0);
     if (primitive == TRIANGLES) {
         double area = dot(p[0], cross(p[1], p[2]));
@@ -161,7 +161,7 @@ void find_planes(
     planes[15] = 0.0f;
 }
 
-// A primitive that is a polygon; false if nothing is left of it.
+// Set up a primitive that is a polygon. Return false if it is culled.
 bool set_up_polygon(
     global const Batch *batch, global const View *view, const uint *slots, int primitive, int number, int draw_number,
     int *record, float *planes
@@ -170,7 +170,7 @@ bool set_up_polygon(
     for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, slots[i]);
     bool flipped = false;
     if (primitive == TRIANGLES) {
-        // The sign of the area, as that of the whole triangle's determinant; y's scale is negative.
+        // The area has the sign of the whole triangle's determinant, inverted since the scale of y is negative.
         double3 a = (double3)(clips[0].x, clips[0].y, clips[0].w), b = (double3)(clips[1].x, clips[1].y, clips[1].w);
         double area = -dot(a, cross(b, (double3)(clips[2].x, clips[2].y, clips[2].w)));
         flipped = area < 0.0;
@@ -202,7 +202,7 @@ bool set_up_polygon(
     return true;
 }
 
-// How far an instance's vertices reach, which begin at `group`.
+// Return the extent of an instance's vertices, which begin at `group`.
 INLINE Extent find_extent(global const Batch *batch, global const Draw *draw, int group) {
     global const Extent *extents = AT(const Extent, batch->extents);
     int end = group + draw->vertex_groups;
@@ -264,7 +264,7 @@ SINGLE set_up(ulong address) {
             int last = draw->primitives - 1 - part * GROUP;
             global const uint *corners = find_corners(draw, part * GROUP, last, scratch);
             if (last >= 2 * GROUP - 1 && draw->index_bytes == 4)
-                UNROLL for (int i = 0; i < GROUP; ++i)  // a corner of each of the next group's: the others lie near it
+                UNROLL for (int i = 0; i < GROUP; ++i)  // one corner of each primitive in the next group: the others are near it
                     __builtin_prefetch((const void *)(ulong)(vertices + corners[3 * (GROUP + i)]), 0, 3);
             int16 x[3], y[3];
             float16 z[3], near_w[3];
@@ -280,7 +280,7 @@ SINGLE set_up(ulong address) {
             int16 low_y = min(min(y[0], y[1]), y[2]), high_y = max(max(y[0], y[1]), y[2]);
             int16 left = max((low_x - reach + 255) >> 8, 0), right = min((high_x + reach) >> 8, batch->width - 1);
             int16 top = max((low_y - reach + 255) >> 8, 0), bottom = min((high_y + reach) >> 8, batch->height - 1);
-            int16 first_x = max(left, left_limit), last_x = min(right, right_limit);  // of what may be drawn
+            int16 first_x = max(left, left_limit), last_x = min(right, right_limit);  // within the viewport and scissor
             int16 first_y = max(top, top_limit), last_y = min(bottom, bottom_limit);
             int16 kept = whole & (first_x <= last_x) & (first_y <= last_y);
             uint survivors = bits_of(kept);
@@ -313,7 +313,7 @@ SINGLE set_up(ulong address) {
                 near_w[2] = flipped ? other_w : near_w[2];
             }
             area = fabs(area);
-            // Edges 0 1, 1 2, 2 0: their inside is where A x + B y grows.
+            // Edges 0 1, 1 2, 2 0: A x + B y grows towards the inside.
             int16 a0 = y[0] - y[1], a1 = y[1] - y[2], a2 = y[2] - y[0];
             int16 b0 = x[1] - x[0], b1 = x[2] - x[1], b2 = x[0] - x[2];
             int16 origin_x = left << 8, origin_y = top << 8;
@@ -321,7 +321,7 @@ SINGLE set_up(ulong address) {
             int16 c1 = (a1 * (origin_x - x[1]) + b1 * (origin_y - y[1]) - 1 - OWNS(a1, b1)) >> 8;
             int16 c2 = (a2 * (origin_x - x[2]) + b2 * (origin_y - y[2]) - 1 - OWNS(a2, b2)) >> 8;
             if (!all_big) {
-                // Of boxes of 1 or 2 texels a side, those that hold no covered one.
+                // Cull boxes of 1 or 2 texels a side without a covered texel.
                 int16 two_x = right > left, two_y = bottom > top, covers = (c0 | c1 | c2) >= 0;
                 covers |= two_x & (((c0 + a0) | (c1 + a1) | (c2 + a2)) >= 0);
                 covers |= two_y & (((c0 + b0) | (c1 + b1) | (c2 + b2)) >= 0);
@@ -346,7 +346,7 @@ SINGLE set_up(ulong address) {
             float16 rise1 = z[1] - z[0], rise2 = z[2] - z[0];
             float16 depth_x = rise1 * weight1_x + rise2 * weight2_x, depth_y = rise1 * weight1_y + rise2 * weight2_y;
             float16 depth = z[0] + rise1 * weight1 + rise2 * weight2;
-            // Not those thinner than a subtexel: what covers them lies beside them, where their planes reach far off.
+            // Not triangles thinner than a subtexel: covered texels lie beside them, where their planes are far off.
             int16 tilts = (wide | (fabs(depth_x) + fabs(depth_y) > STEEP)) & (area > convert_float16(extent));
             const uint tilted = bits_of(tilts);
             float16 offset = (float16)(0.0f);
@@ -359,14 +359,14 @@ SINGLE set_up(ulong address) {
                 offset = vload16(0, offsets);
                 depth += offset;
             }
-            // What depth the primitive reaches, and what rounding in its plane may add to that.
+            // The nearest depth of the primitive, with a margin for the rounding of its plane.
             float16 slack = 1e-6f + 0x1p-21f * (fabs(depth_x) * convert_float16((high_x - low_x) >> 8) +
                                                 fabs(depth_y) * convert_float16((high_y - low_y) >> 8));
-            slack += tilts ? (fabs(depth_x) + fabs(depth_y)) * (1.0f / 128.0f) : 0.0f;  // by what corners are rounded
+            slack += tilts ? (fabs(depth_x) + fabs(depth_y)) * (1.0f / 128.0f) : 0.0f;  // for the rounding of corners
             slack += batch->depth_step;
             float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
                                            : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;
-            // Depth is clamped behind the test's offset, where equal depths may pass.
+            // Depth is clamped after the bias, and equal depths may pass the test.
             if (biased) nearest = near_is_less ? fmin(nearest, (float16)(1.0f)) : fmax(nearest, (float16)(0.0f));
             int16 cuts = (left < left_limit) | (top < top_limit) | (right > right_limit) | (bottom > bottom_limit);
             cuts |= (right < (high_x + reach) >> 8) & (batch->width & 3 ? -1 : 0);
@@ -396,8 +396,8 @@ SINGLE set_up(ulong address) {
                 };
                 transpose16(words, planes);
             }
-            // A box in tiles, a byte for each side. What is read back lane by lane is read from words that were stored
-            // alone: reading a part of what was just stored as a whole stalls.
+            // A box in tiles, one byte per side. Values that are read back lane by lane are stored separately: reading a
+            // part of a vector that was just stored stalls.
             uint tile_boxes[GROUP];
             vstore16(as_uint16(first_x >> TILE_BITS | (first_y >> TILE_BITS) << 8 | (last_x >> TILE_BITS) << 16 |
                                 (last_y >> TILE_BITS) << 24), 0, tile_boxes);

@@ -1,18 +1,18 @@
-// The output merger: what becomes of a block of shaded fragments in a pass's targets.
+// The output merger: tests, blends and writes a block of shaded fragments to the targets of a pass.
 //
 // - A block is 4×4 texels in 16 lanes, lane = x + 4 y. A mask is an int16 of 0 and −1.
-// - Targets are linear planes of memory whose pitch is a multiple of 4 texels, so a block is 4 aligned row loads.
-// - Numbers are converted as rhi.contract.texels does: clamp, scale, round to nearest even, NaN to 0.
-// - What decides about the code is a macro, written by targets.py: formats, whether a target blends, the depth
-//   function, the order of tests and shading. Everything else is a word of the draw's state block, read here as a
-//   scalar: branches on it go the same way for all blocks of a draw.
+// - Targets are linear planes of memory whose pitch is a multiple of 4 texels, so a block is loaded as 4 aligned rows.
+// - Numbers are converted as in rhi.contract.texels: clamp, scale, round to nearest even, NaN to 0.
+// - States that affect the code are macros, written by merger.py: formats, whether a target blends, the depth function, the
+//   order of tests and shading. All other states are words of the draw's state block, read here as scalars: branches on
+//   them are uniform over all blocks of a draw.
 
 #define MERGER static inline __attribute__((always_inline, overloadable))
-#define EACH(c, first, last) _Pragma("unroll") for (int c = first; c <= last; ++c)  // PoCL unrolls only what it is told to
+#define EACH(c, first, last) _Pragma("unroll") for (int c = first; c <= last; ++c)  // PoCL unrolls only loops with a pragma
 
 typedef struct {
     global uchar *first;  // texel 0, 0 of sample 0
-    ulong pitch, layer;   // bytes from row to row, and from sample to sample
+    ulong pitch, layer;   // distances in bytes from row to row, and from sample to sample
 } Surface;
 
 typedef struct {
@@ -31,7 +31,7 @@ MERGER global uchar *locate(const Surface *surface, int x, int y, int sample, co
     return row + x * bytes;
 }
 
-// -- blocks in memory: a texel of 1, 2, 4, 8 or 16 bytes is 1, 1, 1, 2 or 4 words of each lane --------------------
+// -- blocks in memory: a texel of 1, 2, 4, 8 or 16 bytes takes 1, 1, 1, 2 or 4 words of each lane --------------------
 
 MERGER void load_block(global const uchar *block, ulong pitch, const int bytes, uint16 *words) {
     global const uchar *a = block, *b = a + pitch, *c = b + pitch, *d = c + pitch;
@@ -81,15 +81,15 @@ MERGER void store_block(global uchar *block, ulong pitch, const int bytes, const
 #undef ROW
 }
 
-// -- numbers: a channel's stored bits and what they mean ----------------------------------------------------------
+// -- numbers: conversion to and from a channel's stored bits ----------------------------------------------------------
 
-// Also NaN goes to the lower end. Compares make one instruction each, where fmin and fmax care for NaN.
+// NaN becomes `low`. Comparisons compile to one instruction each; fmin and fmax take more, to handle NaN.
 MERGER float16 clamp_to(float16 value, float low, float high) {
     value = value > low ? value : (float16)(low);
     return value < high ? value : (float16)(high);
 }
 
-// In [2^23, 2^24) floats are whole numbers, so the addition rounds, and the low bits are the result.
+// In [2^23, 2^24) floats are integers, so the addition rounds, and the low bits are the result.
 MERGER uint16 round_unsigned(float16 value, float scale) {
     return as_uint16(fma(value, (float16)(scale), (float16)(8388608.0f))) - 0x4B000000u;
 }
@@ -97,8 +97,8 @@ MERGER int16 round_signed(float16 value, float scale) {
     return as_int16(fma(value, (float16)(scale), (float16)(12582912.0f))) - 0x4B400000;
 }
 
-// Half floats by shifts: OpenCL's own conversions are calls per lane in PoCL. After Fabian Giesen's
-// float_to_half_fast3_rtne and half_to_float.
+// Half floats are converted by shifts, since PoCL calls a function per lane for OpenCL's own conversions. After Fabian
+// Giesen's float_to_half_fast3_rtne and half_to_float.
 MERGER uint16 make_half(float16 value) {
     uint16 bits = as_uint16(value), sign = bits & 0x80000000u, size = bits ^ sign;
     uint16 tiny = as_uint16(as_float16(size) + 0.5f) - 0x3F000000u;  // the addition rounds at a denormal half's step
@@ -116,7 +116,7 @@ MERGER float16 read_half(uint16 half_bits) {
     return as_float16(result | ((half_bits & 0x8000u) << 16));
 }
 
-// IEC 61966-2-1. The powers 5/12 and 2.4 are polynomials, made by targets.py: pow costs 100 ns in PoCL.
+// IEC 61966-2-1. The powers 5/12 and 2.4 are polynomials, computed by merger.py: pow takes 100 ns in PoCL.
 MERGER float16 encode_srgb(float16 linear) {
     float16 root = sqrt(sqrt(linear));
     return linear <= 0.0031308f ? linear * 12.92f : fma(ENCODE_SRGB(root), (float16)(1.055f), (float16)(-0.055f));
@@ -128,7 +128,7 @@ MERGER float16 decode_srgb(float16 stored) {
 
 #define LARGEST(bits) (~0u >> (32 - (bits)))
 
-// A shader's value as the stored bits of one channel; `value` is a word: a float's bits, or an integer.
+// Convert a shader's value to the stored bits of one channel. `value` is a word: the bits of a float, or an integer.
 MERGER uint16 make_bits(uint16 value, const int bits, const int kind) {
     float16 number = as_float16(value);
     const uint largest = LARGEST(bits);
@@ -140,12 +140,12 @@ MERGER uint16 make_bits(uint16 value, const int bits, const int kind) {
         return as_uint16(round_signed(clamp_to(number, -1.0f, 1.0f), largest >> 1)) & largest;
     }
     case KIND_UINT: return min(value, largest);
-    case KIND_INT: return value;  // there are only 32-bit ones
+    case KIND_INT: return value;  // only 32-bit formats exist
     default: return bits == 16 ? make_half(number) : value;
     }
 }
 
-// The number that stored bits mean, in linear light; not for integers.
+// Convert stored bits to a number in linear light; not for integers.
 MERGER float16 read_bits(uint16 stored, const int bits, const int kind) {
     const uint largest = LARGEST(bits);
     switch (kind) {
@@ -159,10 +159,10 @@ MERGER float16 read_bits(uint16 stored, const int bits, const int kind) {
     }
 }
 
-// Alpha is linear in sRGB formats, too.
+// Alpha is linear in sRGB formats.
 #define KIND_OF(channel, kind) ((kind) == KIND_SRGB && (channel) == 3 ? KIND_UNORM : (kind))
 
-// -- comparisons: bits 1, 2, 4 say whether less, equal, greater passes ---------------------------------------------
+// -- comparisons: the bits 1, 2, 4 pass less, equal, greater ---------------------------------------------
 
 #define COMPARE(type) \
 MERGER int16 compare(type new, type stored, uint passes) { \
@@ -183,13 +183,13 @@ COMPARE(uint16)
 
 // -- depth and stencil ---------------------------------------------------------------------------------------------
 
-// To 0…1, and to the values that the format has: floats that stand for whole numbers of 1/65535 or 1/(2^24 − 1).
+// Clamp to 0…1 and round to the format's values: floats that represent multiples of 1/65535 or 1/(2^24 − 1).
 MERGER float16 quantize_depth(float16 z) {
     z = clamp_to(z, 0.0f, 1.0f);
 #if DEPTH_BITS == 16
     return convert_float16(as_int16(round_unsigned(z, 65535.0f))) / 65535.0f;
 #elif DEPTH_BITS == 24
-    // Beyond 1/2 a float product is a whole number already.
+    // Beyond 1/2 the product is an integer already.
     float16 coarse = z * 16777215.0f, fine = fma(z, (float16)(16777215.0f), (float16)(8388608.0f)) - 8388608.0f;
     float16 steps = z > 0.5f ? coarse : fine;
     return fma(steps, (float16)(0x1p-24f), steps * 0x1.000002p-48f);  // 1/(2^24 − 1) = 2^-24 + 2^-48 + 2^-72…
@@ -226,7 +226,7 @@ MERGER uint16 change_stencil(uint16 stored, uint reference, uint operation) {
 }
 #endif
 
-// The lanes of `mask` that pass the stencil and the depth test. With `writes` both planes are changed.
+// Return the lanes of `mask` that pass the stencil and depth tests. With `writes` both planes are updated.
 MERGER int16 test_depth_stencil(
     const Targets *targets, global const uint *state, int x, int y, int sample, int front, int16 mask, float16 z,
     const bool writes
@@ -280,7 +280,7 @@ MERGER int16 test_alpha(global const uint *state, int16 mask, const uint16 *outp
 #endif
 }
 
-// As many of the samples as alpha says, rounded to the nearest number.
+// Cover a number of samples in proportion to alpha, rounded to nearest.
 MERGER int16 cover_by_alpha(int16 mask, const uint16 *outputs, int sample) {
 #if ALPHA_TO_COVERAGE
     return mask & (as_float16(outputs[3]) * SAMPLES >= sample + 0.5f);
@@ -291,7 +291,7 @@ MERGER int16 cover_by_alpha(int16 mask, const uint16 *outputs, int sample) {
 
 // -- color ---------------------------------------------------------------------------------------------------------
 
-// value *= factor, for channels 0…2 or 3 alone. A factor's code is what it names, and 8 if it is 1 minus that.
+// value *= factor, for the channels 0…2 or 3 alone. Bit 8 of a factor's code means one minus the factor.
 MERGER void scale_channels(
     float16 *value, const float16 *source, const float16 *stored, const float *constant_color, uint code, const int first,
     const int last, const bool clamps
@@ -317,7 +317,7 @@ MERGER void scale_channels(
     EACH(c, first, last) value[c] *= factor[c];
 }
 
-// `function`: the source's factor, the destination's and the operation, 4 bits each.
+// `function`: source factor, destination factor and operation, 4 bits each.
 MERGER void blend_channels(
     float16 *result, const float16 *source, const float16 *stored, const float *constant_color, uint function,
     const int first, const int last, const bool clamps
@@ -341,7 +341,7 @@ MERGER void blend_channels(
     }
 }
 
-// `color` becomes the blended color. Normalised targets clamp everything that takes part, as OpenGL 4.5 (17.3.8) says.
+// Replace `color` by the blended color. For normalised targets all operands are clamped (OpenGL 4.5, 17.3.8).
 MERGER void blend(
     uint16 *color, const uint16 *words, global const uint *state, global const uint *constants, const int channels,
     const int bits, const int kind
@@ -366,7 +366,7 @@ MERGER void blend(
     EACH(c, 0, 3) color[c] = as_uint16(result[c]);
 }
 
-// One target: `outputs` are the fragment stage's words for it, `state` its blend function and the bits that are written.
+// Merge one target. `outputs`: the fragment stage's words for it; `state`: its blend function and write mask.
 MERGER void merge_color(
     const Surface *surface, global const uint *state, global const uint *constants, int x, int y, int sample,
     int16 mask, const uint16 *outputs, const int components, const int channels, const int bits, const int kind,
@@ -397,7 +397,7 @@ MERGER void merge_colors(
 #undef MERGE
 }
 
-// All samples of some texels become one, which is repeated to 4 words; whole blocks.
+// Set all samples of a region of whole blocks to one texel, which is repeated to 4 words.
 MERGER void clear_surface(
     const Surface *surface, global const uint *texel, int x, int y, int width, int height, const int bytes
 ) {
@@ -413,11 +413,11 @@ MERGER void clear_surface(
         }
 }
 
-// Behind the surfaces' places stand the texels that they are cleared to.
+// The clear values follow the surfaces' places.
 #define CLEAR_TEXEL(target_places, surface) \
     ((global const uint *)(target_places + 3 * (COLOR_COUNT + HAS_DEPTH + HAS_STENCIL)) + 4 * (surface))
 
-// Surfaces are given as bits.
+// `surfaces`: those to clear, as bits.
 MERGER void clear_targets(
     const Targets *targets, global const ulong *target_places, uint surfaces, int x, int y, int width, int height
 ) {

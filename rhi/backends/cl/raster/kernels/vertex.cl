@@ -1,16 +1,17 @@
-// Vertices: 16 at a time through the program's vertex stage, on to window positions.
+// Vertex processing: 16 vertices at a time through the program's vertex stage, and to window positions.
 //
-// - Each work-item does some groups; a group's attributes are gathered as words and transposed.
-// - Stored for each vertex: its window position {x, y in subtexels, depth, 1/w} and its varyings. A vertex that can't
-//   have a window position (behind a plane of the view's depth, or too far aside) is marked by 1/w = -1, and its x are
-//   the planes it lies behind. Clip positions are kept of all, since a vertex can't know what it is clipped with; they
-//   can't be found from window positions, whose rounding tilts planes that reach to the horizon.
-// - Before this text stand the stage and what tables.py writes: INPUT_WORDS, VARYING_WORDS, FETCH, BINDINGS.
+// - Each work-item processes some groups. A group's attributes are gathered as words and transposed.
+// - Output per vertex: its window position {x, y in subtexels, depth, 1/w} and its varyings. A vertex without a window
+//   position (in front of the near or behind the far plane, or too far outside) is marked by 1/w = -1, and its x holds
+//   the planes that it lies behind. Clip positions of all vertices are stored as well, since any of them may belong to a
+//   primitive that is clipped. They can't be derived from window positions, whose rounding tilts planes that reach to the
+//   horizon.
+// - The stage and the macros of tables.py precede this text: INPUT_WORDS, VARYING_WORDS, FETCH, BINDINGS.
 
 FIND_DRAW(find_draw_of_vertices, vertex_group)
 
-// The words of 16 vertices, whose places in memory PLACE gives: one, or up to four; up to 12 bytes beyond the last one
-// are read.
+// Load one word or up to four words of 16 vertices, which PLACE locates in memory. Up to 12 bytes beyond the last word are
+// read.
 #define GATHER(PLACE) \
     if (count == 1) { \
         words[0] = (uint16)(WORD(PLACE, 0), WORD(PLACE, 1), WORD(PLACE, 2), WORD(PLACE, 3), WORD(PLACE, 4), \
@@ -31,18 +32,18 @@ INLINE void gather(global const uchar *attribute, const int *vertices, const lon
     GATHER(NAMED)
 }
 
-// The same of vertices that follow one another: their places are known when this is compiled.
+// The same for consecutive vertices, whose places are known at compile time.
 INLINE void gather_row(global const uchar *attribute, const long stride, const int count, uint16 *words) {
 #define IN_ROW(lane) (lane)
     GATHER(IN_ROW)
 }
 
-// The same words for all lanes.
+// Load the same words for all lanes.
 INLINE void spread(global const uchar *attribute, uint16 *words) {
     UNROLL for (int i = 0; i < 4; ++i) words[i] = (uint16)(((global const uint *)attribute)[i]);
 }
 
-// Components of packed words.
+// Extract components from packed words.
 #define FIELD(word, shift, bits) ((word) >> (shift) & ((1u << (bits)) - 1u))
 #define SIGNED(word, shift, bits) (as_int16((word) << (32 - (shift) - (bits))) >> (32 - (bits)))
 #define UNORM(word, shift, bits) as_uint16(convert_float16(FIELD(word, shift, bits)) * (1.0f / ((1u << (bits)) - 1u)))
@@ -57,8 +58,7 @@ INLINE uint16 read_half_bits(uint16 word, const int shift) {
     return value | (stored & 0x8000u) << 16;
 }
 
-// Outputs are as the stage gives them: a vector for each word, 16 vertices in its lanes. `width` words are stored for
-// each vertex, a multiple of 4.
+// Store the outputs of a stage, given as a vector of 16 vertices for each word. `width`: words per vertex, a multiple of 4.
 INLINE void store_words(global uint *memory, const uint16 *words, const int width) {
     UNROLL for (int i = 0; i < width; i += 4) {
         uint16 rows[4];
@@ -78,7 +78,7 @@ INLINE void store_words(global uint *memory, const uint16 *words, const int widt
     }
 }
 
-// The vertices that a list names at 16 places.
+// Return the vertices at 16 places of an index list.
 INLINE int16 look_up(global const Draw *draw, int16 places) {
     int named[GROUP];
     vstore16(places, 0, named);
@@ -88,7 +88,7 @@ INLINE int16 look_up(global const Draw *draw, int16 places) {
     return vload16(0, named);
 }
 
-// The attributes of 16 of an instance's vertices, and which they are; the last group repeats the last one.
+// Load the attributes of 16 vertices of an instance, and return their numbers. The last group repeats the last vertex.
 INLINE int16 fetch(global const Draw *draw, global const ulong *row, int part, int numbered, uint16 *inputs) {
     const int last = draw->vertices - 1 - part * GROUP;
     int16 vertex = part * GROUP + min(LANES, last);
@@ -106,26 +106,27 @@ INLINE global const ulong *find_row(global const Batch *batch, global const Draw
 }
 
 #ifdef RHI_BOXED
-// Before an instance is transformed, the box of its vertices' attributes is: where the clip position is an affine function
-// of up to four words, all vertices lie within the hull of the box's corners, a lane each. Corners are computed by the
-// same stage, so what is found holds but for rounding; how much that is the stage says, too (rhi.shading.lowering.bounds).
+// Before an instance is transformed, the box of its vertices' attributes is. If the clip position is an affine function of
+// up to four words, all vertices lie within the hull of the box's corners, which are computed by the same stage, one per
+// lane. The result is exact up to rounding, and the stage also returns a bound for that (rhi.shading.lowering.bounds).
 
 #define COUNT_WORD(word) + (VERTEX_WORDS >> word & 1)
 #define COUNT_OTHER(word) + (~VERTEX_WORDS >> word & 1)
 enum { BOX_WORDS = 0 RHI_BOXED(COUNT_WORD), OTHER_WORDS = 0 RHI_BOXED(COUNT_OTHER), MAX_BOX_WORDS = 4 };
 
-// What a window position is rounded by on its way, here and in transform, relative to its terms: 16 times 2^-24, divisions
-// of 2.5 units included; twice that.
+// Bound of the rounding error of a window position, here and in transform, relative to its terms: 16 times 2^-24, including
+// divisions of 2.5 units; then doubled.
 #define WINDOW_ROUNDING 0x1p-19f
 
-// How far window positions or depths of vertices may lie outside of those of corners, with p / w of a corner: with errors
-// dp and dw, that of a vertex is off by (dp - p / w dw) / w. That grows by less than p / w does, so corners tell of all.
+// Return how far window positions or depths of vertices may lie outside of those of the corners. `ratio`: p / w of a corner.
+// With errors dp and dw, a vertex is off by (dp - p / w dw) / w, which grows slower than p / w, so corners bound all of
+// them.
 INLINE float16 find_slack(float16 ratio, float slack, float slack_w, float least_w, float scale, float shift) {
     return (slack + fabs(ratio) * slack_w) / least_w * (fabs(scale) * 1.001f) +
            WINDOW_ROUNDING * (fabs(ratio * scale) + fabs(shift));
 }
 
-// How far an instance's vertices reach at the most.
+// Return an upper bound of the extent of an instance's vertices.
 Extent bound_extent(global const View *view, const uint16 *outputs) {
     float16 x = as_float16(outputs[0]), y = as_float16(outputs[1]), z = as_float16(outputs[2]), w = as_float16(outputs[3]);
     float slack_x = as_float(outputs[4].s0), slack_y = as_float(outputs[5].s0), slack_z = as_float(outputs[6].s0);
@@ -158,7 +159,7 @@ Extent bound_extent(global const View *view, const uint16 *outputs) {
     return extent;
 }
 
-// Whether an instance needn't be transformed, since set-up would drop it.
+// Return whether an instance needn't be transformed because set-up would cull it.
 bool is_box_unseen(
     global const Batch *batch, global const Draw *draw, global const View *view, global const ulong *row, int numbered
 ) {
@@ -166,7 +167,7 @@ bool is_box_unseen(
     global const float *box = AT(const float, draw->box & ~1ul);
     uint16 inputs[INPUT_WORDS + 1], outputs[8];
     uint reaches[INPUT_WORDS + 1];
-    if (OTHER_WORDS) fetch(draw, row, 0, numbered, inputs);  // those of instances
+    if (OTHER_WORDS) fetch(draw, row, 0, numbered, inputs);  // the attributes of instances
     int side = 0;
 #define PUT_CORNERS(word) \
     if (~VERTEX_WORDS >> word & 1) reaches[word] = as_uint(fabs(as_float(inputs[word].s0))); \
@@ -181,7 +182,7 @@ bool is_box_unseen(
     return is_unseen(batch, draw, view, bound_extent(view, outputs));
 }
 
-// What a draw's attributes lie between, word by word; NaN if one of them isn't finite.
+// Measure the box of a draw's attributes, word by word; NaN if one of them isn't finite.
 SINGLE measure(ulong address) {
     global const Batch *batch = AT(const Batch, address);
     global const Draw *draw = AT(const Draw, batch->draws) + get_global_id(0);
@@ -280,7 +281,7 @@ SINGLE transform(ulong address) {
                 near_w = fits ? near_w : (float16)(-1.0f);
                 all_behind &= behind;
             }
-            // Few are ever read, so a group's lie component by component, as they come.
+            // Few clip positions are ever read, so they are stored by component, without a transposition.
             UNROLL for (int i = 0; i < 4; ++i) AT(uint16, batch->clips)[4 * (long)group + i] = outputs[i];
             uint16 position[4] = {as_uint16(fixed_x), as_uint16(fixed_y), as_uint16(depth), as_uint16(near_w)};
             store_words(AT(uint, batch->positions) + slot * 4, position, 4);

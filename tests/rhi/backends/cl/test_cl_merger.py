@@ -75,7 +75,7 @@ def coverage(samples: int = 1, seed: int = 2) -> NDArray[np.bool_]:
 
 
 def depths(format: Format | None, samples: int = 1, seed: int = 3) -> NDArray[np.float32]:
-    """Few distinct ones, so that equal ones meet."""
+    """Return few distinct depths, so that equal ones meet."""
     values = np.random.default_rng(seed).integers(0, 5, (samples, *SIZE)) / 4 * 0.7 + 0.1
     return values.astype(np.float32) if format is None else encode(format, values).astype(np.float32)
 
@@ -84,7 +84,7 @@ def assert_merges(
     formats: list[Format], depth: Format | None, states: list[State], samples: int = 1, tolerance: float = 0.5,
     **more: Any,
 ) -> None:  # fmt: skip
-    """The kernel gives what NumPy gives, rounded to nearest but for ties in float32."""
+    """The kernel agrees with NumPy, rounded to nearest except for ties in float32."""
     planes = Planes(
         [texels(f, samples, seed) for seed, f in enumerate(formats)],
         None if depth is None else depths(depth, samples),
@@ -118,7 +118,7 @@ def limits(format: Format) -> tuple[float, float]:
 
 @pytest.mark.parametrize("format", COLOR_FORMATS, ids=name)
 def test_merged_colors_are_stored_as_texels_stores_them(format: Format) -> None:
-    """Bit by bit, but for sRGB, whose curve is a polynomial: there a tie within 1/1000 may go either way."""
+    """All bits agree, except for sRGB, a polynomial: a value within 1/1000 of a tie may round either way."""
     planes, words, covered = Planes([texels(format)]), fragments([format]), coverage()
     got = run([format], None, [], planes, words, depths(None), covered)
     wanted, exact = expected([format], None, [], planes, words, depths(None), covered)
@@ -145,7 +145,7 @@ def test_special_numbers_are_stored_as_texels_stores_them(format: Format) -> Non
 
 
 def test_every_half_float_is_read_and_stored_as_numpy_does() -> None:
-    """Blending x + 0 reads and stores each of the 65,536 patterns."""
+    """Blending x + 0 reads and stores each of the 65,536 bit patterns."""
     halves = np.arange(1 << 16, dtype=np.uint16).view(np.float16)
     image = halves.reshape(1, 256, 64, 4)
     words = np.zeros((1, 256, 64, 4), np.uint32)

@@ -1,14 +1,14 @@
-"""Counted samples: occlusion queries, the running counter, conditions.
+"""Queries that count samples: occlusion queries, the running counter, conditions. Timestamps: `rhi.backends.cl.fence`.
 
-- The stream of draws is cut into segments, wherever a query begins or ends or the running counter is taken. A segment
-  has a counter in memory, 64 bits in two words, which raster kernels add to. Where nobody asks, nothing is counted.
-- An occlusion query's answer is the sum of its segments; a COUNTER's is that of all segments up to it, while there are
-  COUNTER queries. An answer is there when the batch that holds its last segment's draws is done, and is then read
-  without waiting.
-- Draws of a query set are one segment with as many counters as the set has rows; for the running counter it is their
-  sum that matters.
-- Counters come from pages, zero at first; a page's memory is zeroed and used again when nobody needs its segments any
-  more.
+- The stream of draws is divided into segments, wherever a query begins or ends or the running counter is sampled. A
+  segment has a counter in memory, 64 bits in two words, that raster kernels add to. Without an active query nothing is
+  counted.
+- An occlusion query's result is the sum of its segments. A COUNTER's result is the sum of all segments before it, as
+  long as COUNTER queries exist. A result is available, and read without waiting, once the batch with its last
+  segment's draws is complete.
+- The draws of a query set are one segment with a counter for each row of the set. The running counter adds up all of
+  them.
+- Counters are allocated from pages of zeros. A page's memory is cleared and reused once none of its segments is needed.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ __rhi_internal__ = True
 _PAGE_COUNTERS: Final = 512
 
 
-class _Memory:
-    """Counters' memory; what was added to it last came before the end of batch `batch`."""
+class _CounterMemory:
+    """Memory of counters. `batch`: the last batch that may add to them."""
 
     __slots__ = ("_buffer", "_queue", "_shared", "address", "batch", "host", "words")
 
@@ -44,11 +44,11 @@ class _Memory:
         share = cl.mem_flags.USE_HOST_PTR if self._shared else cl.mem_flags.COPY_HOST_PTR
         self._buffer = cl.Buffer(context.context, cl.mem_flags.READ_WRITE | share, hostbuf=self.host)
         self.address = addresses.find(self._buffer)
-        self._queue = addresses.queue  # one that doesn't stand behind draws
+        self._queue = addresses.queue  # its commands don't wait for draws
         self.batch = 0
 
     def fetch(self) -> None:
-        """Bring `host` and `words`, which are the same memory, up to date."""
+        """Update `host` and `words`, which are the same memory, from the device."""
         if not self._shared:
             cl.enqueue_copy(self._queue, self.host, self._buffer)
 
@@ -58,26 +58,27 @@ class _Memory:
             cl.enqueue_copy(self._queue, self._buffer, self.host)
 
 
-class _Page:
-    """The use of some memory by segments, each of which holds its page: when the last one goes, so does the page."""
+class _CounterPage:
+    """A page that segments are allocated from. Each segment references it, so it is freed with the last one."""
 
-    __slots__ = ("_counters", "memory", "used")
+    __slots__ = ("_queries", "memory", "used")
 
-    def __init__(self, counters: Counters, memory: _Memory) -> None:
-        self._counters = counters
+    def __init__(self, queries: SampleQueries, memory: _CounterMemory) -> None:
+        self._queries = queries
         self.memory = memory
         self.used = 0
 
     def __del__(self) -> None:
-        self._counters.give_back(self.memory)
+        self._queries.release(self.memory)
 
 
 class Segment:
-    """Draws whose samples are counted together; kernels add to `address`, or to one of the `size` counters there."""
+    """Draws whose samples are counted together, at `address` or by one of `size` counters there. `batch`: the last
+    batch that contains some of them."""
 
     __slots__ = ("_page", "_place", "address", "batch", "size")
 
-    def __init__(self, page: _Page, batch: int, size: int) -> None:
+    def __init__(self, page: _CounterPage, batch: int, size: int) -> None:
         self._page = page
         self._place = page.used
         self.address = page.memory.address + 8 * page.used
@@ -86,7 +87,7 @@ class Segment:
         page.used += size
 
     def read(self) -> int:
-        """The samples, once the batch is done."""
+        """Return the sum of all counters. The batch has to be complete."""
         if self.size > 1:
             return int(self.read_each().sum())
         memory = self._page.memory
@@ -94,60 +95,64 @@ class Segment:
         return memory.words[self._place]
 
     def read_each(self) -> NDArray[np.uint64]:
-        """Those of each counter, once the batch is done; a view."""
+        """Return a view of the counters, (size,). The batch has to be complete."""
         memory = self._page.memory
         memory.fetch()
         return memory.host[self._place : self._place + self.size]
 
 
-class _Query:
+class _SampleQuery:
     __slots__ = ("kind", "segments", "total")
 
     def __init__(self, kind: QueryKind) -> None:
         self.kind = kind
         self.segments: list[Segment] = []
-        self.total: list[int | None] | None = None  # of a COUNTER that was taken
+        self.total: list[int | None] | None = None  # of a COUNTER that was sampled
 
 
-class Counters:
-    """All queries of a device that count.
+class SampleQueries:
+    """All queries of a device that count samples.
 
     Attributes:
-        gathering: the number of the batch that draws gather in now.
+        gathering: the number of the batch that draws are gathered in now.
     """
 
     def __init__(
         self, context: ClContext, addresses: Addresses, count_into: Callable[[int], None], flush: Callable[[], None],
         is_gathering: Callable[[], bool],
     ) -> None:  # fmt: skip
-        """`count_into` is told the address of the counter for the draws that follow, 0: none; `is_gathering` says
-        whether there are draws that weren't flushed."""
+        """
+        Args:
+            count_into: receives the address of the counter for the following draws; 0: none.
+            flush: submits the gathered draws.
+            is_gathering: returns whether there are gathered draws.
+        """
         self._context = context
         self._addresses = addresses
         self._count_into = count_into
         self._flush = flush
         self._is_gathering = is_gathering
-        self._free: list[_Memory] = []
-        self._page: _Page | None = None
+        self._free: list[_CounterMemory] = []
+        self._page: _CounterPage | None = None
         self.gathering = 1
         self._done = 0
         self._batches: deque[tuple[int, cl.Event]] = deque()
-        self._queries: dict[Id, _Query] = {}
-        self._active: _Query | None = None
+        self._queries: dict[Id, _SampleQuery] = {}
+        self._active: _SampleQuery | None = None
         self._segment: Segment | None = None
-        self._takers = 0  # COUNTER queries that exist
-        self._passed = 0  # by all segments that were added up
+        self._counter_queries = 0  # how many COUNTER queries exist
+        self._passed = 0  # the sum of all segments that left `_chain`
         self._chain: deque[tuple[Segment | None, list[int | None]]] = deque()
 
     # -- batches -------------------------------------------------------------------------------------------
 
     def finish_batch(self, event: cl.Event) -> None:
-        """The gathered draws were handed to the device; `event` is their end."""
+        """Note that the gathered draws were submitted; `event`: their completion."""
         self._batches.append((self.gathering, event))
         self.gathering += 1
 
     def is_done(self, batch: int) -> bool:
-        """Whether a batch is done; never waits."""
+        """Return whether a batch is complete, without waiting."""
         if batch <= self._done:
             return True
         batches = self._batches
@@ -159,24 +164,24 @@ class Counters:
 
     def create(self, query: Id, kind: QueryKind) -> None:
         self._make_room()
-        self._queries[query] = _Query(kind)
+        self._queries[query] = _SampleQuery(kind)
         if kind is QueryKind.COUNTER:
-            self._takers += 1
-            if self._takers == 1:
+            self._counter_queries += 1
+            if self._counter_queries == 1:
                 self._cut(None)
 
     def destroy(self, query: Id) -> None:
         made = self._queries.pop(query)
         if made.kind is QueryKind.COUNTER:
-            self._takers -= 1
-            if not self._takers and self._active is None:
+            self._counter_queries -= 1
+            if not self._counter_queries and self._active is None:
                 self._cut(None)
 
     def begin(self, query: Id) -> None:
         self._make_room()
         made = self._active = self._queries[query]
         made.segments = []
-        if self._takers:
+        if self._counter_queries:
             self._cut(None)
         else:
             begun = self._segment = self._make()
@@ -189,34 +194,35 @@ class Counters:
         self._cut(None)
 
     def begin_set(self, size: int) -> Segment:
-        """So many counters, for draws that the caller spreads over them."""
+        """Begin a segment of `size` counters, for draws that each name one of them."""
         self._make_room(1 + size)
-        if self._takers:
+        if self._counter_queries:
             self._cut(None)
         return self._make(size)
 
     def end_set(self, segment: Segment) -> None:
-        """All of its draws were gathered."""
+        """End a segment of `begin_set`."""
         segment.batch = self._find_latest()
-        if self._takers:
+        if self._counter_queries:
             self._chain.append((segment, [None]))
 
     def read_set(self, segment: Segment) -> NDArray[np.uint64] | None:
-        """What each counter counted, or None while it isn't there; starts the draws."""
+        """Return a view of the counters; or None while the result isn't available, and submit the draws that it
+        needs."""
         if self.is_done(segment.batch):
             return segment.read_each()
         self._flush()
         return None
 
     def take(self, query: Id) -> None:
-        """A COUNTER: the running count at this point."""
+        """Sample the running counter into a COUNTER query."""
         self._make_room()
         total: list[int | None] = [None]
         self._queries[query].total = total
         self._cut(total)
 
     def read(self, query: Id) -> int | None:
-        """The answer, or None while it isn't there; starts the draws that it needs."""
+        """Return a query's result; or None while it isn't available, and submit the draws that it needs."""
         made = self._queries[query]
         if made.kind is QueryKind.COUNTER:
             if made.total is None:
@@ -225,14 +231,14 @@ class Counters:
             answer = made.total[0]
         else:
             segments = made.segments
-            is_there = segments and self.is_done(segments[-1].batch)
-            answer = sum([segment.read() for segment in segments]) if is_there else None
+            is_available = segments and self.is_done(segments[-1].batch)
+            answer = sum([segment.read() for segment in segments]) if is_available else None
         if answer is None:
             self._flush()
         return answer
 
     def find_condition(self, query: Id) -> int:
-        """The address of a counter that says whether a query counted any sample: its own, or that of a sum."""
+        """Return the address of a counter that is nonzero exactly if the query counted any sample."""
         made = self._queries[query]
         self._flush()
         if len(made.segments) == 1:
@@ -246,13 +252,13 @@ class Counters:
         return summed.address
 
     def _cut(self, total: list[int | None] | None) -> None:
-        """End the segment that runs, and begin another one if anybody counts."""
-        ended, active, takers = self._segment, self._active, self._takers
+        """End the current segment, and begin another one if any query counts."""
+        ended, active, counts = self._segment, self._active, self._counter_queries
         if ended is not None:
             ended.batch = self._find_latest()
-        if takers and (ended is not None or total is not None):
+        if counts and (ended is not None or total is not None):
             self._chain.append((ended, total or [None]))
-        if active is None and not takers:
+        if active is None and not counts:
             self._segment = None
             self._count_into(0)
             return
@@ -262,7 +268,7 @@ class Counters:
         self._count_into(begun.address)
 
     def _find_latest(self) -> int:
-        """The batch of the draws gathered last."""
+        """Return the number of the batch that contains the last draw."""
         return self.gathering if self._is_gathering() else self.gathering - 1
 
     def _add_up(self) -> None:
@@ -276,7 +282,7 @@ class Counters:
             self._chain.popleft()
 
     def _make_room(self, counters: int = 1) -> None:
-        """For the next segments: what may fail comes before anything changes.
+        """Make room for the next segments, so that nothing can fail once state changes.
 
         Raises:
             DeviceError: `device-out-of-memory`.
@@ -284,22 +290,22 @@ class Counters:
         page = self._page
         if page is None or page.used + counters > len(page.memory.host):
             with translate_errors("a query", f"{counters} counters"):
-                self._page = _Page(self, self._find_memory(counters))
+                self._page = _CounterPage(self, self._find_memory(counters))
 
     def _make(self, size: int = 1) -> Segment:
-        """There is room for it."""
+        """Begin a segment, which `_make_room` has made room for."""
         assert self._page is not None
         return Segment(self._page, self.gathering, size)
 
-    def _find_memory(self, size: int) -> _Memory:
-        for place, memory in enumerate(self._free):
+    def _find_memory(self, size: int) -> _CounterMemory:
+        for index, memory in enumerate(self._free):
             if len(memory.host) >= size and self.is_done(memory.batch):
                 memory.clear()
-                return self._free.pop(place)
+                return self._free.pop(index)
         pages = max(1, -(-size // _PAGE_COUNTERS))
-        return _Memory(self._context, self._addresses, pages * _PAGE_COUNTERS)
+        return _CounterMemory(self._context, self._addresses, pages * _PAGE_COUNTERS)
 
-    def give_back(self, memory: _Memory) -> None:
-        """No segment needs it; draws gathered until now may still add to it."""
+    def release(self, memory: _CounterMemory) -> None:
+        """Free memory that no segment needs. Draws gathered until now may still add to it."""
         memory.batch = self.gathering
         self._free.append(memory)

@@ -1,7 +1,6 @@
-"""Render states as a draw's `VIEW`: where clip space lands, what is cut away and culled, how depth is offset; and the
-output merger's words.
+"""Render states as the `VIEW_STRUCT` of a draw: viewport, scissor, culling, depth bias, and the output merger's words.
 
-Window y counts from the top, so that y's scale is negative and a triangle that is counter-clockwise with +Y up has a
+Window y counts from the top. So the scale of y is negative, and a triangle that is counter-clockwise with +Y up has a
 negative area.
 """
 
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.merger import make_state
-from rhi.backends.cl.raster.tables import VIEW
+from rhi.backends.cl.raster.tables import VIEW_STRUCT
 from rhi.contract.formats import Format
 from rhi.contract.states import CullMode, DepthBias, FrontFace, PolygonOffset, Scissor, Viewport
 
@@ -27,21 +26,21 @@ _FAR: Final = 1 << 20
 def make_view(
     values: Mapping[type, Any], size: tuple[int, int], colors: Sequence[Format], depth: Format | None
 ) -> NDArray[Any]:
-    """A `VIEW`, shape ().
+    """Return a `VIEW_STRUCT`, shape ().
 
     Args:
         values: the value of each state type; a tuple of `MAX_TARGETS` for those of `PER_TARGET`.
         size: (width, height) of the pass.
-        colors, depth: the formats of its targets.
+        colors, depth: the formats of the pass's targets.
     """
-    view = np.zeros((), VIEW)
+    view = np.zeros((), VIEW_STRUCT)
     viewport, scissor = values[Viewport], values[Scissor]
     x, y, width, height = viewport.x, viewport.y, viewport.width, viewport.height
     if viewport is Viewport.TARGET:
         width, height = size
     view["scale"] = width / 2, -height / 2, viewport.far - viewport.near, 0
     view["shift"] = x + width / 2, y + height / 2, viewport.near, 0
-    # A texel belongs to the viewport if its centre does.
+    # A texel lies in the viewport if its centre does.
     view["box"] = (
         max(0, scissor.x, _first_centre(x)),
         max(0, scissor.y, _first_centre(y)),
@@ -62,5 +61,5 @@ def make_view(
 
 
 def _first_centre(edge: float) -> int:
-    """The first texel whose centre lies at `edge` or beyond it."""
+    """Return the first texel whose centre lies at `edge` or beyond it."""
     return math.ceil(min(max(edge, -_FAR), _FAR) - 0.5)

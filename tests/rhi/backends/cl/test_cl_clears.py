@@ -1,4 +1,4 @@
-"""When a pass's clears are done: by draws where they can, else by themselves. That they are is in rhi/conformance."""
+"""How a pass's clears are executed: by draws if possible, else as fills. rhi/conformance checks their results."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from rhi import (
     State,
     Texture,
 )
+from rhi.backends.cl import buffers, planes
 from rhi.backends.cl import pools as memory
-from rhi.backends.cl import resources
 from rhi.conformance.compare import assert_same
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
@@ -41,21 +41,22 @@ def device() -> Iterator[Device]:
 
 @pytest.fixture
 def fills(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """What memory was filled with, from now on."""
+    """The patterns that memory is filled with from now on."""
     filled: list[bytes] = []
-    fill = resources.fill
+    fill = planes.fill
 
     def count(queue: object, memory: object, pattern: bytes, offset: int, size: int) -> None:
         filled.append(pattern)
         fill(queue, memory, pattern, offset, size)
 
-    monkeypatch.setattr(resources, "fill", count)
+    for module in (planes, buffers):
+        monkeypatch.setattr(module, "fill", count)
     return filled
 
 
 @dataclass
 class Scene:
-    """Two targets, and what covers them."""
+    """Two targets, and a mesh that covers them."""
 
     image: Texture
     depth: Texture
@@ -122,7 +123,7 @@ def test_a_clear_is_done_although_its_draws_fail(device: Device, monkeypatch: py
 
 
 def test_a_clear_is_done_once(device: Device) -> None:
-    """The second draw is a batch of its own and finds what the first one left."""
+    """The second draw is a batch of its own and reads what the first one left."""
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.D32F) as depth,

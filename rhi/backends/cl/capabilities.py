@@ -1,0 +1,41 @@
+"""The capabilities of an OpenCL device, as far as this backend supports them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.planes import alignment
+from rhi.contract.backend import Capabilities
+
+__rhi_internal__ = True
+
+_MAX_UNIFORM_BYTES: Final = 65536
+_MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
+
+
+def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
+    """Return the capabilities of a device; `draws`: whether the rasteriser works on it."""
+    device = context.device
+    grain = alignment(device)
+    x, y, z = (int(size) for size in (*device.max_work_item_sizes, 1, 1)[:3])
+    return Capabilities(
+        backend="cl",
+        device=str(device.name).strip(),
+        driver=f"{' '.join(device.platform.version.split())}, {device.driver_version}",
+        passed_over=context.passed_over,
+        max_uniform_bytes=min(_MAX_UNIFORM_BYTES, int(device.max_mem_alloc_size)),
+        max_storage_bytes=min((1 << 32) - 1, int(device.max_mem_alloc_size)),
+        max_work_group=(x, y, z),
+        max_work_group_invocations=int(device.max_work_group_size),
+        max_shared_bytes=int(device.local_mem_size),
+        uniform_alignment=grain,
+        storage_alignment=grain,
+        max_texture_size=_MAX_TEXTURE_SIZE,
+        draws=draws,
+        indirect_count=draws,
+        occlusion_queries=draws,
+        sample_counter=draws,
+        conditional_rendering=draws,
+        alpha_test=draws,
+    )

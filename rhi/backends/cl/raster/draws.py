@@ -1,0 +1,189 @@
+"""Draws as the contract has them, gathered into batches.
+
+- Draws gather while pass, pipeline and vertex layout stay (`rhi.backends.cl.raster.batches`). Bindings, and states that
+  are data for kernels, are columns of a draw's row and may change from draw to draw.
+- A draw's prepared part is kept with its caller (`prepare_draw`) until the indices that it names change.
+- Indirect draws and their counts are read back and become direct draws.
+- Draws of programs that write memory are flushed one by one, since later draws may read what they wrote.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.backends.cl.buffers import Buffers
+from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.raster.batch_state import BatchState
+from rhi.backends.cl.raster.batches import Batch
+from rhi.backends.cl.raster.draw_lists import DrawListCache
+from rhi.backends.cl.raster.draw_state import DrawState
+from rhi.backends.cl.raster.pipelines import Pipeline
+from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.backends.cl.raster.rows import COUNTER_BYTES, INSTANCES, PREPARED, VIEW
+from rhi.backends.cl.raster.vertex_arrays import VertexArray, VertexArrays
+from rhi.contract.descriptors import DRAW, DRAW_UNINDEXED, Binding, Id, Primitive
+
+__rhi_internal__ = True
+
+_COUNT_BYTES: Final = 4  # of the number of indirect draws
+
+
+class Draws:
+    """Gathers the draws of one device."""
+
+    def __init__(
+        self, batch: Batch, prepared: PreparedDraws, state: DrawState, arrays: VertexArrays, columns: list[int],
+        buffers: Buffers, flush: Callable[[], None], flush_batch: Callable[[], None],
+        change_stored: Callable[[Sequence[Binding]], None],
+    ) -> None:  # fmt: skip
+        """
+        Args:
+            columns: the list that draws' rows are picked from (`bindings.Bindings`).
+            flush: submits the gathered draws, so that any other command may follow.
+            flush_batch: the same, but other draws of the pass follow.
+            change_stored: notes that shaders wrote what is bound to storage bindings.
+        """
+        self._batch = batch
+        self._prepared = prepared
+        self._lists = DrawListCache(prepared)
+        self._state = state
+        self._arrays = arrays.by_id
+        self._prepare = arrays.prepare
+        self._columns = columns
+        self._buffers = buffers
+        self._flush = flush
+        self._flush_batch = flush_batch
+        self._change_stored = change_stored
+
+    def draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
+        base_instance: int,
+    ) -> None:  # fmt: skip
+        array = self._arrays[vertex_array]
+        slot = DrawSlot(self._prepared)
+        self._prepare(slot, array, primitive, first, count, base_vertex, base_instance)
+        pipeline = self._begin(array)
+        self._columns[PREPARED], self._columns[INSTANCES] = slot.number, instances
+        self._batch.rows.extend(pipeline.pick(self._columns))
+        self._end(pipeline)
+
+    def prepare_draw(
+        self, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int, base_instance: int
+    ) -> Callable[[int], object]:  # fmt: skip
+        """Return a function of the number of instances that draws the same as `draw`."""
+        array = self._arrays[vertex_array]
+        if array.pipeline.descriptor.writes_memory:
+            return lambda instances: self.draw(
+                vertex_array, primitive, first, count, instances, base_vertex, base_instance
+            )
+        state, columns, prepare, get_ready = self._state, self._columns, self._prepare, self._get_ready
+        kernel, version = array.kernel, array.version
+        slot = DrawSlot(self._prepared)
+        number, known = slot.number, -1
+        extend, pick = self._batch.rows.extend, array.pipeline.pick
+
+        def draw(instances: int) -> None:
+            nonlocal known
+            if version[0] != known:
+                prepare(slot, array, primitive, first, count, base_vertex, base_instance)
+                known = version[0]
+            if state.ready_for is not kernel:
+                get_ready(array)
+            columns[PREPARED] = number
+            columns[INSTANCES] = instances
+            extend(pick(columns))
+
+        return draw
+
+    def draw_indirect(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
+        count_buffer: Id, count_offset: int,
+    ) -> None:  # fmt: skip
+        """Draw with arguments from memory; waits for them unless only the CPU wrote them."""
+        if count_buffer:
+            words = np.frombuffer(self._read_arguments(count_buffer, count_offset, _COUNT_BYTES), np.uint32)
+            draws = min(draws, int(words[0]))
+        if not draws:
+            return
+        record = DRAW if self._arrays[vertex_array].descriptor.index_buffer else DRAW_UNINDEXED
+        stride = stride or record.itemsize
+        data = self._read_arguments(buffer, offset, (draws - 1) * stride + record.itemsize)
+        arguments = np.ndarray((draws,), record, data, strides=(stride,))
+        self._gather_list(vertex_array, primitive, arguments)
+
+    def draw_counted(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], counters: NDArray[np.int64], first: int
+    ) -> None:  # fmt: skip
+        """Draw an array of draws, each counted by a counter of its own.
+
+        Args:
+            draws: (n,) of `rhi.DRAW` or `rhi.DRAW_UNINDEXED`.
+            counters: (n,) numbers of the counters.
+            first: the address of counter 0.
+        """
+        self._gather_list(vertex_array, primitive, draws, counters, first - COUNTER_BYTES)
+
+    def _gather_list(
+        self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any],
+        counters: NDArray[np.int64] | None = None, start: int = 0,
+    ) -> None:  # fmt: skip
+        """Gather an array of draws. Without counters the draws are numbered, so that shaders can tell them apart."""
+        array = self._arrays[vertex_array]
+
+        def fill(slot: DrawSlot, *draw: int) -> None:
+            self._prepare(slot, array, primitive, *draw)
+
+        key = vertex_array, primitive, array.version[0]
+        indexed = bool(array.descriptor.index_buffer)
+        found = self._lists.find(key, draws, counters, indexed, fill)
+        pipeline = self._begin(array)
+        self._batch.gather(found, pipeline.pick(self._columns), start)
+        self._state.ready_for = None  # the next draw has to spread a list that is alone
+        self._end(pipeline)
+
+    def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:
+        memory = self._buffers[buffer]
+        if memory.host is not None and not memory.device_wrote:
+            return memory.host[offset : offset + size].tobytes()
+        self._flush()
+        with translate_errors("device.draw_indirect", "arguments"):
+            return self._buffers.read(buffer, offset, size)
+
+    def _begin(self, array: VertexArray) -> Pipeline:
+        """Prepare the batch for draws of this vertex array."""
+        if self._state.ready_for is not array.kernel:
+            self._get_ready(array)
+        pipeline = self._state.pipeline
+        assert pipeline is not None
+        if pipeline.descriptor.writes_memory:
+            self._flush()
+            self._get_ready(array)
+        return pipeline
+
+    def _end(self, pipeline: Pipeline) -> None:
+        if pipeline.descriptor.writes_memory:
+            self._flush()
+            self._change_stored(pipeline.written)
+
+    def _get_ready(self, array: VertexArray) -> None:
+        """Set up the batch and the view column for the current state. Draws gathered with another state are flushed."""
+        state, batch = self._state, self._batch
+        pipeline, target = state.pipeline, state.target
+        assert pipeline is not None
+        assert target is not None
+        state.ready_for = None
+        merger, raster, view, table = state.look_up(pipeline, target)
+        now = batch.state
+        if now is None or now.raster is not raster or now.vertex is not array.kernel or now.target is not target:
+            self._flush_batch()
+            streams = len(array.descriptor.streams)
+            batch.state = BatchState(pipeline, target, array.kernel, streams, raster, merger, table)
+        batch.spread()
+        if not batch.views or batch.views[-1] is not view:
+            batch.views.append(view)
+        self._columns[VIEW] = len(batch.views) - 1
+        state.ready_for = array.kernel

@@ -1,0 +1,188 @@
+"""Launches the kernels of a batch: vertices, set-up, binning, raster.
+
+- A piece's vertices are transformed all at once, its primitives rasterised in slices, which bounds the memory in
+  flight: the records of a slice lie in scratch memory that the next slice overwrites.
+- Bounds of depth stay in memory from slice to slice and from batch to batch, until anything but draws that keep them
+  changes the depth that they belong to.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Final
+
+import pyopencl as cl
+
+from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.pools import Addresses, Pool, Retired, Uploads
+from rhi.backends.cl.raster.batch_state import BatchState
+from rhi.backends.cl.raster.batches import GatheredDraws
+from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.builds import Builds
+from rhi.backends.cl.raster.pieces import Piece
+from rhi.backends.cl.raster.pipelines import GeometryKernels
+from rhi.backends.cl.raster.tables import (
+    EXTENT_BYTES,
+    GROUP,
+    PART,
+    RECORD_BYTES,
+    TILE,
+    pack_batch,
+    varying_words,
+)
+
+__rhi_internal__ = True
+
+_SLICE_GROUPS: Final = 1 << 15  # 512 k primitives: 74 MiB of records, boxes and lists
+_CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough to keep the counts of tiles small
+_MIN_CHUNK: Final = 8  # groups; fewer aren't worth a work-item
+_VERTEX_CHUNK: Final = 64  # groups of vertices that a work-item transforms
+_FEW_GROUPS: Final = 8  # each tile looks through a slice this small, which costs less than lists
+_LIST_WORDS: Final = 1 << 20  # the smallest size of the tiles' lists
+_LISTED_PER_PRIMITIVE: Final = 4
+
+POOLS: Final = (
+    "positions", "clips", "varyings", "extents", "records", "planes", "boxes", "counts", "starts", "list", "survivors",
+    "scratch", "bounds",
+)  # fmt: skip
+"""The fields of a batch table that are addresses of scratch memory."""
+
+
+class Scratch:
+    """The scratch memory of all kernels.
+
+    Attributes:
+        pools: one for each purpose, by the field of the batch table that holds its address.
+    """
+
+    def __init__(self, context: ClContext, addresses: Addresses, retired: Retired) -> None:
+        self.pools = {name: Pool(context, addresses, retired) for name in POOLS}
+        self._fields: dict[str, int] = {}
+        self._reserved_for: object = None
+
+    def reserve(self, vertices: int, primitives: int, tiles: int, words: int, shades: float) -> dict[str, int]:
+        """Reserve memory for a piece's vertices and a slice's primitives; return the batch table's fields for it.
+
+        Args:
+            words: size of a vertex's varyings.
+            shades: whether there is a fragment stage.
+
+        Raises:
+            pyopencl.Error: out of memory.
+        """
+        wanted = vertices, primitives, tiles, words, shades
+        if wanted != self._reserved_for:
+            listed = max(_LIST_WORDS, primitives * _LISTED_PER_PRIMITIVE)
+            sizes = {
+                "positions": 16 * vertices,
+                "clips": 16 * vertices,
+                "varyings": 4 * words * vertices,
+                "extents": EXTENT_BYTES * vertices // GROUP,
+                "bounds": 4 * (TILE // PART) ** 2 * tiles,
+                "records": RECORD_BYTES * primitives,
+                "planes": RECORD_BYTES * primitives if shades else 0,
+                "boxes": 4 * primitives,
+                "counts": 4 * _CHUNKS * tiles,
+                "starts": 4 * (tiles + 1),
+                "survivors": 4 * _CHUNKS,
+                "scratch": 4 * 3 * GROUP * _CHUNKS,
+                "list": 4 * listed,
+            }
+            self._reserved_for = None
+            self._fields = {name: self.pools[name].reserve(size) for name, size in sizes.items()}
+            self._fields["list_size"] = listed
+            self._reserved_for = wanted
+        return self._fields
+
+
+class Launcher:
+    """Launches the batches of one device."""
+
+    def __init__(
+        self, context: ClContext, builds: Builds, addresses: Addresses, retired: Retired, boxes: AttributeBoxes
+    ) -> None:
+        self._queue = context.queue
+        self._builds = builds
+        self._boxes = boxes
+        self._uploads = Uploads(context, addresses)
+        self._scratch = Scratch(context, addresses, retired)
+        self._bounds: tuple[object, ...] | None = None  # what the bounds of depth in memory depend on, see BatchState
+
+    @cached_property
+    def geometry(self) -> GeometryKernels:
+        """The kernels that all batches share, built on first use."""
+        return GeometryKernels(self._builds)
+
+    def launch(self, draws: GatheredDraws) -> cl.Event | None:
+        """Rasterise the draws of a batch; return the event of the last kernel.
+
+        Raises:
+            pyopencl.Error: out of memory; the draws are lost.
+            ShaderError: a checked program found a fault.
+        """
+        state = draws.state
+        table, bounds = state.table, state.identify_bounds()
+        table["counters"] = draws.counters
+        table["bounded"] = state.bounds_depth and bounds == self._bounds
+        table["cleared"] = sum(
+            1 << index for index, surface in enumerate(state.surfaces) if surface.clear is not None
+        )
+        self._bounds = None
+        event = None
+        try:
+            for piece in draws.pieces:
+                event = self._launch_piece(state, piece, draws.views) or event
+            self._boxes.keep()
+        finally:
+            self._boxes.drop()
+        if event is not None:
+            self._uploads.release(event)
+            self._bounds = bounds if state.bounds_depth else None
+            for faults in state.pipeline.faults.values():
+                faults.read(self._queue)
+        return event
+
+    def _launch_piece(self, state: BatchState, piece: Piece, views: bytes) -> cl.Event | None:
+        (count, vertex_groups, groups, draws), bound = piece
+        if not groups:
+            return None
+        tables = draws, bound, state.places, views
+        address = self._uploads.write(b"".join(tables))
+        table = state.table
+        table["draw_count"], table["vertex_groups"], table["vertex_chunk"] = count, vertex_groups, _VERTEX_CHUNK
+        for name, part in zip(("draws", "rows", "places", "views"), tables, strict=True):
+            table[name] = address
+            address += len(part)
+        table.update(
+            self._scratch.reserve(
+                vertex_groups * GROUP, min(groups, _SLICE_GROUPS) * GROUP, int(table["tiles"]),
+                varying_words(state.pipeline.descriptor), table["shades"],
+            )
+        )  # fmt: skip
+        return self._launch_slices(state, vertex_groups, groups)
+
+    def _launch_slices(self, state: BatchState, vertex_groups: int, groups: int) -> cl.Event | None:
+        """Launch all kernels of a piece; return the event of the last one."""
+        table, vertex = state.table, state.vertex
+        geometry, queue, tiles, event = self.geometry, self._queue, int(table["tiles"]), None
+        for first in range(0, groups, _SLICE_GROUPS):
+            end = min(first + _SLICE_GROUPS, groups)
+            chunk = max(_MIN_CHUNK, -(-(end - first) // _CHUNKS))
+            chunks = -(-(end - first) // chunk)
+            table["first_group"], table["end_group"] = first, end
+            table["chunk_groups"], table["chunks"] = chunk, chunks
+            table["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
+            batch = self._uploads.write(pack_batch(state.addresses, table))
+            if first == 0:
+                if vertex.measure is not None and self._boxes.chosen:
+                    vertex.measure.launch(queue, batch, int(table["draw_count"]))
+                vertex.transform.launch(queue, batch, -(-vertex_groups // _VERTEX_CHUNK))
+            geometry.set_up.launch(queue, batch, chunks)
+            if listed:
+                geometry.prefix.launch(queue, batch, 1)
+                geometry.scatter.launch(queue, batch, chunks)
+            event = state.raster.launch(queue, batch, tiles)
+            table["bounded"], table["cleared"] = state.bounds_depth, 0
+            for surface in state.surfaces:
+                surface.clear = None
+        return event

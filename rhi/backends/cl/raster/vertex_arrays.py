@@ -1,0 +1,155 @@
+"""Vertex arrays, and the draws that are prepared from them.
+
+- A prepared draw names vertices and indices by address. It holds until the index buffer changes: each index buffer has
+  a version, which callers of `prepare` compare with the one that they prepared for.
+- All changes of buffers come through here: the assembler keeps copies of indices, and boxes depend on vertices.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+from typing_extensions import Buffer as BytesLike
+
+from rhi.backends.cl.buffers import Buffers
+from rhi.backends.cl.context import ClContext
+from rhi.backends.cl.errors import translate_errors
+from rhi.backends.cl.pools import Addresses, IndexList, Retired
+from rhi.backends.cl.raster.assembly import Assembler
+from rhi.backends.cl.raster.bindings import Bindings
+from rhi.backends.cl.raster.boxes import AttributeBoxes
+from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
+from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.backends.cl.raster.tables import GROUP, MAX_STREAMS
+from rhi.contract.descriptors import Id, Primitive, VertexArrayDescriptor
+
+__rhi_internal__ = True
+
+_PADDING: Final = 3 * GROUP  # indices: the loads of a group may run past the end
+
+
+class VertexArray:
+    """A vertex array and its kernels; `version[0]` changes with the contents of its index buffer."""
+
+    __slots__ = ("descriptor", "id", "kernel", "pipeline", "version")
+
+    def __init__(
+        self, id: Id, descriptor: VertexArrayDescriptor, pipeline: Pipeline, kernel: VertexKernels, version: list[int]
+    ) -> None:  # fmt: skip
+        self.id = id
+        self.descriptor = descriptor
+        self.pipeline = pipeline
+        self.kernel = kernel
+        self.version = version
+
+
+class VertexArrays:
+    """All vertex arrays of a device.
+
+    Attributes:
+        by_id: the vertex arrays.
+    """
+
+    def __init__(
+        self, assembler: Assembler[IndexList], prepared: PreparedDraws, boxes: AttributeBoxes, buffers: Buffers,
+        bindings: Bindings,
+    ) -> None:  # fmt: skip
+        self.by_id: dict[Id, VertexArray] = {}
+        self._versions: dict[Id, list[int]] = {}  # by index buffer
+        self._assembler = assembler
+        self._prepared = prepared
+        self._boxes = boxes
+        self._buffers = buffers
+        self._bindings = bindings
+
+    def create(self, vertex_array: Id, descriptor: VertexArrayDescriptor, pipeline: Pipeline) -> None:
+        if len(descriptor.streams) > MAX_STREAMS:
+            raise AssertionError(f"{len(descriptor.streams)} vertex streams")
+        version = self._versions.setdefault(descriptor.index_buffer, [0])
+        if descriptor.index_buffer:
+            self._assembler.watch(descriptor.index_buffer, self._buffers[descriptor.index_buffer].size)
+        kernel = pipeline.find_vertex(descriptor.streams)
+        self.by_id[vertex_array] = VertexArray(vertex_array, descriptor, pipeline, kernel, version)
+        self._boxes.watch(vertex_array, {stream.buffer for stream in descriptor.streams})
+
+    def destroy(self, vertex_array: Id) -> None:
+        del self.by_id[vertex_array]
+        self._boxes.unwatch(vertex_array)
+
+    # -- changes of buffers ----------------------------------------------------------------------------------
+
+    def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
+        """Note that the CPU writes a buffer."""
+        self._assembler.write(buffer, offset, data)
+        self._change_version(buffer)
+
+    def change(self, buffer: Id) -> None:
+        """Note that the device may write a buffer."""
+        self._buffers[buffer].device_wrote = True
+        self._assembler.change(buffer)
+        self._change_version(buffer)
+
+    def forget(self, resource: Id) -> None:
+        """Drop what is known of a buffer or texture that is being destroyed."""
+        self._assembler.forget(resource)
+        self._change_version(resource)
+        self._versions.pop(resource, None)
+        self._boxes.forget(resource)
+
+    def _change_version(self, buffer: Id) -> None:
+        version = self._versions.get(buffer)
+        if version is not None:
+            version[0] += 1
+        self._boxes.change(buffer)
+
+    # -- prepared draws --------------------------------------------------------------------------------------
+
+    def prepare(
+        self, slot: DrawSlot, array: VertexArray, primitive: Primitive, first: int, count: int, base_vertex: int,
+        base_instance: int,
+    ) -> None:  # fmt: skip
+        """Fill in a prepared draw."""
+        made = array.descriptor
+        assembly = self._assembler.assemble(primitive, first, count, made.index_buffer, made.index_format)
+        prepared = self._prepared
+        row = prepared.draws[slot.number]
+        slot.memory = assembly.memory
+        primitives = assembly.count // assembly.corners
+        row["primitives"], row["primitive"] = primitives, assembly.corners
+        row["primitive_groups"] = -(-primitives // GROUP)
+        indices, index_bytes = 0, 0
+        if assembly.memory is not None:
+            indices, index_bytes = assembly.memory.address + 4 * assembly.start, 4
+        elif assembly.indexed:
+            indices = self._bindings.find_buffer(made.index_buffer) + made.index_format.size * assembly.start
+            index_bytes = made.index_format.size
+        base = assembly.base + (base_vertex if made.index_buffer else 0)
+        row["indices"], row["index_bytes"] = indices, index_bytes
+        row["vertex_indices"], row["vertex_index_bytes"] = 0, 0
+        if assembly.lowest is None or assembly.highest is None:  # one vertex per index
+            row["vertex_indices"], row["vertex_index_bytes"] = indices, index_bytes
+            row["indices"], row["index_bytes"] = 0, 0
+            row["lowest"], row["vertices"], row["first_vertex"] = 0, assembly.count, base
+        else:
+            row["lowest"], row["vertices"] = assembly.lowest, assembly.highest - assembly.lowest + 1
+            row["first_vertex"] = assembly.lowest + base
+        row["vertex_groups"] = -(-int(row["vertices"]) // GROUP)
+        row["base_instance"], row["box"] = base_instance, 0
+        prepared.arrays[slot.number], prepared.seen[slot.number] = array.id, False
+        prepared.streams[slot.number, : len(made.streams)] = [
+            self._bindings.find_buffer(stream.buffer) + stream.offset for stream in made.streams
+        ]
+
+
+def upload_indices(
+    context: ClContext, addresses: Addresses, retired: Retired, indices: NDArray[np.uint32]
+) -> IndexList:
+    """Copy an index list to the device."""
+    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    padded = np.append(indices, np.zeros(_PADDING, np.uint32))
+    with translate_errors("device.draw", f"{len(indices)} indices"):
+        memory = cl.Buffer(context.context, flags, hostbuf=padded)
+    return IndexList(memory, addresses.find(memory), retired)
