@@ -31,6 +31,7 @@ from rhi.shading import (
     TextureCube,
     UintTexture2D,
     Uniform,
+    function,
     global_id,
     image,
     ivec2,
@@ -59,56 +60,40 @@ class Constant(Struct):
     value: vec4
 
 
-class Sample2D(Shader):
-    """A texture at (u, v) and level z."""
-
-    source: Texture2D
-    places: Storage[vec4]
-    results: StorageRW[vec4]
-
-    def compute(self) -> None:
-        i = global_id().x
-        at = self.places[i]
-        self.results[i] = self.source.sample_lod(at.xy, at.z)
+@function
+def flat_place(at: vec4) -> vec2:
+    """(u, v)."""
+    return at.xy
 
 
-class SampleArray(Shader):
-    """A layer at (u, v, layer) and level w."""
-
-    source: Texture2DArray
-    places: Storage[vec4]
-    results: StorageRW[vec4]
-
-    def compute(self) -> None:
-        i = global_id().x
-        at = self.places[i]
-        self.results[i] = self.source.sample_lod(at.xyz, at.w)
+@function
+def solid_place(at: vec4) -> vec3:
+    """(u, v, layer), (u, v, w) or a direction."""
+    return at.xyz
 
 
-class Sample3D(Shader):
-    """A volume at (u, v, w) and a level."""
+def make_sampling_shader(kind: Any, place: Any) -> type[Shader]:
+    """Return a shader that samples a texture of this type at each place, at the level in the place's w."""
 
-    source: Texture3D
-    places: Storage[vec4]
-    results: StorageRW[vec4]
+    class Sampling(Shader):
+        """A texture at given places and levels."""
 
-    def compute(self) -> None:
-        i = global_id().x
-        at = self.places[i]
-        self.results[i] = self.source.sample_lod(at.xyz, at.w)
+        source: kind  # type: ignore[valid-type]
+        places: Storage[vec4]
+        results: StorageRW[vec4]
+
+        def compute(self) -> None:
+            i = global_id().x
+            at = self.places[i]
+            self.results[i] = self.source.sample_lod(place(at), at.w)
+
+    return Sampling
 
 
-class SampleCube(Shader):
-    """A cube in a direction, at a level."""
-
-    source: TextureCube
-    places: Storage[vec4]
-    results: StorageRW[vec4]
-
-    def compute(self) -> None:
-        i = global_id().x
-        at = self.places[i]
-        self.results[i] = self.source.sample_lod(at.xyz, at.w)
+Sample2D = make_sampling_shader(Texture2D, flat_place)
+SampleArray = make_sampling_shader(Texture2DArray, solid_place)
+Sample3D = make_sampling_shader(Texture3D, solid_place)
+SampleCube = make_sampling_shader(TextureCube, solid_place)
 
 
 class Gather2D(Shader):
@@ -124,7 +109,7 @@ class Gather2D(Shader):
 
 
 def sampled(device: Device, shader: Any, texture: Any, places: ArrayLike) -> NDArray[Any]:
-    """What `shader` reads at each of `places` (n, 2 to 4)."""
+    """Return what `shader` samples at (n, 2 to 4) `places`: u, v, layer or w, level; 0 for what is missing."""
     given = np.asarray(places, "f4")
     full = np.zeros((len(given), 4), "f4")
     full[:, : given.shape[1]] = given
@@ -366,7 +351,7 @@ def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expec
     lods = [-1.0, 0.25, 0.75, 2.0, 3.0, 9.0]
     with ladder(device) as texture:
         sampler = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, mip)
-        back = sampled(device, Sample2D, texture.sampled(sampler), [(0.5, 0.5, lod) for lod in lods])
+        back = sampled(device, Sample2D, texture.sampled(sampler), [(0.5, 0.5, 0.0, lod) for lod in lods])
     assert_near(back[:, 0], expected, 10 / 256 + 1e-3, "levels are mixed with 8 fraction bits at least")
 
 
@@ -659,7 +644,7 @@ def test_anisotropy_may_be_asked_for(device: Device) -> None:
     most = max(1.0, device.capabilities.max_anisotropy)
     sampler = SamplerDescriptor(max_anisotropy=most)
     with device.texture(np.full((8, 8), 100, "u1"), Format.R8, levels=None) as texture:
-        back = sampled(device, Sample2D, texture.sampled(sampler), [(0.5, 0.5, 0.0)])
+        back = sampled(device, Sample2D, texture.sampled(sampler), [(0.5, 0.5)])
     assert_near(back[:, 0] * 255, 100, 0.5, FILTERED)
 
 
