@@ -78,7 +78,7 @@ def make_sampling_shader(kind: Any, place: Any) -> type[Shader]:
     class Sampling(Shader):
         """A texture at given places and levels."""
 
-        source: kind  # type: ignore[valid-type]
+        source: kind
         places: Storage[vec4]
         results: StorageRW[vec4]
 
@@ -355,23 +355,6 @@ def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expec
     assert_near(back[:, 0], expected, 10 / 256 + 1e-3, "levels are mixed with 8 fraction bits at least")
 
 
-@pytest.mark.needs("draws")
-def test_derivatives_choose_the_level(device: Device) -> None:
-    """64 texels on 16: level 2."""
-    rows = rectangle()
-    rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
-    with (
-        device.texture((64, 64), Format.R32F, levels=None) as texture,
-        device.texture((16, 16), Format.R32F) as image,
-        device.mesh(rows) as mesh,
-    ):
-        for level in range(7):
-            texture.write(np.full((64 >> level, 64 >> level), float(level), "f4"), level=level)
-        with device.render_pass(image):
-            device.draw(device.program(Drawn), mesh, source=texture)
-        assert_near(image.read(), 2, 1 / 16, "the level is a logarithm of differences")
-
-
 class LoadLevels(Shader):
     """One texel of each level, and how large each is."""
 
@@ -611,7 +594,7 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
 
 
 class Graded(Shader):
-    """A level chosen by derivatives that are given, and one moved by a bias."""
+    """A level chosen by given derivatives, by those of the coordinates, and moved by a bias both ways."""
 
     source: Texture2D
 
@@ -621,11 +604,13 @@ class Graded(Shader):
     def fragment(self, v: Shade) -> vec4:
         graded = self.source.sample_grad(v.color.xy, vec2(4.0 / 64.0, 0.0), vec2(0.0, 4.0 / 64.0)).x
         biased = self.source.sample_bias(v.color.xy, 1.0).x
-        return vec4(graded, biased, self.source.sample_bias(v.color.xy, -1.0).x, 1.0)
+        plain = self.source.sample(v.color.xy).x
+        return vec4(graded, biased, self.source.sample_bias(v.color.xy, -1.0).x, plain)
 
 
 @pytest.mark.needs("draws")
-def test_levels_follow_given_derivatives_and_a_bias(device: Device) -> None:
+def test_derivatives_choose_the_level(device: Device) -> None:
+    """64 texels on 16: level 2. One draw also takes given derivatives and a bias, since a program costs seconds."""
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
     with (
@@ -637,7 +622,7 @@ def test_levels_follow_given_derivatives_and_a_bias(device: Device) -> None:
             texture.write(np.full((64 >> level, 64 >> level), float(level), "f4"), level=level)
         with device.render_pass(image):
             device.draw(device.program(Graded), mesh, source=texture)
-        assert_near(image.read(), (2, 3, 1, 1), 1 / 16, "the level is a logarithm of differences")
+        assert_near(image.read(), (2, 3, 1, 2), 1 / 16, "the level is a logarithm of differences")
 
 
 def test_anisotropy_may_be_asked_for(device: Device) -> None:
