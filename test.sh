@@ -1,21 +1,28 @@
 #!/usr/bin/env bash
 # Sets everything up and runs every check: style, types, import order, tests, conformance.
 #
-#   ./test.sh              all of it
+#   ./test.sh              all of it, but for what is marked nightly
+#   ./test.sh --nightly    what is marked nightly too (proofs of the tests themselves, thousands of random programs),
+#                          and property tests with new examples, 20 times as many
 #   ./test.sh -k name …    only tests, with these options of pytest
 set -euo pipefail
 cd "$(dirname "$0")"
 case "${1:-}" in
 -h | --help)
-    sed -n '2,5s/^# \{0,1\}//p' "$0"
+    sed -n '2,7s/^# \{0,1\}//p' "$0"
     exit 0
     ;;
 esac
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
 setup dev libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd
+options=()
+if [ "${1:-}" = --nightly ]; then
+    shift
+    options=(-m "" --hypothesis-profile nightly)
+fi
 if [ $# -gt 0 ]; then
-    exec .venv/bin/python -m pytest "$@"
+    exec .venv/bin/python -m pytest "${options[@]}" "$@"
 fi
 echo "[test] ruff"
 .venv/bin/ruff check .
@@ -24,4 +31,8 @@ echo "[test] mypy --strict"
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
-exec .venv/bin/python -m pytest -n auto --dist worksteal tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null
+# PoCL keeps 1 to 3 MB for every program that a process builds. Four workers at least keep each below 1.5 GB.
+cores=$(nproc)
+workers=$((cores > 4 ? cores : 4))
+exec .venv/bin/python -m pytest -n "$workers" --dist worksteal --durations 15 "${options[@]}" \
+    tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null

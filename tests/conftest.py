@@ -1,6 +1,7 @@
-"""For all tests: property tests take the same examples each time, and no clock judges them; mypy as tests run it.
+"""For all tests: hypothesis profiles, and mypy as tests run it.
 
-`pytest --hypothesis-profile exploring` takes new examples.
+- `repeatable`, the default: property tests take the same examples in each run, and have no deadline.
+- `exploring`: new examples. `nightly`: new ones, and 20 times as many; `./test.sh --nightly` uses it.
 """
 
 from __future__ import annotations
@@ -20,7 +21,21 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow, HealthCheck.function_scoped_fixture],
 )
 settings.register_profile("exploring", settings.get_profile("repeatable"), derandomize=False)
+settings.register_profile("nightly", settings.get_profile("exploring"))
 settings.load_profile("repeatable")
+
+NIGHTLY_FACTOR = 20
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """In the profile `nightly`, let a property test take many times the examples that it says."""
+    test = getattr(item, "obj", None)
+    if getattr(test, "is_hypothesis_test", False) and settings.get_current_profile_name() == "nightly":
+        test = getattr(test, "__func__", test)
+        if not hasattr(test, "said"):  # a function is shared by its parametrisations
+            test.said = test._hypothesis_internal_use_settings
+            more = NIGHTLY_FACTOR * test.said.max_examples
+            test._hypothesis_internal_use_settings = settings(test.said, max_examples=more, derandomize=False)
 
 
 @pytest.fixture(scope="session")

@@ -37,25 +37,25 @@ STEPS: Final = (
         "textures and passes",
         ("create_texture", "create_sampler", "write_texture", "read_texture", "copy_texture", "generate_mipmaps",
          "begin_pass", "end_pass"),
-        ("operation · textures", "validation · textures", "validation · buffers", "validation · meshes"),
+        ("operation · textures",),
     ),
     Step(
         "time and labels",
         ("signal", "completed", "wait", "create_query", "write_query", "read_query", "push_label", "pop_label",
          "present"),
-        ("operation · time", "operation · recording", "validation · time", "validation · passes"),
+        ("operation · time", "operation · recording"),
     ),
     Step(
         "compute",
         ("create_program", "bind_program", "bind_uniform", "bind_storage", "bind_image", "dispatch",
          "dispatch_indirect"),
-        ("operation · compute", "operation · language", "validation · dispatches"),
+        ("operation · compute", "operation · language"),
     ),
     Step(
         "draws",
         ("create_vertex_array", "set_states", "draw", "draw_indirect"),
         ("operation · orientation", "operation · rasterisation", "operation · topology", "operation · meshes",
-         "operation · transient", "operation · scopes", "validation · draws", "validation · bindings"),
+         "operation · transient", "operation · scopes"),
     ),
     Step(
         "depth, stencil, blending and targets",
@@ -67,12 +67,12 @@ STEPS: Final = (
     Step(
         "occlusion queries",
         ("begin_query", "end_query", "begin_conditional", "end_conditional"),
-        ("operation · queries", "operation · query sets", "validation · query sets"),
+        ("operation · queries", "operation · query sets"),
     ),
     Step(
         "all together",
         (),
-        ("operation · interplay", "operation · command buffers", "validation · command buffers"),
+        ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities"),
     ),
 )  # fmt: skip
 

@@ -45,7 +45,7 @@ def test_ten_frames_of_a_city_recorded_on_null_replay_on_gl(tmp_path: Path, gl: 
     assert_replays(tmp_path, gl, "city:blocks=4", (120, 68))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_default_citys_first_ten_frames_recorded_on_null_replay_on_gl(tmp_path: Path, gl: rhi.Device) -> None:
     assert_replays(tmp_path, gl, "city", (960, 540))
 

@@ -22,12 +22,14 @@ from rhi import (
     Scissor,
     StencilFront,
     StencilTest,
+    ValidationError,
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.patience import comes_true
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import corners, rectangle, texel_rectangle, window_to_clip
+from rhi.errors import rules
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
@@ -316,4 +318,24 @@ def test_draws_after_a_condition_do_not_depend_on_it(device: Device) -> None:
             device.draw(device.program(Colored), mesh.view(0, 3))
         covered = (image.read() > 0).sum()
     assert covered == rasterise(np.array([(0, 16), (16, 16), (16, 0)]) * SUBTEXELS, *SIZE).sum()
+    query.destroy()
+
+
+@pytest.mark.needs("occlusion_queries", "shading")
+@pytest.mark.needs("draws")
+def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
+    """Either the answer is there, or reading it is refused: never a zero that means 'not yet'."""
+    query = device.occlusion_query()
+    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
+        with device.render_pass(image), query:
+            device.draw(device.program(Colored), mesh)
+        try:
+            early = query.visible_samples
+        except ValidationError as error:
+            rule = error.rule
+            early = query.wait()
+        else:
+            rule = rules.QUERY_UNFINISHED
+        assert (early, rule) == (60 << 20, rules.QUERY_UNFINISHED)
+        assert query.visible_samples == 60 << 20
     query.destroy()

@@ -23,11 +23,13 @@ from rhi import (
     Op,
     Primitive,
     QuerySet,
+    ValidationError,
 )
 from rhi.conformance.compare import assert_same
 from rhi.conformance.patience import comes_true
 from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade
 from rhi.conformance.shapes import rectangle, texel_rectangle
+from rhi.errors import rules
 from rhi.shading import Shader, StorageRW, atomic_add, draw_index, instance_index, uint, vec4
 
 pytestmark = [pytest.mark.recorded_too, pytest.mark.needs("draws", "shading")]
@@ -461,3 +463,19 @@ def test_a_recorded_set_answers_for_the_latest_submission(
     assert count(device, image, queries, bars, parts(bars, 40), [1])[:3] == [-1, COUNTS[40], -1]
     device.submit(*recorded)
     assert queries.wait().tolist()[:8] == COUNTS[20:28]
+
+
+@pytest.mark.needs("shading")
+def test_an_unfinished_set_has_no_numbers_yet(device: Device) -> None:
+    """Either the answers are there, or reading them is refused."""
+    queries = device.query_set(2)
+    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 30)) as mesh:
+        with device.render_pass(image):
+            device.draw_counted(device.program(Colored), mesh, mesh.draws([0, 0]), queries)
+        try:
+            early = queries.visible_samples
+        except ValidationError as error:
+            assert error.rule is rules.QUERY_UNFINISHED  # noqa: PT017 (either is right)
+            early = queries.wait()
+        assert early.tolist() == [30 << 20] * 2
+    queries.destroy()

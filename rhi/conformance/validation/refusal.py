@@ -1,4 +1,7 @@
-"""`with refuses(rule, device):` the block breaks exactly this rule, and nothing of it is done."""
+"""Helpers for tests of refused calls.
+
+`with refuses(rule, device):` passes if the block breaks exactly this rule and no command of it reaches the device.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +9,23 @@ import sys
 from types import TracebackType
 from typing import Any
 
-from rhi import Device, Encoder, Op, RhiError, Rule, ValidationError
+import numpy as np
+
+from rhi import Device, Encoder, Format, Op, RhiError, Rule, ValidationError
+from rhi.conformance.compare import assert_same
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
 
 MEMOS = frozenset({Op.CREATE_VERTEX_ARRAY, Op.CREATE_SAMPLER, Op.CREATE_PROGRAM})
-"""Made once for a mesh and program, a descriptor or a shader, and kept: which test asks first is anybody's guess."""
+"""Created once per mesh and program, descriptor or shader, and then kept: any test may be the first to create one."""
 
 
 class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
-    """Passes if the block raises an error of `rule` that names the call, what was given and the line in the
-    test, and if a recording `device` heard of no command meanwhile.
+    """A context manager that passes if its block raises an error of `rule` which names the call, the given value and
+    the line in the test, and if a recording `device` received no command meanwhile.
 
     Attributes:
-        error: what was raised, once the block has ended.
+        error: the error that was raised, once the block has ended.
     """
 
     error: RhiError
@@ -67,5 +75,17 @@ class refuses:  # noqa: N801 (reads as a verb, like pytest.raises)
 
 
 def loose(encoder: Encoder) -> Any:
-    """A device or command buffer without its types: for calls that a type checker refuses before they run."""
+    """Return a device or command buffer without its types, for calls that a type checker would refuse."""
     return encoder
+
+
+def check_working(device: Device) -> None:
+    """Check that a device still writes, renders, draws if it has draws, and reads."""
+    with device.buffer(np.arange(4, dtype="u4")) as buffer:
+        assert_same(buffer.read(), np.arange(4))
+    capabilities = device.capabilities
+    with device.texture((2, 2), Format.R8) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            if capabilities.draws:
+                device.draw(device.program(Colored), mesh)
+        assert_same(image.read(), 255 if capabilities.renders else 0)

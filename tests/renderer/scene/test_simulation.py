@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN, load_scene
@@ -120,6 +120,7 @@ def test_simulators_of_one_scene_go_their_own_ways() -> None:
     assert (taken(one), taken(other)) == ([[1, 2], [], []], [[], [1, 2, 3, 4], []])
 
 
+@settings(max_examples=25)
 @given(st.lists(st.tuples(st.integers(0, 400), st.sets(st.integers(0, 2))), max_size=12), st.integers(0, 400))
 def test_a_fountain_that_was_not_looked_at_is_as_if_it_had_been(
     glances: list[tuple[int, set[int]]], last: int

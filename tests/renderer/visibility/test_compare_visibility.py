@@ -152,7 +152,7 @@ def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
         "--camera-path",
         "ground",
         "--frames",
-        "60",
+        "20",
         "--size",
         "320x180",
     ]

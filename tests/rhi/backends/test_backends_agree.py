@@ -55,7 +55,6 @@ from rhi.shading import Shader
 
 Devices = tuple[Device, Device]
 NUMBERS = itertools.count()
-SETTINGS = settings(max_examples=25)
 
 
 @pytest.fixture(scope="module")
@@ -287,7 +286,7 @@ def draws(draw: st.DrawFn) -> list[tuple[tuple[State, ...], NDArray[Any]]]:
     return made
 
 
-@SETTINGS
+@settings(max_examples=4)  # of up to eight states each
 @given(given_draws=draws())
 def test_random_states_give_the_same_targets(
     devices: Devices, given_draws: list[tuple[tuple[State, ...], NDArray[Any]]]
@@ -398,7 +397,7 @@ def load_shader(source: str, folder: Path) -> type[Shader]:
     return shader
 
 
-@settings(max_examples=8)
+@settings(max_examples=3)
 @given(source=sources())
 def test_random_shaders_give_the_same_colors(
     devices: Devices, source: str, tmp_path_factory: pytest.TempPathFactory

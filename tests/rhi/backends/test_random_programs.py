@@ -195,28 +195,36 @@ class Run:
                 self._meshes[i] = self._make_mesh(i == 1)
 
 
+SEEDS = [
+    pytest.param(range(8), id="few"),
+    pytest.param(range(8, 200), id="many", marks=pytest.mark.nightly),
+]
+
+
 @pytest.fixture(scope="module")
 def cl() -> Iterator[Device]:
     with rhi.create_device("cl") as device:
         yield device
 
 
-def test_random_programs_do_on_cl_what_they_do_on_gl(cl: Device) -> None:
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_random_programs_do_on_cl_what_they_do_on_gl(cl: Device, seeds: range) -> None:
     seen = 0
     with rhi.create_device("gl") as gl:
-        for seed in range(40):
+        for seed in seeds:
             wanted, given = (Run(device, seed, wild=False).results for device in (gl, cl))
             for one, other in zip(wanted, given, strict=True):
                 assert np.abs(one.astype(float) - other).max(initial=0) <= (1e-5 if one.dtype.kind == "f" else 0)
                 seen += one.size
-    assert seen > 40 * 4 * WIDTH * HEIGHT
+    assert seen > len(seeds) * 4 * WIDTH * HEIGHT
 
 
-def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("seeds", SEEDS)
+def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatch, seeds: range) -> None:
     """Without bounds of depth, pieces, deferred clears and cached tables, results are the same bits."""
     hidden = 0
     with rhi.create_device("cl") as plain:
-        for seed in range(40):
+        for seed in seeds:
             with monkeypatch.context() as patch:
                 begin_pass, gather = DrawState.begin_pass, batches.Batch.gather
 
@@ -242,4 +250,4 @@ def test_what_is_left_out_is_not_seen(cl: Device, monkeypatch: pytest.MonkeyPatc
             for one, other in zip(wanted, given, strict=True):
                 np.testing.assert_array_equal(one, other)
             hidden += sum(int((counts == 0).sum()) for counts in wanted[: -3 or None] if counts.ndim == 1)
-    assert hidden > 40
+    assert hidden > len(seeds)

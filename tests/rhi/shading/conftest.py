@@ -3,29 +3,19 @@ shading language."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from typing import Any
 
 import moderngl
 import numpy as np
 import pytest
+from glsl_runner import context as context
 from glsl_runner import run_glsl
 from opencl_runner import run_opencl
 
 from rhi.contract.descriptors import ProgramDescriptor
 from rhi.shading import Shader, compile_shader, run_compute
-
-
-@pytest.fixture(scope="module")
-def context() -> Iterator[moderngl.Context]:
-    try:
-        context = moderngl.create_context(standalone=True, backend="egl", require=430)
-    except Exception as error:
-        pytest.skip(f"no OpenGL 4.3 through EGL: {error}")
-    yield context
-    context.release()
-
 
 Run = Callable[..., dict[str, Any]]
 

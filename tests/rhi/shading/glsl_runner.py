@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import moderngl
 import numpy as np
+import pytest
 
 from rhi.contract.descriptors import BindingKind, Stage
 from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Shader, Struct, compile_shader, value_type_of
+
+
+@pytest.fixture(scope="module")
+def context() -> Iterator[moderngl.Context]:
+    """An OpenGL context without a window."""
+    try:
+        context = moderngl.create_context(standalone=True, backend="egl", require=430)
+    except Exception as error:
+        pytest.skip(f"no OpenGL 4.3 through EGL: {error}")
+    yield context
+    context.release()
 
 
 def run_glsl(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import cache, lru_cache
 from typing import Any
 
@@ -38,12 +40,63 @@ def queue() -> cl.CommandQueue:
     raise RuntimeError("no OpenCL device works")
 
 
-@lru_cache(64)
-def built(shader: type[Shader], width: int) -> tuple[StageText, cl.Program]:
-    """Return the text and the program of a kernel."""
-    text = opencl_kernel(shader, width)
+Built = tuple[StageText, cl.Program, str]
+_together: dict[tuple[type[Shader], int], Built] = {}
+
+
+def build(text: str, shader: type[Shader]) -> cl.Program:
+    """Build a program with the options that a shader needs."""
     flush = ["-cl-denorms-are-zero"] if compile_shader(shader).flushes_denormals else []
-    return text, cl.Program(queue().context, text.text).build(["-w", *flush])
+    return cl.Program(queue().context, text).build(["-w", *flush])
+
+
+@lru_cache(64)
+def built_alone(shader: type[Shader], width: int) -> Built:
+    """Return a kernel's text, a program of this kernel alone, and the kernel's name."""
+    text = opencl_kernel(shader, width)
+    return text, build(text.text, shader), "compute"
+
+
+def built(shader: type[Shader], width: int) -> Built:
+    """Return a kernel's text, program and name; see `built_together`."""
+    return _together.get((shader, width)) or built_alone(shader, width)
+
+
+@contextmanager
+def built_together(shaders: Iterable[type[Shader]], width: int) -> Iterator[None]:
+    """Build the kernels of several shaders as one program; inside this block they run from it.
+
+    To PoCL a program costs 0.15 s of processor time before the first kernel, whatever is in it. The texts stay as
+    they are, but for the kernels' names and for functions that a text before had already.
+    """
+    shaders = list(dict.fromkeys(shaders))
+    texts = [opencl_kernel(shader, width) for shader in shaders]
+    parts: dict[str, None] = {}
+    names = [f"compute_{i}" for i in range(len(shaders))]
+    for name, text in zip(names, texts, strict=True):
+        for part in split_functions(text.text):
+            parts.setdefault(part.replace("kernel void compute(", f"kernel void {name}("))
+    program = build("\n".join(parts), shaders[0])
+    made = {(shader, width): (text, program, name) for shader, text, name in zip(shaders, texts, names, strict=True)}
+    _together.update(made)
+    try:
+        yield
+    finally:
+        for key in made:
+            del _together[key]
+
+
+def split_functions(text: str) -> Iterator[str]:
+    """Yield the functions, directives and declarations of a kernel's text."""
+    part: list[str] = []
+    depth = 0
+    for line in text.split("\n"):
+        part.append(line)
+        depth += line.count("{") - line.count("}")
+        if (depth == 0 and line.endswith((";", "}"))) or line.startswith(("#", "//")):
+            yield "\n".join(part)
+            part = []
+    yield "\n".join(part)
 
 
 class Kernel:
@@ -52,9 +105,9 @@ class Kernel:
     def __init__(self, shader: type[Shader], width: int, **bindings: Any) -> None:
         self.queue = queue()
         descriptor = compile_shader(shader)
-        written, program = built(shader, width)
+        written, program, name = built(shader, width)
         self.text, self.origins = written.text, written.origins
-        self.kernel = cl.Kernel(program, "compute")
+        self.kernel = cl.Kernel(program, name)
         self.items = -(-math.prod(descriptor.work_group) // width)
         self.buffers: dict[str, tuple[cl.Buffer, Any]] = {}
         self.images: dict[str, tuple[cl.Buffer, Any, HostTexture]] = {}

@@ -141,25 +141,53 @@ class Allocations:
         monkeypatch.setattr(cl, "Buffer", Buffer)
 
 
+class Devices:
+    """Devices to fail on, each for so many failures in a row; only a fresh one makes its first allocations."""
+
+    def __init__(self, failures: int, **options: Any) -> None:
+        self._failures, self._options = failures, options
+        self._left = 0
+        self._device: Device | None = None
+
+    def __enter__(self) -> Devices:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._device is not None:
+            self._device.close()
+
+    def get(self) -> Device:
+        """Return the device for the next failure."""
+        if self._left == 0:
+            self.__exit__()
+            self._device, self._left = rhi.create_device("cl", **self._options), self._failures
+        self._left -= 1
+        assert self._device is not None
+        return self._device
+
+
 @pytest.mark.slow
-def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.nightly)])
+def test_each_allocation_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch, step: int) -> None:
+    """Every third in each run, every one nightly."""
     with rhi.create_device("cl") as device:
         expected = work(device)
     allocations = Allocations(monkeypatch)
     errors: list[DeviceError] = []
     goes_on = True
-    while goes_on:
-        with rhi.create_device("cl") as device:
-            allocations.failing = allocations.count + len(errors)
+    with Devices(1) as devices:
+        while goes_on:
+            device = devices.get()
+            allocations.failing = allocations.count + step * len(errors)
             try:
                 results = work(device)
                 goes_on = False
             except DeviceError as error:
                 errors.append(error)
                 results = work(device)
-        for given, wanted in zip(results, expected, strict=True):
-            np.testing.assert_array_equal(given, wanted)
-    assert len(errors) > 15
+            for given, wanted in zip(results, expected, strict=True):
+                np.testing.assert_array_equal(given, wanted)
+    assert len(errors) > 15 // step
     assert {error.rule.id for error in errors} == {"device-out-of-memory"}
     assert all(error.tip for error in errors)
     assert {error.site.file for error in errors if error.site} == {__file__}
@@ -237,7 +265,8 @@ class Commands:
         return command(queue, *arguments, **named)
 
 
-def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("failures", [3, pytest.param(1, marks=pytest.mark.nightly)])
+def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch, failures: int) -> None:
     monkeypatch.setattr(builds, "_COLD", 1e9)  # no threads, whose commands would fail unseen
     commands = Commands(monkeypatch)
     errors: list[DeviceError] = []
@@ -245,8 +274,9 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
         with rhi.create_device("cl") as device:
             expected = do(device)
         goes_on = True
-        while goes_on:
-            with rhi.create_device("cl", timing=True) as device:
+        with Devices(failures, timing=True) as devices:
+            while goes_on:
+                device = devices.get()
                 commands.fail = True
                 try:
                     results = do(device)
@@ -255,8 +285,8 @@ def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.Monkey
                     errors.append(error)
                     results = do(device)
                 commands.fail = False
-            for given, wanted in zip(results, expected, strict=True):
-                np.testing.assert_array_equal(given, wanted)
+                for given, wanted in zip(results, expected, strict=True):
+                    np.testing.assert_array_equal(given, wanted)
     assert {error.call for error in errors} >= {
         "device.texture", "Texture.write", "Texture.read", "Texture.copy_to", "Texture.generate_mipmaps",
         "Buffer.write", "Buffer.read", "Buffer.copy_to", "Buffer.clear", "device.dispatch", "device.dispatch_indirect",

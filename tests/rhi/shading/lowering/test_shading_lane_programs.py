@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, seed, settings
 from hypothesis import strategies as st
-from opencl_runner import run_opencl
+from opencl_runner import built_together, run_opencl
 
 from rhi.shading import run_compute
 
@@ -152,7 +152,10 @@ def load(source, folder):
 
 
 def check(source, folder, run):
-    shader = load(source, folder)
+    check_shader(load(source, folder), source, run)
+
+
+def check_shader(shader, source, run):
     given_values = (np.arange(N, dtype="i4") * 37) % 23 - 8
     values = {"given": given_values, "out": N, "sums": 16}
     expected = run(shader, N // 32, **values)
@@ -175,10 +178,24 @@ def program_settings(count):
     )
 
 
-@program_settings(100)
-@given(source=programs())
-def test_programs_mean_the_same_in_every_language(source, tmp_path, run):
-    check(source, tmp_path, run)
+def check_together(sources, folder, run):
+    """Check programs whose kernels are built as one OpenCL program per width."""
+    shaders = {source: load(source, folder) for source in sources}
+    with built_together(shaders.values(), 1), built_together(shaders.values(), 16):
+        for source, shader in shaders.items():
+            check_shader(shader, source, run)
+
+
+def test_programs_mean_the_same_in_every_language(tmp_path, run):
+    sources = []
+
+    @program_settings(40)
+    @given(source=programs())
+    def make(source):
+        sources.append(source)
+
+    make()
+    check_together(sources, tmp_path, run)
 
 
 @pytest.mark.nightly
@@ -186,10 +203,13 @@ def test_programs_mean_the_same_in_every_language(source, tmp_path, run):
 def test_two_thousand_programs_mean_the_same_in_every_language(piece, tmp_path, run):
     """A hundred programs for each seed; `-k "[7]"` repeats one seed."""
 
+    sources = []
+
     @seed(piece)
     @settings(program_settings(100), derandomize=False)
     @given(source=programs())
-    def piece_of_them(source):
-        check(source, tmp_path, run)
+    def make(source):
+        sources.append(source)
 
-    piece_of_them()
+    make()
+    check_together(sources, tmp_path, run)

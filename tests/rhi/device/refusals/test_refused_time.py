@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import ExitStack
 from typing import Any
 
 import numpy as np
 import pytest
 
 import rhi
-from rhi import CullMode, Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError
+from rhi import Device, DeviceError, Format, Op, Primitive, SamplerDescriptor, ShaderError
 from rhi.conformance.shaders import Bare, Colored, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
@@ -39,7 +38,6 @@ def image(recording: Device) -> Any:
         yield image
 
 
-@pytest.mark.needs("occlusion_queries")
 def test_queries_do_not_nest(recording: Device, image: Any) -> None:
     one, two = recording.occlusion_query(), recording.occlusion_query()
     with recording.render_pass(image):
@@ -52,7 +50,6 @@ def test_queries_do_not_nest(recording: Device, image: Any) -> None:
             pass
 
 
-@pytest.mark.needs("occlusion_queries")
 def test_a_query_counts_inside_a_pass(recording: Device, image: Any) -> None:
     query = recording.occlusion_query()
     with refuses(rules.DRAW_OUTSIDE_PASS, recording):
@@ -61,7 +58,6 @@ def test_a_query_counts_inside_a_pass(recording: Device, image: Any) -> None:
         pass
 
 
-@pytest.mark.needs("occlusion_queries")
 def test_a_query_ends_after_it_began(recording: Device, image: Any) -> None:
     query = recording.occlusion_query()
     with refuses(rules.QUERY_STATE, recording):
@@ -73,7 +69,6 @@ def test_a_query_ends_after_it_began(recording: Device, image: Any) -> None:
             query.end()
 
 
-@pytest.mark.needs("occlusion_queries")
 def test_a_query_has_an_answer_after_its_end(recording: Device, image: Any) -> None:
     query = recording.occlusion_query()
     with refuses(rules.QUERY_STATE, recording):
@@ -88,7 +83,6 @@ def test_a_query_has_an_answer_after_its_end(recording: Device, image: Any) -> N
         query.end()
 
 
-@pytest.mark.needs("occlusion_queries")
 def test_a_query_ends_in_its_pass(recording: Device, image: Any) -> None:
     query = recording.occlusion_query()
     with refuses(rules.QUERY_STATE):
@@ -98,7 +92,6 @@ def test_a_query_ends_in_its_pass(recording: Device, image: Any) -> None:
         pass
 
 
-@pytest.mark.needs("occlusion_queries")
 def test_an_open_query_is_not_destroyed(recording: Device, image: Any) -> None:
     query = recording.occlusion_query()
     with recording.render_pass(image):
@@ -111,27 +104,6 @@ def test_an_open_query_is_not_destroyed(recording: Device, image: Any) -> None:
         query.begin()
 
 
-@pytest.mark.needs("occlusion_queries", "shading")
-@pytest.mark.needs("draws")
-def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
-    """Either the answer is there, or reading it is refused: never a zero that means 'not yet'."""
-    query = device.occlusion_query()
-    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
-        with device.render_pass(image), query:
-            device.draw(device.program(Colored), mesh)
-        try:
-            early = query.visible_samples
-        except rhi.ValidationError as error:
-            rule = error.rule
-            early = query.wait()
-        else:
-            rule = rules.QUERY_UNFINISHED
-        assert (early, rule) == (60 << 20, rules.QUERY_UNFINISHED)
-        assert query.visible_samples == 60 << 20
-    query.destroy()
-
-
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
 def test_a_condition_needs_an_ended_query(recording: Device, image: Any) -> None:
     query = recording.occlusion_query()
     with recording.render_pass(image):
@@ -143,7 +115,6 @@ def test_a_condition_needs_an_ended_query(recording: Device, image: Any) -> None
             pass
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
 def test_conditions_do_not_nest(recording: Device, image: Any) -> None:
     one, two = recording.occlusion_query(), recording.occlusion_query()
     with recording.render_pass(image):
@@ -160,24 +131,6 @@ def test_conditions_do_not_nest(recording: Device, image: Any) -> None:
             pass
 
 
-@pytest.mark.needs("sample_counter", "conditional_rendering")
-def test_a_condition_needs_a_native_query(recording: Device, image: Any) -> None:
-    query = recording.occlusion_query(emulated=True)
-    with recording.render_pass(image):
-        with query:
-            pass
-        with refuses(rules.DEVICE_CAPABILITY, recording):
-            recording.conditional(query)
-
-
-def test_an_emulated_query_needs_a_counter(recording: Device) -> None:
-    if recording.capabilities.sample_counter:
-        recording.occlusion_query(emulated=True).destroy()
-    else:
-        with refuses(rules.DEVICE_CAPABILITY, recording):
-            recording.occlusion_query(emulated=True)
-
-
 # -- events and commands -----------------------------------------------------------------------------------
 
 
@@ -191,12 +144,6 @@ def test_events_end_in_the_reverse_order(recording: Device) -> None:
     outer.__exit__(None, None, None)
     with recording.event("another"):
         pass
-
-
-def test_timing_needs_timestamps(recording: Device) -> None:
-    if not recording.capabilities.timestamps:
-        with refuses(rules.DEVICE_CAPABILITY, recording):
-            recording.timing = True
 
 
 def test_a_command_s_arguments_have_names(recording: Device) -> None:
@@ -284,41 +231,20 @@ CLOSED_USES: dict[str, Callable[[Device, Any], Any]] = {
 }
 
 
-CLOSED_NEEDS = {
-    "draw": "draws", "draw many": "draws", "immediate": "draws", "query": "occlusion_queries",
-    "query set": "occlusion_queries",
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    "use",
-    [
-        pytest.param(use, marks=pytest.mark.needs(CLOSED_NEEDS[use]) if use in CLOSED_NEEDS else ())
-        for use in CLOSED_USES
-    ],
-)
+@pytest.mark.parametrize("use", CLOSED_USES)
 def test_a_closed_device_does_nothing(backend: str, use: str) -> None:
     device = rhi.create_device(backend)
     resources: dict[str, Any] = {
         "buffer": device.buffer(4),
         "texture": device.texture(SIZE, Format.R8),
         "mesh": device.mesh(rectangle()),
+        "program": device.program(Colored),
     }
-    if CLOSED_NEEDS.get(use) == "draws":
-        resources["program"] = device.program(Colored)
     device.close()
     device.close()
     assert device.closed
     with refuses(rules.DEVICE_CLOSED):
         CLOSED_USES[use](device, resources)
-
-
-def test_resources_may_be_destroyed_after_their_device(backend: str) -> None:
-    device = rhi.create_device(backend)
-    resources: list[Any] = [device.buffer(4), device.texture(SIZE, Format.R8), device.mesh(rectangle())]
-    device.close()
-    for resource in resources:
-        resource.destroy()
 
 
 class Mistaken(Shader):
@@ -331,7 +257,6 @@ class Mistaken(Shader):
         return vec4(1.0) + vec4(True)
 
 
-@pytest.mark.needs("draws")
 def test_a_shader_that_does_not_type_check_makes_no_program(recording: Device) -> None:
     creations = recording.statistics.creations
     with pytest.raises(ShaderError) as caught:
@@ -340,23 +265,3 @@ def test_a_shader_that_does_not_type_check_makes_no_program(recording: Device) -
     assert caught.value.site.file == __file__
     assert recording.statistics.creations == creations
     recording.program(Colored)
-
-
-@pytest.mark.needs("draws")
-def test_a_device_may_be_closed_in_the_middle_of_everything(backend: str) -> None:
-    """Blocks that are still open end quietly."""
-    with rhi.create_device(backend) as device:
-        image, mesh, program = (
-            device.texture(SIZE, Format.R8),
-            device.mesh(rectangle()),
-            device.program(Colored),
-        )
-        with ExitStack() as stack:
-            stack.enter_context(device.event("frame"))
-            stack.enter_context(device.render_pass(image))
-            stack.enter_context(device.states(CullMode.NONE))
-            if device.capabilities.occlusion_queries:
-                stack.enter_context(device.occlusion_query())
-            device.draw(program, mesh)
-            device.close()
-        assert device.closed

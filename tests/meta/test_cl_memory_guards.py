@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from itertools import product
 from pathlib import Path
 
 import memory_guards
@@ -77,10 +78,18 @@ def test_a_write_is_found_when_its_buffer_is_gone() -> None:
     assert len(memory_guards.find_writes()) == 1
 
 
-@pytest.mark.parametrize("size", [(1, 1), (3, 5), (64, 64), (130, 70)])
-@pytest.mark.parametrize("samples", [1, 4])
+PRIMITIVES = (Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.LINES, Primitive.POINTS)
+EACH_RUN = {((130, 70), 4, Primitive.TRIANGLES), ((3, 5), 1, Primitive.LINES), ((64, 64), 1, Primitive.POINTS)}
+"""The cases of every run; the others are run nightly."""
+
+
 @pytest.mark.parametrize(
-    "primitive", [Primitive.TRIANGLES, Primitive.TRIANGLE_STRIP, Primitive.LINES, Primitive.POINTS]
+    ("size", "samples", "primitive"),
+    [
+        pytest.param(*case, marks=() if case in EACH_RUN else pytest.mark.nightly)
+        for case in product([(1, 1), (3, 5), (64, 64), (130, 70)], [1, 4], PRIMITIVES)
+    ],
+    ids=str,
 )
 def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, primitive: Primitive) -> None:
     """Triangles, lines and points of all sizes, most of them beyond the target; blending, stencil, queries, tables."""
@@ -113,6 +122,7 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
         assert memory_guards.count_guarded() > 10
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("kernel", "before", "found"),
     [
@@ -157,7 +167,7 @@ def run_guarded(*modules: str) -> None:
     assert done.returncode == 0, done.stdout[-4000:]
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_interplay_and_rasterisation_write_inside_their_buffers() -> None:
     run_guarded("rhi.conformance.operation.test_interplay", "rhi.conformance.operation.test_rasterisation")
 

@@ -81,7 +81,6 @@ def test_indices_point_to_vertices(recording: Device, indices: Any) -> None:
     recording.mesh(rectangle(), np.array([0, 0xFFFF, 5], "u2")).destroy()
 
 
-@pytest.mark.needs("draws")
 @OUTSIDE
 def test_transient_indices_point_to_vertices(recording: Device, indices: Any) -> None:
     program, memory = recording.program(Colored), recording.transient

@@ -97,15 +97,15 @@ def lines(node: Any) -> frozenset[int]:
 
 
 class Coverage:
-    """A pytest plugin that counts checks passed and broken."""
+    """A pytest plugin that counts the checks of a package that tests pass and break."""
 
-    def __init__(self) -> None:
+    def __init__(self, package: Path = PACKAGE) -> None:
         self.broken: Counter[str] = Counter()
         self.passed: Counter[str] = Counter()
         self.checks: dict[tuple[str, int], list[Check]] = defaultdict(list)
         rules = find_rules()
-        for path in sorted(PACKAGE.rglob("*.py")):
-            if path.relative_to(PACKAGE).parts[0] not in LEFT_OUT:
+        for path in sorted(package.rglob("*.py")):
+            if path.relative_to(package).parts[0] not in LEFT_OUT:
                 for function, check in find_checks(ast.parse(path.read_text()), rules):
                     self.checks[str(path), function].append(check)
         self._known: dict[CodeType, list[Check] | None] = {}

@@ -10,6 +10,7 @@ import mute_backends
 import pytest
 
 import rhi
+from rhi.conformance.steps import STEPS, step_of
 
 
 def test_every_method_of_the_contract_has_a_group_or_a_reason() -> None:
@@ -18,7 +19,13 @@ def test_every_method_of_the_contract_has_a_group_or_a_reason() -> None:
     assert not mute_backends.GROUPS.keys() & mute_backends.UNSEEN.keys()
 
 
-@pytest.mark.slow
+def test_no_method_is_written_after_the_group_that_must_see_it() -> None:
+    written = {method: number for number, step in enumerate(STEPS, 1) for method in step.methods}
+    for method, group in mute_backends.GROUPS.items():
+        assert written[method] <= step_of(f"operation · {group}"), method
+
+
+@pytest.mark.nightly
 def test_a_backend_without_any_one_method_fails() -> None:
     """In one process of its own: this one may hold devices."""
     try:

@@ -10,7 +10,7 @@ import faulty_backends
 import pytest
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_each_fault_of_a_backend_is_seen_and_one_without_passes() -> None:
     """In one process of its own: this one may hold devices."""
     run = subprocess.run(

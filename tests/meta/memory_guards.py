@@ -7,7 +7,7 @@
 
 As a plugin it watches any tests:
 
-    PYTHONPATH=tests/rhi/backends/cl python -m pytest -p memory_guards --pyargs rhi.conformance --rhi-backend cl
+    PYTHONPATH=tests/meta python -m pytest -p memory_guards --pyargs rhi.conformance --rhi-backend cl
 """
 
 from __future__ import annotations

@@ -7,15 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refused_shaders import Everything, Passing
 
 from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Primitive
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import Rows, corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
-from rhi.conformance.validation.shaders import Everything, Passing
 from rhi.errors import rules
-
-pytestmark = pytest.mark.needs("draws")
 
 SIZE = (4, 4)
 
@@ -280,7 +278,6 @@ def test_indirect_arguments_lie_in_their_buffer(
             recording.draw_indirect(program, mesh, IndirectDraws(buffer, 1, 20))
 
 
-@pytest.mark.needs("indirect_count")
 @pytest.mark.parametrize("offset", [-4, 2, 8])
 def test_an_indirect_count_lies_in_its_buffer(recording: Device, offset: int) -> None:
     program = recording.program(Colored)
@@ -309,9 +306,8 @@ def test_an_indirect_draw_refuses_dead_and_foreign_buffers(recording: Device, de
                 recording.draw_indirect(program, mesh, IndirectDraws(dead, 1))
             with refuses(rules.RESOURCE_FOREIGN, recording):
                 recording.draw_indirect(program, mesh, IndirectDraws(theirs, 1))
-            if recording.capabilities.indirect_count:
-                with refuses(rules.RESOURCE_DESTROYED, recording):
-                    recording.draw_indirect(program, mesh, IndirectDraws(fine, 1, count=dead))
+            with refuses(rules.RESOURCE_DESTROYED, recording):
+                recording.draw_indirect(program, mesh, IndirectDraws(fine, 1, count=dead))
         fine.destroy()
         theirs.destroy()
 

@@ -5,22 +5,18 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from refused_shaders import Everything, Shift
 
-from rhi import Access, Comparison, Device, Format, Op, SamplerDescriptor, TextureKind
+from rhi import Access, Comparison, Device, Format, SamplerDescriptor, TextureKind
 from rhi.conformance.shaders import Bare, Corner, Tint
 from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
-from rhi.conformance.validation.shaders import Everything, Shift
 from rhi.errors import rules
 from rhi.shading import (
     Shader,
-    Storage,
-    StorageRW,
     Uniform,
     uint,
 )
-
-pytestmark = pytest.mark.needs("draws")
 
 SIZE = (4, 4)
 
@@ -120,9 +116,8 @@ def test_a_texture_must_have_the_shader_s_kind_and_type(kit: Kit) -> None:
         device.texture(SIZE, Format.RGBA8, kind=TextureKind.CUBE),
         device.texture(SIZE, Format.RGBA8UI),
         device.texture(SIZE, Format.R32I),
+        device.texture(SIZE, Format.RGBA8, samples=2),
     ]
-    if device.capabilities.max_samples > 1:
-        wrong.append(device.texture(SIZE, Format.RGBA8, samples=2))
     with device.render_pass(kit.image):
         for texture in wrong:
             with refuses(rules.BINDING_TYPE, device):
@@ -208,32 +203,6 @@ def test_a_refused_draw_leaves_the_bindings_of_the_one_before(kit: Kit) -> None:
         assert [command.op.name for command in kit.device.stream[since:]][-1] == "DRAW"
 
 
-class Plainly(Shader):
-    """Bindings called like arguments of draws, and like what is generated for them might be."""
-
-    instances: Storage[Tint]
-    mesh: Uniform[Tint]
-    program: Uniform[Tint]
-    draws: Uniform[Tint]
-    len: Uniform[Tint]
-
-    def vertex(self, v: Corner) -> Bare:
-        rest = self.program.color * self.draws.color * self.len.color
-        return Bare(clip=v.position * self.mesh.color * self.instances[0].color * rest)
-
-
-class Dispatched(Shader):
-    """The same of a dispatch."""
-
-    work_group = (1,)
-    groups: Uniform[Tint]
-    buffer: StorageRW[float]
-    offset: Uniform[Tint]
-
-    def compute(self) -> None:
-        self.buffer[0] = self.groups.color.x + self.offset.color.x
-
-
 class Self(Shader):
     """A binding that a call with keywords can't give."""
 
@@ -241,27 +210,6 @@ class Self(Shader):
 
     def vertex(this, v: Corner) -> Bare:  # noqa: N805
         return Bare(clip=v.position * this.self.color)
-
-
-def test_a_binding_can_be_called_like_an_argument(kit: Kit) -> None:
-    device = kit.device
-    tint = kit.bindings["tint"]
-    rows = device.storage(Tint, 1)
-    named = {"instances": rows, "mesh": tint, "program": tint, "draws": tint, "len": tint}
-    plainly = device.program(Plainly)
-    with device.render_pass(kit.image):
-        device.draw(plainly, kit.mesh, **named)
-        plainly.draw(kit.mesh, 2, **named)
-        device.draw_many(plainly, kit.mesh, kit.mesh.draws([0, 0]), **named)
-    drawn = device.stream.filter(Op.DRAW)[-2:]
-    assert [draw["instances"] for draw in drawn] == [1, 2]
-
-
-@pytest.mark.needs("compute")
-def test_a_binding_can_be_called_like_an_argument_of_a_dispatch(kit: Kit) -> None:
-    tint, values = kit.bindings["tint"], kit.device.storage(float, 1)
-    kit.device.dispatch(kit.device.program(Dispatched), 1, groups=tint, buffer=values, offset=tint)
-    assert values.read().tolist() == ([2] if kit.device.capabilities.shading else [0])
 
 
 def test_a_binding_cannot_be_called_what_no_keyword_can_be(recording: Device) -> None:

@@ -15,7 +15,7 @@ from rule_coverage import Check, find_checks
 from rhi.errors.rules import DEVICE_LOST, PASS_NESTED, PASS_OPEN, SHADER_DRIVER
 from rhi.shading.language.rules import DEVICE_ONLY
 
-HERE = Path(__file__).parent
+TESTS = Path(__file__).parents[1] / "rhi"
 ALWAYS_BROKEN = {
     SHADER_DRIVER.id: "the check is the driver's: a program that it takes passes",
     DEVICE_ONLY.id: "to call it is the fault: a shader that compiles passes",
@@ -28,12 +28,12 @@ ALWAYS_BROKEN = {
 NOT_ABOUT_RULES = ("accuracy", "agreement", "lane_programs", "fragment_programs", "shading_textures", "cl_targets")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_each_rule_is_broken_by_a_test_and_passed_by_another() -> None:
     """By the tests of rhi and the conformance kit on the null device, all run again in another process."""
-    ignored = [path for path in HERE.rglob("test_*.py") if path.stem.endswith(NOT_ABOUT_RULES)]
-    left_out = [HERE / "conformance", HERE / "test_rule_coverage.py", *ignored]
-    arguments = [str(HERE), *(text for path in left_out for text in ("--ignore", str(path)))]
+    ignored = [path for path in TESTS.rglob("test_*.py") if path.stem.endswith(NOT_ABOUT_RULES)]
+    left_out = [TESTS / "conformance", *ignored]
+    arguments = [str(TESTS), *(text for path in left_out for text in ("--ignore", str(path)))]
     kit = ["--pyargs", "rhi.conformance.validation", "--rhi-backend", "null"]
     run = subprocess.run(
         [sys.executable, rule_coverage.__file__, *arguments, *kit], capture_output=True, text=True, check=False
@@ -85,9 +85,9 @@ def test_a_loop_is_part_of_the_condition() -> None:
     ],
 )
 def test_a_call_breaks_or_passes_the_checks_it_comes_to(
-    monkeypatch: pytest.MonkeyPatch, nested: bool, value: bool, broken: dict[str, int], passed: dict[str, int]
+    tmp_path: Path, nested: bool, value: bool, broken: dict[str, int], passed: dict[str, int]
 ) -> None:
-    coverage = rule_coverage.Coverage()
+    coverage = rule_coverage.Coverage(tmp_path)
     for first, check in find_checks(ast.parse(SOURCE), {"PASS_NESTED": PASS_NESTED, "PASS_OPEN": PASS_OPEN}):
         coverage.checks["<example>", first].append(check)
     scope: dict[str, object] = {"NoReturn": None}

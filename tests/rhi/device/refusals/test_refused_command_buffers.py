@@ -18,7 +18,6 @@ from rhi.errors import rules
 from rhi.shading import Shader, vec4
 
 SIZE = (4, 4)
-draws = pytest.mark.needs("draws")
 TRIANGLE = corners([(-1, -1), (1, -1), (0, 1)])
 
 
@@ -56,7 +55,6 @@ def test_commands_are_given_inside_the_block(recording: Device) -> None:
         recording.submit(commands)
 
 
-@draws
 def test_draws_are_given_inside_the_block(recording: Device) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         program = recording.program(Colored)
@@ -141,7 +139,7 @@ def test_a_closed_device_records_nothing(backend: str) -> None:
         "pass",
         "states",
         "event",
-        pytest.param("condition", marks=pytest.mark.needs("occlusion_queries", "conditional_rendering")),
+        "condition",
     ],
 )
 def test_a_buffer_ends_with_nothing_open(recording: Device, kind: str) -> None:
@@ -168,8 +166,6 @@ def test_a_buffer_ends_with_nothing_open(recording: Device, kind: str) -> None:
         recording.submit(commands)
 
 
-@draws
-@pytest.mark.needs("occlusion_queries")
 def test_a_query_ends_in_its_pass(recording: Device) -> None:
     query = recording.occlusion_query()
     with recording.texture(SIZE, Format.R8) as image:
@@ -212,7 +208,6 @@ def test_what_is_used_lives_until_the_first_submission(recording: Device) -> Non
         commands.clear(other)
 
 
-@draws
 @pytest.mark.parametrize("gone", ["mesh", "program", "tint"])
 def test_what_draws_use_lives_as_long(recording: Device, gone: str) -> None:
     with recording.texture(SIZE, Format.RGBA8) as image:
@@ -231,7 +226,6 @@ def test_what_draws_use_lives_as_long(recording: Device, gone: str) -> None:
             part.destroy()
 
 
-@draws
 def test_a_mesh_s_own_part_lives_though_its_buffers_do(recording: Device) -> None:
     vertices = recording.buffer(rectangle())
     with recording.texture(SIZE, Format.R8) as image:
@@ -255,7 +249,6 @@ class Fixed(Shader):
         return vec4(1.0)
 
 
-@draws
 def test_a_mesh_without_attributes_lives_as_long(recording: Device) -> None:
     with recording.texture(SIZE, Format.R8) as image:
         mesh, program = recording.mesh(3, label="points"), recording.program(Fixed)
@@ -278,8 +271,6 @@ def test_what_is_locked_is_not_submitted(recording: Device) -> None:
             recording.submit(commands)
 
 
-@draws
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
 def test_a_condition_needs_a_query_that_was_ended(recording: Device) -> None:
     query = recording.occlusion_query()
     with recording.texture(SIZE, Format.R8) as image:
@@ -296,7 +287,6 @@ def test_a_condition_needs_a_query_that_was_ended(recording: Device) -> None:
     query.destroy()
 
 
-@pytest.mark.needs("occlusion_queries", "conditional_rendering")
 def test_conditions_of_buffer_and_device_do_not_nest(recording: Device) -> None:
     query = recording.occlusion_query()
     with recording.texture(SIZE, Format.R8) as image:
@@ -318,7 +308,6 @@ def test_conditions_of_buffer_and_device_do_not_nest(recording: Device) -> None:
 # -- encoders are told apart -------------------------------------------------------------------------------
 
 
-@draws
 def test_transient_memory_belongs_to_its_frame_or_buffer(recording: Device) -> None:
     with recording.texture(SIZE, Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
         program, white = recording.program(Tinted), Tint(color=(1, 1, 1, 1))
@@ -338,7 +327,6 @@ def test_transient_memory_belongs_to_its_frame_or_buffer(recording: Device) -> N
         recording.submit(first, second)
 
 
-@draws
 def test_transient_meshes_belong_to_their_frame_or_buffer(recording: Device) -> None:
     with recording.texture(SIZE, Format.RGBA8) as image:
         program = recording.program(Colored)
@@ -366,7 +354,6 @@ def test_passes_do_not_nest_in_a_buffer_either(recording: Device) -> None:
         recording.submit(commands)
 
 
-@draws
 def test_a_refused_draw_leaves_the_buffer_as_it_was(recording: Device) -> None:
     with recording.texture(SIZE, Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:
         program, tint = recording.program(Tinted), recording.uniform(Tint(color=(1, 1, 1, 1)))

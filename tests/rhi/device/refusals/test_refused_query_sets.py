@@ -15,8 +15,6 @@ from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.errors import rules
 
-pytestmark = [pytest.mark.needs("draws"), pytest.mark.needs("occlusion_queries")]
-
 SIZE = (4, 4)
 
 
@@ -165,49 +163,11 @@ def test_a_set_has_answers_once_it_was_asked(
     assert queries.wait().tolist() == [-1] * 4
 
 
-@pytest.mark.needs("shading")
-def test_a_refused_call_leaves_the_answers_there(
-    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
-) -> None:
-    program, draws = recording.program(Colored), mesh.draws()
-    with recording.render_pass(image):
-        recording.draw_counted(program, mesh, draws, queries)
-        assert queries.wait()[0] == 16
-        with refuses(rules.QUERY_ROWS, recording):
-            recording.draw_counted(program, mesh, draws, queries, [9])
-    assert queries.is_finished
-    assert queries.visible_samples[0] == 16
-
-
-@pytest.mark.needs("shading")
-def test_an_unfinished_set_has_no_numbers_yet(device: Device) -> None:
-    """Either the answers are there, or reading them is refused."""
-    queries = device.query_set(2)
-    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 30)) as mesh:
-        with device.render_pass(image):
-            device.draw_counted(device.program(Colored), mesh, mesh.draws([0, 0]), queries)
-        try:
-            early = queries.visible_samples
-        except rhi.ValidationError as error:
-            assert error.rule is rules.QUERY_UNFINISHED  # noqa: PT017 (either is right)
-            early = queries.wait()
-        assert early.tolist() == [30 << 20] * 2
-    queries.destroy()
-
-
 @pytest.mark.parametrize("size", [-1, 1.5, "2"])
 def test_a_set_has_a_number_of_rows(recording: Device, size: Any) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
         recording.query_set(size)
     assert len(recording.query_set(3)) == 3
-
-
-def test_an_emulated_set_needs_a_counter(recording: Device) -> None:
-    if recording.capabilities.sample_counter:
-        recording.query_set(2, emulated=True).destroy()
-    else:
-        with refuses(rules.DEVICE_CAPABILITY, recording):
-            recording.query_set(2, emulated=True)
 
 
 # -- in command buffers ------------------------------------------------------------------------------------

@@ -1,0 +1,186 @@
+"""Calls that a device refuses because of its capabilities: each limit, with the largest value that passes, and each
+feature that it lacks."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from rhi import AlphaTest, Device, Format, ProgramDescriptor, SamplerDescriptor, StencilTest, TextureKind
+from rhi.conformance.shaders import Colored
+from rhi.conformance.validation.refusal import refuses
+from rhi.contract.descriptors import Binding, BindingKind
+from rhi.errors import rules
+from rhi.shading import Shader, StorageRW, atomic_add, compile_shader, shared, uint
+
+SIZE = (4, 4)
+
+
+class Count(Shader):
+    """Counts its invocations."""
+
+    total: StorageRW[uint]
+
+    def compute(self) -> None:
+        atomic_add(self.total[0], uint(1))
+
+
+@pytest.fixture
+def image(recording: Device) -> Any:
+    with recording.texture(SIZE, Format.R8) as image:
+        yield image
+
+
+def test_a_texture_is_no_larger_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_texture_size
+    for size in ((most + 1, 1), (1, most + 1)):
+        with refuses(rules.TEXTURE_SIZE, recording):
+            recording.texture(size, Format.R8)
+    for size in ((most, 1), (1, most)):
+        recording.texture(size, Format.R8).destroy()
+
+
+def test_an_array_has_no_more_layers_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_texture_layers
+    with refuses(rules.TEXTURE_SIZE, recording):
+        recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most + 1)
+    recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most).destroy()
+
+
+@pytest.mark.parametrize("samples", [0, 3, 5, -1, 16])
+def test_samples_are_a_power_of_two_that_the_device_has(recording: Device, samples: int) -> None:
+    with refuses(rules.TEXTURE_SAMPLES, recording):
+        recording.texture((4, 4), Format.R8, samples=samples)
+    recording.texture((4, 4), Format.R8, samples=recording.capabilities.max_samples).destroy()
+
+
+def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_anisotropy
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.sampler(SamplerDescriptor(max_anisotropy=most + 0.5))
+    with recording.texture((1, 1), Format.RGBA8) as texture:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            texture.sampled(SamplerDescriptor(max_anisotropy=most + 0.5))
+    recording.sampler(SamplerDescriptor(max_anisotropy=most))
+
+
+def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:
+    for format in recording.capabilities.unsupported_formats:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.texture((4, 4), format)
+
+
+def test_formats_that_cannot_be_drawn_to_are_refused(recording: Device) -> None:
+    lacking = recording.capabilities.unrenderable_formats - recording.capabilities.unsupported_formats
+    for format in lacking:
+        with recording.texture(SIZE, format) as texture, refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(texture)
+
+
+def test_there_is_a_most_of_targets(recording: Device) -> None:
+    most = recording.capabilities.max_color_targets
+    targets = [recording.texture(SIZE, Format.R8) for _ in range(most + 1)]
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.render_pass(targets)
+    recording.render_pass(targets[:most])
+    for target in targets:
+        target.destroy()
+
+
+def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
+    capabilities = recording.capabilities
+    for state, lacking in (
+        (AlphaTest.ON, not capabilities.alpha_test),
+        (StencilTest.ON, not capabilities.stencil),
+    ):
+        if lacking:
+            with refuses(rules.STATE_CAPABILITY, recording), recording.states(state):
+                pass
+        else:
+            with recording.states(state):
+                pass
+    with recording.states(AlphaTest.OFF):
+        pass
+
+
+@pytest.mark.needs("compute")
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_groups_are_no_more_than_the_device_says(recording: Device, axis: int) -> None:
+    groups = [1, 1, 1]
+    groups[axis] = recording.capabilities.max_dispatch[axis] + 1
+    with recording.storage(uint, 1) as total, refuses(rules.DISPATCH_SIZE, recording):
+        recording.dispatch(recording.program(Count), groups, total=total)
+
+
+@pytest.mark.needs("draws")
+@pytest.mark.parametrize(
+    ("kind", "limit"),
+    [
+        (BindingKind.UNIFORM, "max_uniform_slots"),
+        (BindingKind.STORAGE, "max_storage_slots"),
+        (BindingKind.TEXTURE, "max_texture_slots"),
+        (BindingKind.IMAGE, "max_image_slots"),
+    ],
+    ids=lambda value: value.name.lower() if isinstance(value, BindingKind) else "",
+)
+def test_bindings_are_no_more_than_the_device_says(recording: Device, kind: BindingKind, limit: str) -> None:
+    def program(count: int) -> ProgramDescriptor:
+        bindings = tuple(Binding(f"b{i}", kind, i, False, None, 16) for i in range(count))
+        return replace(compile_shader(Colored), bindings=bindings)
+
+    most = getattr(recording.capabilities, limit)
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.program(program(most + 1))
+    recording.program(program(most)).destroy()
+
+
+@pytest.mark.needs("compute")
+def test_a_work_group_shares_no_more_than_the_device_says(recording: Device) -> None:
+    most = recording.capabilities.max_shared_bytes // 4
+
+    class Sharing(Shader):
+        """Shares a little too much."""
+
+        results: StorageRW[float]
+        numbers = shared(float, most + 1)
+
+        def compute(self) -> None:
+            self.numbers[0] = 1.0
+            self.results[0] = self.numbers[0]
+
+    with refuses(rules.DEVICE_CAPABILITY, recording):
+        recording.program(Sharing)
+
+
+def test_timing_needs_timestamps(recording: Device) -> None:
+    if not recording.capabilities.timestamps:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.timing = True
+
+
+def test_an_emulated_query_needs_a_counter(recording: Device) -> None:
+    if recording.capabilities.sample_counter:
+        recording.occlusion_query(emulated=True).destroy()
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.occlusion_query(emulated=True)
+
+
+def test_an_emulated_set_needs_a_counter(recording: Device) -> None:
+    if recording.capabilities.sample_counter:
+        recording.query_set(2, emulated=True).destroy()
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.query_set(2, emulated=True)
+
+
+@pytest.mark.needs("sample_counter", "conditional_rendering")
+def test_a_condition_needs_a_native_query(recording: Device, image: Any) -> None:
+    query = recording.occlusion_query(emulated=True)
+    with recording.render_pass(image):
+        with query:
+            pass
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.conditional(query)
