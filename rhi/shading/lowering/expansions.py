@@ -55,7 +55,7 @@ def _parse(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body
 
 
-class _Expression:
+class _ExpressionExpansion:
     """An expression of a built-in's arguments, with the semantics of the shading language.
 
     Operators act by component, a scalar operand of a vector is broadcast, `v.yzx` is a swizzle, and calls are of
@@ -118,7 +118,7 @@ def expansion_of(row: Builtin) -> Expansion:
         LookupError: the built-in has none.
     """
     if row.lanes:
-        return _Expression(row.lanes)
+        return _ExpressionExpansion(row.lanes)
     if row.opencl:
         return by_component(lambda *parts: apply(row.name, *parts))
     return _FUNCTIONS[row.name]
