@@ -64,6 +64,8 @@ def use(device: rhi.Device) -> None:
         with device.states(CullMode.NONE, DepthWrite.OFF, ColorWrite.OFF.at(1), BlendFunction.ALPHA):
             device.draw(flat, mesh, tint=tint, many=many, albedo=image)
         flat.draw(mesh, 2, tint=objects[0], many=many, albedo=image.sampled(smooth))
+        passing = device.transient.mesh(flat, np.zeros(3, Corner.dtype))
+        device.draw(flat, passing, tint=objects[1], many=many, albedo=image)
         device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)
         counted = device.query_set(2)
         device.draw_counted(flat, mesh, mesh.draws(), counted, [1], tint=tint, many=many, albedo=image)
