@@ -1,4 +1,4 @@
-"""How results are compared: all texels at once in float64, with the tolerance's reason stated.
+"""Comparison of results: all texels at once, in float64, each tolerance with its reason.
 
 A failure says how many values differ, by how much at worst, and shows the first few of them.
 """
@@ -15,12 +15,12 @@ MARKS = {(True, True): "#", (True, False): "+", (False, True): "-", (False, Fals
 
 
 def assert_same(actual: ArrayLike, expected: ArrayLike) -> None:
-    """Every value equals the expected one exactly; `expected` is broadcast to the shape of `actual`."""
+    """Assert that every value equals the expected one exactly; `expected` is broadcast to the shape of `actual`."""
     assert_near(actual, expected, 0.0, "exact")
 
 
 def assert_near(actual: ArrayLike, expected: ArrayLike, tolerance: ArrayLike, reason: str) -> None:
-    """Every value lies within `tolerance` (absolute) of the expected one; `reason` says why not closer."""
+    """Assert that every value is within an absolute `tolerance` of the expected one; `reason` explains it."""
     __tracebackhide__ = True
     got = np.asarray(actual)
     wanted, allowed = _widen(expected, got.shape), _widen(tolerance, got.shape)
@@ -45,7 +45,7 @@ def _widen(values: ArrayLike, shape: tuple[int, ...]) -> NDArray[Any]:
 
 
 def assert_mask(actual: NDArray[Any], expected: NDArray[np.bool_]) -> None:
-    """Exactly the texels of `expected` are not zero in `actual` (height, width[, channels])."""
+    """Assert that the nonzero texels of `actual` (height, width[, channels]) are exactly those of `expected`."""
     __tracebackhide__ = True
     drawn = np.asarray(actual.any(axis=-1) if actual.ndim == 3 else actual != 0)
     if np.array_equal(drawn, expected):

@@ -1,5 +1,8 @@
-"""Fixtures of the kit. `device` is one per backend and session, which tests leave as they found it; what changes
-a device for good takes `fresh_device`, what reads the command stream `recording`.
+"""Fixtures of the kit.
+
+- `device`: one device per backend and session. Tests leave it as they found it.
+- `fresh_device`: a device for tests that change it permanently.
+- `recording`: a device for tests that read the command stream.
 """
 
 from __future__ import annotations
@@ -14,7 +17,7 @@ from rhi.testing.plugin import get_backend_names
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
-    """Every test runs once per backend that was asked for; those marked `recorded_too` also through a recorder."""
+    """Run every test once per requested backend, and those marked `recorded_too` also through a recorder."""
     if "backend" in metafunc.fixturenames:
         metafunc.parametrize("backend", get_backend_names(metafunc.config, "gl"), scope="session")
     if "route" in metafunc.fixturenames:
@@ -23,7 +26,7 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Note the test's place on the scoreboard: its backend, and a group such as "operation · depth"."""
+    """Attach the test's place on the scoreboard: its backend, and a group such as "operation · depth"."""
     parameters = getattr(item, "callspec", None)
     backend = parameters.params.get("backend", "any") if parameters is not None else "any"
     group = f"{item.path.parent.name} · {item.path.stem.removeprefix('test_').replace('_', ' ')}"
@@ -32,24 +35,24 @@ def pytest_itemcollected(item: pytest.Item) -> None:
 
 @pytest.fixture(scope="session")
 def shared_device(backend: str) -> Iterator[rhi.Device]:
-    """The session's device, with validation (a driver's complaint fails the test that caused it) and timers."""
+    """The session's device, with timers, and with validation: a driver's message fails the test that caused it."""
     with rhi.create_device(backend, validation=True, timing=True) as device:
         yield device
 
 
 @pytest.fixture(scope="session")
 def recording_device(backend: str) -> Iterator[rhi.Device]:
-    """A second device whose commands are written down."""
+    """A second device, which records its commands."""
     with rhi.create_device(backend, validation=True, record=True) as device:
         yield device
 
 
 @pytest.fixture
 def device(shared_device: rhi.Device, recording_device: rhi.Device, route: str) -> rhi.Device:
-    """The shared device.
+    """The shared device of this test's route.
 
-    Where a backend prepares draws, a device without a recorder calls other methods than one with: both ways
-    must give the same pixels.
+    Where a backend prepares draws, a device without a recorder calls other backend methods than a device with one.
+    Both must give the same pixels.
     """
     device = shared_device if route == "direct" else recording_device
     if route == "recorded":
@@ -59,20 +62,20 @@ def device(shared_device: rhi.Device, recording_device: rhi.Device, route: str) 
 
 @pytest.fixture
 def recording(recording_device: rhi.Device) -> rhi.Device:
-    """The shared recording device; `.stream` goes on from test to test."""
+    """The shared recording device; its stream continues from test to test."""
     return recording_device
 
 
 @pytest.fixture
 def fresh_device(backend: str) -> Iterator[rhi.Device]:
-    """A device of this test's own."""
+    """A device for this test alone."""
     with rhi.create_device(backend, validation=True) as device:
         yield device
 
 
 @pytest.fixture(autouse=True)
 def capable(request: pytest.FixtureRequest) -> None:
-    """Skip a test marked `needs` for a capability that the backend declares missing, or a limit that it says is 0."""
+    """Skip a test marked `needs` if the backend declares the capability missing, or the limit 0."""
     wanted = [capability for marker in request.node.iter_markers("needs") for capability in marker.args]
     if not wanted or "backend" not in request.fixturenames:
         return

@@ -1,4 +1,4 @@
-"""How long the kit waits for what must come: no result depends on it, only how late a stuck device is found out."""
+"""How long the kit waits for a device. No result depends on it, only how soon a stuck device is reported."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import time
 from collections.abc import Callable
 
 PATIENCE = 60.0
-"""Seconds after which a device is stuck rather than busy."""
+"""Seconds after which a device counts as stuck rather than busy."""
 
 
 def comes_true(condition: Callable[[], bool]) -> bool:
-    """Whether polling alone sees `condition` come true."""
+    """Poll until `condition` is true; return False if it isn't within `PATIENCE` seconds."""
     end = time.monotonic() + PATIENCE
     while not condition():
         if time.monotonic() > end:

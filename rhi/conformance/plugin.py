@@ -1,8 +1,7 @@
 """The kit's pytest plugin: its markers, the scoreboard, and what to implement next.
 
-It is the entry point that pytest finds, and brings `rhi.testing.plugin` with it: the option `--rhi-backend`,
-which would be unknown when pytest reads its command line were it defined in a conftest below `--pyargs`, and
-the fixtures for tests of one's own.
+Pytest loads it through an entry point. It also loads `rhi.testing.plugin`, with the fixtures for users' tests and the
+option `--rhi-backend`: pytest would not know the option if a conftest below `--pyargs` defined it.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ from rhi.conformance.steps import STEPS, find_missing, step_of
 pytest_plugins = ("rhi.testing.plugin",)
 
 PROPERTY: Final = "rhi-conformance"
-"""Under which the kit notes in its tests' reports which backend and group they belong to."""
+"""Key of the user property that holds the backend and group of a kit test."""
 MISSING: Final = "rhi-missing-method"
-"""Under which a failed test's report has the backend's method that isn't there yet."""
+"""Key of the user property that holds the missing backend method of a failed test."""
 SHOWN: Final = 5
 
 
@@ -36,7 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Note which method a test of the kit failed for want of."""
+    """Attach to a failed kit test the backend method that it is missing."""
     report = yield
     if report.failed and call.excinfo is not None and PROPERTY in dict(item.user_properties):
         report.user_properties.append((MISSING, find_missing(call.excinfo.value)))
@@ -44,7 +43,7 @@ def pytest_runtest_makereport(
 
 
 class Board:
-    """What came of the tests for one backend."""
+    """The results of the kit's tests on one backend."""
 
     def __init__(self) -> None:
         self.groups: dict[str, Counter[str]] = defaultdict(Counter)
@@ -64,7 +63,7 @@ class Board:
             self.failed[group].append(report.nodeid.partition("::")[2])
 
 
-@pytest.hookimpl(wrapper=True, tryfirst=True)  # behind pytest's own summary, which has a line for each failure
+@pytest.hookimpl(wrapper=True, tryfirst=True)  # after pytest's own summary, which has a line for each failure
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Generator[None]:
     """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were skipped."""
     yield
@@ -75,7 +74,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Genera
             if place is not None:  # a test of the kit
                 backend, group = place
                 boards[backend].add(outcome, group, report)
-    for backend, board in sorted(boards.items(), key=lambda entry: entry[0] != "any"):  # what is next comes last
+    # The board that names the next step is printed last.
+    for backend, board in sorted(boards.items(), key=lambda entry: entry[0] != "any"):
         terminalreporter.section(f"rhi conformance: {backend}")
         _write_board(terminalreporter, board)
 
@@ -104,7 +104,7 @@ def _write_row(
 
 
 def describe_next(board: Board) -> list[str]:
-    """What to do about the first step with a failure: the methods that it lacks, else the tests that fail."""
+    """Return the lines about the first step with a failure: its missing methods, or else its failing tests."""
     if not board.failed:
         return []
     number = min(map(step_of, board.failed))

@@ -1,7 +1,7 @@
-"""What a device must give, computed plainly: float64 NumPy for values, exact integers for coverage.
+"""The reference: expected results, computed in float64 NumPy for values and in exact integers for coverage.
 
-Nothing here is fast or clever; it is what results are judged by. Colors are (…, 4) arrays, images have their
-top row first, windows have y down.
+The code is simple rather than fast, since all results are compared with it. Colors are (…, 4) arrays, images have
+their top row first, and y points down in windows.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Array = NDArray[Any]
 Float = NDArray[np.float64]
 
 SUBTEXELS = 16
-"""Triangle corners lie on 1/16 of a texel: every device's fixed-point grid holds these exactly."""
+"""Triangle corners lie on multiples of 1/16 texel, which every device's fixed-point grid represents exactly."""
 
 _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
     "never": lambda new, stored: np.zeros(np.broadcast(new, stored).shape, bool),
@@ -34,7 +34,7 @@ _COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 
 
 def compare(function: Any, new: ArrayLike, stored: ArrayLike) -> NDArray[np.bool_]:
-    """`new OP stored` for a `Comparison`, `DepthFunction` or `AlphaFunction`."""
+    """Evaluate `new OP stored` for a `Comparison`, `DepthFunction` or `AlphaFunction`."""
     return np.asarray(_COMPARISONS[function.value](np.asarray(new), np.asarray(stored)))
 
 
@@ -42,7 +42,7 @@ def compare(function: Any, new: ArrayLike, stored: ArrayLike) -> NDArray[np.bool
 
 
 def blend(function: BlendFunction, source: ArrayLike, destination: ArrayLike, constant: ArrayLike) -> Float:
-    """The blended color before it is stored; arguments are (…, 4)."""
+    """Return the blended color before it is stored; colors are (…, 4)."""
     src, dst, con = (np.asarray(v, np.float64) for v in (source, destination, constant))
     src, dst = np.broadcast_arrays(src, dst)
     color = _combine(function.operation, function.source, function.destination, src, dst, con)
@@ -91,7 +91,7 @@ def _factor(factor: BlendFactor, source: Float, destination: Float, constant: Fl
 
 
 def stencil(operation: StencilOperation, stored: int, reference: int, write_mask: int = 255) -> int:
-    """The stored stencil value after an operation."""
+    """Return the stored stencil value after an operation."""
     new = {
         StencilOperation.KEEP: stored,
         StencilOperation.ZERO: 0,
@@ -109,29 +109,29 @@ def stencil(operation: StencilOperation, stored: int, reference: int, write_mask
 
 
 def srgb_to_linear(value: ArrayLike) -> Float:
-    """IEC 61966-2-1, both 0 to 1."""
+    """Convert sRGB to linear light by IEC 61966-2-1, both 0 to 1."""
     v = np.asarray(value, np.float64)
     return np.where(v <= 0.04045, v / 12.92, ((v + 0.055) / 1.055) ** 2.4)
 
 
 def linear_to_srgb(value: ArrayLike) -> Float:
-    """IEC 61966-2-1, both 0 to 1."""
+    """Convert linear light to sRGB by IEC 61966-2-1, both 0 to 1."""
     v = np.asarray(value, np.float64)
     return np.where(v <= 0.0031308, v * 12.92, 1.055 * np.maximum(v, 0.0031308) ** (1 / 2.4) - 0.055)
 
 
 def largest(format: Format) -> int:
-    """The largest number that a channel of an integer or normalised format holds."""
+    """Return the largest number that a channel of an integer or normalised format can store."""
     return int(np.iinfo(cast("np.dtype[np.integer[Any]]", format.dtype)).max)
 
 
 def smallest(format: Format) -> int:
-    """The smallest number that a channel holds."""
+    """Return the smallest number that a channel of an integer or normalised format can store."""
     return int(np.iinfo(cast("np.dtype[np.integer[Any]]", format.dtype)).min)
 
 
 def decode(format: Format, stored: ArrayLike) -> Float:
-    """What a shader reads where `stored` (…, channels) is kept; missing channels are 0, 0, 1."""
+    """Return the (…, 4) value that a shader reads for `stored` (…, channels); missing channels are 0, 0, 1."""
     values = np.asarray(stored, np.float64)
     if format.kind is ChannelKind.UNORM:
         values = values / largest(format)
@@ -147,7 +147,7 @@ def decode(format: Format, stored: ArrayLike) -> Float:
 
 
 def encode(format: Format, color: ArrayLike) -> Float:
-    """The stored number for `color` (…, 4) before it is rounded; (…, channels)."""
+    """Return the (…, channels) numbers to store for `color` (…, 4), not yet rounded."""
     values = np.asarray(color, np.float64)[..., : format.channels]
     if format.kind is ChannelKind.UNORM:
         return np.asarray(np.clip(values, 0.0, 1.0) * largest(format))
@@ -160,19 +160,22 @@ def encode(format: Format, color: ArrayLike) -> Float:
 
 
 def rounding(format: Format, expected: Float) -> tuple[Float, str]:
-    """(tolerance, reason) of a conversion whose exact result is `expected`."""
+    """Return (tolerance, reason) for a conversion whose exact result is `expected`."""
     if format.dtype.kind == "f":
-        # A device may cut off instead of rounding (OpenGL 4.3, section 2.3.4.1: implementation-dependent).
+        # A device may truncate instead of rounding (OpenGL 4.3, section 2.3.4.1: implementation-dependent).
         bits = 10 if format.dtype.itemsize == 2 else 23
-        return np.abs(expected) * 2.0**-bits, f"cutting {bits} fraction bits off"
+        return np.abs(expected) * 2.0**-bits, f"truncation to {bits} fraction bits"
     if format.kind is ChannelKind.SRGB:
         return np.ones_like(expected), "sRGB curves may be approximated within one stored number"
-    # The product with 2^n - 1 is computed in float32, so what lies near a half may go either way.
+    # The product with 2^n - 1 is computed in float32, so a value near a half may round either way.
     return 0.5 + np.abs(expected) * 2.0**-22, "rounding to the nearest stored number"
 
 
 def halve(format: Format, stored: Array) -> Float:
-    """The next mip level of (height, width, channels), even sizes, before rounding: a 2×2 box in linear light."""
+    """Return the next mip level of (height, width, channels) texels, not yet rounded: a 2×2 box in linear light.
+
+    Height and width must be even.
+    """
     values = stored.astype(np.float64)
     if format.kind is ChannelKind.SRGB:
         values = decode(format, values)
@@ -185,7 +188,7 @@ def halve(format: Format, stored: Array) -> Float:
 
 
 def rasterise(triangle: ArrayLike, width: int, height: int) -> NDArray[np.bool_]:
-    """The texels whose centers a triangle covers, by the top-left rule; exact.
+    """Return the texels whose centers a triangle covers by the top-left rule, exactly.
 
     `triangle` is (3, 2) int: window x (right), y (down) in 1/16 texel, of either winding.
     """
@@ -198,9 +201,9 @@ def rasterise(triangle: ArrayLike, width: int, height: int) -> NDArray[np.bool_]
 def rasterise_within(
     triangle: ArrayLike, width: int, height: int, margin: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(certain, possible): the texels covered if every edge moves inwards or outwards by `margin` texels.
+    """Return (certain, possible): the texels covered with every edge moved inwards, or outwards, by `margin` texels.
 
-    For triangles that reach beyond the target: a device may clip them, which moves edges by a rounding.
+    This is for triangles that extend beyond the target: clipping them moves their edges by a rounding error.
     """
     certain, possible = np.ones((height, width), bool), np.ones((height, width), bool)
     for edge, _, length in _edges(triangle, width, height):
@@ -210,8 +213,8 @@ def rasterise_within(
 
 
 def _edges(triangle: ArrayLike, width: int, height: int) -> list[tuple[NDArray[np.int64], bool, float]]:
-    """Per edge: the edge function at the texel centers (inside positive), whether it is a top or left edge,
-    and its length in subtexels. A triangle without area has one edge that nothing lies inside of."""
+    """Return for each edge the edge function at the texel centers (positive inside), whether it is a top or left edge,
+    and its length in subtexels. A triangle without area gets one edge with every texel outside."""
     corners = [(int(x), int(y)) for x, y in np.asarray(triangle, np.int64)]
     (ax, ay), (bx, by), (cx, cy) = corners
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)

@@ -1,4 +1,4 @@
-"""The shaders that many tests share."""
+"""Shaders that many tests share."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Shade(Struct):
 
 
 class Colored(Shader):
-    """Vertex positions and colors as they are."""
+    """Passes vertex positions and colors through."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -43,7 +43,7 @@ class FlatShade(Struct):
 
 
 class FlatColored(Shader):
-    """One color per primitive: that of its first vertex."""
+    """Draws each primitive in the color of its first vertex."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
@@ -59,7 +59,7 @@ class Tint(Struct):
 
 
 class Tinted(Shader):
-    """One color for all of a draw."""
+    """Draws everything in one uniform color."""
 
     tint: Uniform[Tint]
 
@@ -103,14 +103,14 @@ class IntColored(Shader):
 
 
 class DepthColor(Struct):
-    """A color and a depth of the fragment's own."""
+    """A color, and a depth that the fragment stage writes."""
 
     color: vec4
     depth: FragmentDepth
 
 
 class DepthFromColor(Shader):
-    """The red channel becomes the depth."""
+    """Writes the red channel as depth."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)

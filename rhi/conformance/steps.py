@@ -1,7 +1,7 @@
-"""The order in which a port is written: its steps, the methods of each, and the groups of the kit that prove them.
+"""The steps of writing a port: the backend methods of each step, and the groups of the kit that test them.
 
-One table, from which the template of a new backend is written, the scoreboard is sorted and the next step named.
-A step's groups run on what the steps up to it have made; docs/porting.md goes through them one by one.
+One table orders the template of a new backend, sorts the scoreboard and names the next step. A step's groups need only
+the methods of this step and those before it. docs/porting.md explains the steps one by one.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from rhi.contract.backend import Backend
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """A part of a port.
+    """A step of a port.
 
     Attributes:
-        methods: those of `Backend` that are written now.
-        groups: those of the kit that pass then, as the scoreboard names them.
+        methods: the methods of `Backend` to write in this step.
+        groups: the groups of the kit that pass after it, by their names on the scoreboard.
     """
 
     title: str
@@ -77,20 +77,20 @@ STEPS: Final = (
 )  # fmt: skip
 
 METHODS: Final = frozenset(name for name in vars(Backend) if not name.startswith("_"))
-"""All methods of the contract, and `capabilities`."""
+"""The names of all methods of the contract, and `capabilities`."""
 
 _NUMBERS: Final = {group: number for number, step in enumerate(STEPS, 1) for group in step.groups}
 
 
 def step_of(group: str) -> int:
-    """The number of the step that a group belongs to, from 1; one more than there are for a group of no backend."""
+    """Return the number of a group's step, from 1, or the number of steps plus 1 for a group without a step."""
     return _NUMBERS.get(group, len(STEPS) + 1)
 
 
 def find_missing(error: BaseException | None) -> str:
-    """The method of the contract that a test failed for want of, "" if that isn't why.
+    """Return the missing method of the contract that made a test fail, or "" if it failed for another reason.
 
-    A method is missing if it raises NotImplementedError, as the template's do, or isn't there at all.
+    A method is missing if it raises NotImplementedError, as those of the template do, or doesn't exist.
     """
     while error is not None:
         if isinstance(error, AttributeError) and error.name in METHODS:

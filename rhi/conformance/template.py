@@ -1,8 +1,8 @@
-"""`python -m rhi new-backend NAME`: the package that a port starts from.
+"""`python -m rhi new-backend NAME`: writes the package that a port starts from.
 
-It installs, registers itself and takes the kit from the first minute; every method of the contract is there and
-raises NotImplementedError, so that each test fails by the name of what it misses. The methods are written from
-`Backend` itself, in the order of `steps`.
+The package can be installed, registers itself and runs the kit at once. Every method of the contract is there and
+raises NotImplementedError, so each test fails with the name of the method that it needs. The methods are generated
+from `Backend`, in the order of `steps`.
 """
 
 from __future__ import annotations
@@ -45,14 +45,14 @@ test = ["rhi[test]"]
 _README: Final = """\
 # rhi-{name}
 
-A backend of `rhi`. Install it, and let the kit say what to write next:
+A backend of `rhi`. Install it; the kit then tells what to write next:
 
 ```sh
 pip install --editable .[test]
 pytest --pyargs rhi.conformance --rhi-backend {name} --tb=line -q
 ```
 
-`rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` says what each must do.
+`rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` explains what each must do.
 """
 
 _INIT: Final = '''\
@@ -62,16 +62,16 @@ from rhi.contract import Backend
 
 from rhi_{name}.backend import {type}
 
-__rhi_internal__ = True  # call sites name the line that called rhi, not ours
+__rhi_internal__ = True  # errors name the line that called rhi, not one of this module
 
 __all__ = ["{type}", "create_backend"]
 
 
 def create_backend(*, validation: bool = False) -> Backend:
-    """A new device. `validation` asks for the driver's own messages as exceptions.
+    """Create a device. With `validation`, messages of the driver are raised as exceptions.
 
     Raises:
-        rhi.DeviceError: `device-driver` if the driver can't be used, with what to install.
+        rhi.DeviceError: `device-driver` if the driver can't be used; the tip names what to install.
     """
     return {type}()
 '''
@@ -101,7 +101,7 @@ from rhi.contract import (
 )
 from typing_extensions import Buffer as BytesLike
 
-__rhi_internal__ = True  # call sites name the line that called rhi, not ours
+__rhi_internal__ = True  # errors name the line that called rhi, not one of this module
 
 
 class {type}:
@@ -112,20 +112,20 @@ class {type}:
 
     @property
     def capabilities(self) -> Capabilities:
-        """What this device can do. Set to False what the platform lacks: its tests are skipped then."""
+        """The features and limits of this device. Set to False what the platform lacks: its tests are then skipped."""
         return self._capabilities
 
     def close(self) -> None:
-        """Let go of everything; no call follows."""
+        """Release everything. No call follows."""
 '''
 
 
 def write_package(name: str, folder: Path) -> Path:
-    """Write the package `rhi-NAME` into a folder; returns its own.
+    """Write the package `rhi-NAME` into a folder and return the path of the package.
 
     Raises:
-        ValidationError: `device-argument` if the name can't be a backend's, or is taken.
-        FileExistsError: the package's folder is there.
+        ValidationError: `device-argument` if the name is invalid, or is that of a backend that exists.
+        FileExistsError: the package's folder exists.
     """
     call = f"python -m rhi new-backend {name}"
     if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or keyword.iskeyword(name):
@@ -144,7 +144,7 @@ def write_package(name: str, folder: Path) -> Path:
 
 
 def _methods() -> Iterator[str]:
-    """The methods but those that the template has written, each under the title of its step."""
+    """Yield the source of each method that the template doesn't contain already, under the title of its step."""
     for number, step in enumerate(STEPS, 1):
         missing = [method for method in step.methods if method not in ("capabilities", "close")]
         if missing:

@@ -19,13 +19,13 @@ pytestmark = pytest.mark.needs("draws", "shading")
 
 CONSTANT = (0.2, 0.4, 0.6, 0.8)
 LEVELS = np.array([0.0, 0.25, 0.5, 1.0])
-# 16 source colors against 16 destination colors, in one 16×16 image.
+# 16 source colors are blended with 16 destination colors in one 16×16 image.
 _GRID = np.stack(np.meshgrid(LEVELS, LEVELS, indexing="ij"), axis=-1).reshape(16, 2)
 COLORS = np.stack([_GRID[:, 0], 1 - _GRID[:, 0], _GRID[:, 1] * 0.7 + 0.1, _GRID[:, 1]], axis=-1).astype("f4")
 
 
 def blended(device: Device, function: BlendFunction, format: Format = Format.RGBA32F) -> tuple[Any, Any]:
-    """(result, expected) where column x holds source color x and row y destination color y."""
+    """Return (result, expected), with source color x in column x and destination color y in row y."""
     destination = np.broadcast_to(COLORS[:, None], (16, 16, 4))
     source = np.broadcast_to(COLORS[None, :], (16, 16, 4))
     columns = [rectangle(-1 + x / 8, -1, -1 + (x + 1) / 8, 1, color=COLORS[x]) for x in range(16)]
@@ -113,7 +113,7 @@ def test_draws_blend_in_order(device: Device) -> None:
 
 
 def test_many_primitives_of_one_draw_blend_in_order(device: Device) -> None:
-    """x → x/2 + i mod 2, for 40 rectangles on one texel: the last ones weigh most."""
+    """Each of 40 rectangles on one texel maps x to x/2 + i mod 2, so the last ones weigh most."""
     count = 40
     rows = np.concatenate([rectangle(color=(i % 2, 0, 0, 0.5)) for i in range(count)])
     value = 0.0

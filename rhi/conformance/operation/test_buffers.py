@@ -1,4 +1,4 @@
-"""Buffers: contents, ranges, locks, copies and clears. No shader runs, so this holds on any device."""
+"""Buffers: contents, ranges, locks, copies and clears. No shader runs, so every device runs these tests."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ POINT = np.dtype([("position", "<f4", (3,)), ("color", "u1", (4,)), ("id", "<u2"
 
 
 def numbers(count: int, dtype: str = "u4") -> NDArray[Any]:
-    """Numbers of which no two neighbours, and no byte runs, are alike."""
+    """Return numbers without equal neighbours and without runs of equal bytes."""
     return (np.arange(count, dtype=np.uint64) * 2654435761 % (1 << 32)).astype(dtype)
 
 

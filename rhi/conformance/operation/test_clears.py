@@ -1,4 +1,4 @@
-"""Clears under draws: a backend may clear when it draws, so what is drawn where, or not at all, may not show in it.
+"""Clears under draws: a backend may defer a clear until it draws, so the result must not depend on what is drawn where.
 
 Targets are larger than a rasteriser's tiles and no multiple of them.
 """
@@ -68,7 +68,7 @@ def draw_over(
     device: Device, image: Texture, shader: type[Shader], clear: tuple[float, float, float, float], together: bool,
     blend: BlendFunction = BlendFunction.OFF,
 ) -> None:  # fmt: skip
-    """A rectangle over a clear, in one pass or in two."""
+    """Return the target after a clear and a rectangle, in one pass or in two."""
     with device.mesh(texel_rectangle(60, 3, 30, 40, SIZE, color=(0.25, 1, 0.5, 0.75))) as mesh:
         if not together:
             with device.render_pass(image, clear=clear):

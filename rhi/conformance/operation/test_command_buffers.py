@@ -1,4 +1,4 @@
-"""Command buffers: what was recorded is done when it is submitted, as it is then, and as often as it is."""
+"""Command buffers: recorded commands execute at each submission, with the contents that resources have then."""
 
 from __future__ import annotations
 
@@ -73,14 +73,14 @@ class Double(Shader):
 
 
 def record(device: Device, give: Callable[[CommandBuffer], object]) -> CommandBuffer:
-    """A command buffer with what `give` gives."""
+    """Return a command buffer with the commands that `give` records."""
     with device.record() as commands:
         give(commands)
     return commands
 
 
 def line() -> int:
-    """The caller's line."""
+    """Return the line number of the caller."""
     return sys._getframe(1).f_lineno
 
 
@@ -96,7 +96,7 @@ def test_nothing_is_done_before_the_submission(device: Device) -> None:
 
 
 def clear(encoder: Encoder, image: Texture, value: float = 1.0) -> None:
-    """A pass that clears."""
+    """Record a pass that clears."""
     with encoder.render_pass(image, clear=(value, value, value, value)):
         pass
 
@@ -225,7 +225,7 @@ def test_a_buffer_can_be_submitted_inside_of_labels_and_scopes(recording: Device
 
 
 def scene(encoder: Encoder, device: Device, image: Texture, program: Any, mesh: Any, tints: Any) -> None:
-    """A pass of eight columns under changing states."""
+    """Record a pass of eight columns with changing states."""
     with encoder.render_pass(image, clear=(0.5, 0, 0, 1)), encoder.states(CullMode.NONE):
         for i in range(8):
             with encoder.states(
@@ -235,7 +235,7 @@ def scene(encoder: Encoder, device: Device, image: Texture, program: Any, mesh: 
 
 
 def make_scene(device: Device) -> tuple[Any, ...]:
-    """What it takes."""
+    """Return a program, a mesh of eight columns, and a tint for each column."""
     tints = device.uniform_array(Tint, 8)
     rows = np.zeros(8, tints.dtype)
     rows["color"][:, 0] = np.arange(8) / 8
@@ -398,7 +398,7 @@ def test_ad_hoc_geometry_can_be_recorded(device: Device) -> None:
 
 @pixels
 def test_transient_things_of_all_kinds_lie_side_by_side(device: Device) -> None:
-    """Of sizes that fit none of the others' alignments."""
+    """Allocations have sizes that are no multiples of the others' alignments."""
     with device.texture(SIZE, Format.R32F) as image, device.mesh(COLUMNS) as mesh:
         program, colored = device.program(Tinted), device.program(Colored)
         with device.record() as commands, commands.render_pass(image, clear=(-1, 0, 0, 0)):

@@ -57,7 +57,7 @@ pytestmark = [pytest.mark.needs("shading", "compute"), pytest.mark.recorded_too]
 
 
 class Places(Shader):
-    """Where each invocation is."""
+    """Writes the indices of each invocation."""
 
     work_group = (4, 2, 1)
     places: StorageRW[uvec4]
@@ -149,7 +149,7 @@ class Inner(Struct):
 
 
 class Mixed(Struct):
-    """Everything that std140 and std430 place differently."""
+    """The field types that std140 and std430 lay out differently."""
 
     a: float
     b: vec3
@@ -165,7 +165,7 @@ class Mixed(Struct):
 
 
 class ReadMixed(Shader):
-    """One number of each field, from a uniform and from storage."""
+    """Reads one number of each field, from a uniform and from storage."""
 
     constants: Uniform[Mixed]
     rows: Storage[Mixed]
@@ -249,7 +249,7 @@ def test_structs_are_written_where_their_dtype_says(device: Device) -> None:
 
 
 class Lengths(Shader):
-    """How many elements are bound."""
+    """Writes the number of bound elements."""
 
     first: Storage[vec4]
     second: Storage[uint]
@@ -323,7 +323,7 @@ def test_a_storage_view_of_a_buffer_shares_its_memory(device: Device) -> None:
 
 
 class PrefixSum(Shader):
-    """A scan over a work-group: wrong unless every barrier holds."""
+    """A scan over a work-group, which is wrong unless every barrier works."""
 
     work_group = (64,)
     values: Storage[uint]
@@ -380,7 +380,7 @@ def test_atomics_work_in_shared_memory(device: Device) -> None:
 
 
 class Atomics(Shader):
-    """Each atomic from 256 invocations."""
+    """Every atomic operation, from 256 invocations."""
 
     work_group = (64,)
     signed: StorageRW[int]
@@ -470,7 +470,7 @@ def test_an_image_is_loaded_and_stored_in_its_format(device: Device, format: For
 
 
 class StoreColor(Shader):
-    """A color to an image of 8 bits."""
+    """Stores a color in an image of 8 bits."""
 
     target: Image2D = image(Format.RGBA8)
 
@@ -512,7 +512,7 @@ def test_one_layer_is_an_image(device: Device) -> None:
 
 
 class StoreLayers(Shader):
-    """Each texel of an array its layer."""
+    """Stores in each texel of an array its layer."""
 
     target: Image2DArray = image(Format.R32F)
 
@@ -523,7 +523,7 @@ class StoreLayers(Shader):
 
 
 class StoreVolume(Shader):
-    """Each texel of a volume its number."""
+    """Stores in each texel of a volume its number."""
 
     target: Image3D = image(Format.R32F)
 
@@ -549,7 +549,7 @@ def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any)
 
 
 class Double(Shader):
-    """Doubles its neighbour's number: reads what another invocation of the dispatch before wrote."""
+    """Doubles its neighbour's number, which another invocation of the dispatch before wrote."""
 
     work_group = (32,)
     source: Storage[uint]

@@ -40,7 +40,7 @@ def depth_after(
     device: Device, *draws: Rows, clear: float = 0.0, states: tuple[rhi.State, ...] = (DepthTest.ON,),
     format: Format = Format.D32F, size: tuple[int, int] = SIZE,
 ) -> NDArray[Any]:  # fmt: skip
-    """The depth buffer after drawing rows in order."""
+    """Return the depth buffer after drawing rows in order."""
     with device.texture(size, format) as depth:
         with device.render_pass(depth=depth, clear_depth=clear), device.states(*states):
             for rows in draws:
@@ -75,7 +75,7 @@ def test_clip_depth_is_stored_as_it_is(device: Device, format: Format, depth: fl
 
 
 def test_float_depth_is_precise_near_zero(device: Device) -> None:
-    """What reversed depth is for: far away (near 0), 5e-7 and 1e-6 are different depths."""
+    """The purpose of reversed depth: far away (near 0), 5e-7 and 1e-6 are different depths."""
     far, nearer = rectangle(depth=5e-7), rectangle(depth=1e-6)
     assert_near(depth_after(device, far), 5e-7, 1e-12, "float32 keeps 24 significant bits")
     assert_near(depth_after(device, far, nearer), 1e-6, 1e-12, "float32 keeps 24 significant bits")
@@ -204,7 +204,7 @@ def test_an_infinite_far_plane_can_be_drawn_to(device: Device) -> None:
 
 
 def test_what_lies_behind_the_camera_is_clipped(device: Device) -> None:
-    """A corner has w < 0: what is seen is the part in front of the camera, not a mirrored triangle."""
+    """One corner has w < 0. Only the part in front of the camera is drawn, not a mirrored triangle."""
     rows = corners([(-1, -1, 0.5, 1), (1, -1, 0.5, 1), (0, 2, -0.5, -1)])
     with device.texture((8, 8), Format.R8) as image, device.mesh(rows) as mesh:
         with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(CullMode.NONE):
@@ -232,7 +232,7 @@ def test_a_viewport_maps_depth_into_its_range(device: Device, near: float, far: 
 
 @pytest.mark.parametrize("format", [Format.D16, Format.D24S8, Format.D32F], ids=lambda f: f.name)
 def test_a_depth_bias_is_counted_in_steps_of_the_format(device: Device, format: Format) -> None:
-    """The step is the smallest difference that is sure to be told apart: one or two of the stored numbers."""
+    """The bias unit is the smallest difference that is certain to be resolved: one or two stored numbers."""
     require_format(device, format)
     step = 2.0 ** -BITS[format]
     plain = depth_after(device, rectangle(depth=0.6), format=format)
@@ -242,7 +242,7 @@ def test_a_depth_bias_is_counted_in_steps_of_the_format(device: Device, format: 
 
 
 def test_a_positive_bias_is_nearer_under_reversed_depth(device: Device) -> None:
-    """Coplanar geometry: with a bias it wins, without it does not."""
+    """Coplanar geometry passes the depth test with a bias, and fails it without."""
     with device.texture(SIZE, Format.R8) as image, device.texture(SIZE, Format.D24S8) as depth:
         for units, seen in ((0.0, 0), (32.0, 255), (-32.0, 0)):
             with (
@@ -327,7 +327,7 @@ class Elsewhere(Shader):
 
 
 def test_two_programs_with_the_same_positions_give_the_same_depth(device: Device) -> None:
-    """What passes of depth first and light after stand on: EQUAL holds everywhere."""
+    """The basis of a depth pre-pass: in the second pass EQUAL holds everywhere."""
     rng = np.random.default_rng(3)
     rows = corners(rng.uniform(-1, 1, (60, 3)) * (1, 1, 0.5) + (0, 0, 0.5))
     rows["position"] *= rng.uniform(0.5, 4, (60, 1)).astype("f4")
@@ -355,7 +355,7 @@ def test_two_programs_with_the_same_positions_give_the_same_depth(device: Device
 def test_the_same_triangle_has_the_same_depth_whatever_the_scissor(
     device: Device, nearest: float, window: tuple[int, int]
 ) -> None:
-    """OpenGL 4.5, appendix A, rule 2: what is drawn window by window passes EQUAL against what was drawn at once."""
+    """OpenGL 4.5, appendix A, rule 2: geometry drawn window by window passes EQUAL against the same drawn at once."""
     size = (90, 70)
     rng = np.random.default_rng(0)
     positions = np.ones((30, 4))

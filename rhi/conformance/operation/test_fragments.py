@@ -1,4 +1,4 @@
-"""Fragments with side effects: discard, early depth, depth of their own, atomics; and the order of effects."""
+"""Fragments with side effects: discard, early depth test, written depth, atomics, and the order of effects."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ SIZE = (8, 8)
 
 
 class Checkered(Shader):
-    """Every other fragment is thrown away."""
+    """Discards every other fragment."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -82,13 +82,13 @@ class CountFragments(Shader):
 
 
 class CountEarly(CountFragments):
-    """The same, after the depth test."""
+    """Counts the fragments that run, with the depth test first."""
 
     early_depth = True
 
 
 class CountDiscarding(Shader):
-    """Counts before and after it throws half of the fragments away."""
+    """Counts before and after it discards half of the fragments."""
 
     early_depth = True
     total: StorageRW[uint]
@@ -117,7 +117,7 @@ def test_every_covered_texel_runs_one_fragment(device: Device) -> None:
 
 
 def counted(device: Device, shader: Any) -> int:
-    """Fragments that run for a rectangle of which three quarters are hidden."""
+    """Return the number of fragments that run for a rectangle of which three quarters are hidden."""
     hidden = [rectangle(-1, -1, 1, 0, depth=0.9), rectangle(-1, 0, 0, 1, depth=0.9)]
     with (
         device.texture(SIZE, Format.R8) as image,
@@ -133,7 +133,7 @@ def counted(device: Device, shader: Any) -> int:
 
 
 def test_without_early_depth_hidden_fragments_have_their_effects(device: Device) -> None:
-    """The test comes after the shader, as written: effects of hidden fragments are seen."""
+    """Without early depth the test runs after the shader, so hidden fragments have their effects."""
     assert counted(device, CountFragments) == 64
 
 
@@ -229,7 +229,7 @@ def test_a_draw_reads_indices_that_a_dispatch_wrote(device: Device) -> None:
 
 
 class Choose(Shader):
-    """Writes two draws, and how many of them are to be drawn."""
+    """Writes two indirect draws and their count."""
 
     words: StorageRW[uint]
 
@@ -259,7 +259,7 @@ def test_an_indirect_draw_reads_arguments_and_count_that_a_dispatch_wrote(device
 
 
 class Sampled(Shader):
-    """A texel below each fragment."""
+    """Reads the texel below each fragment."""
 
     source: Texture2D
 
@@ -285,7 +285,7 @@ def test_a_pass_reads_what_the_pass_before_drew(device: Device) -> None:
 
 
 class Fill(Shader):
-    """A fragment's number into memory."""
+    """Writes each fragment's number to storage."""
 
     out: StorageRW[uint]
 
@@ -352,7 +352,7 @@ def test_a_vertex_stage_reads_storage(device: Device) -> None:
 
 
 def test_draws_of_one_pass_see_their_effects_in_order(device: Device) -> None:
-    """Blending over and over: a later draw's fragment never overtakes an earlier one's."""
+    """Repeated blending: no fragment of a later draw overtakes one of an earlier draw."""
     with device.texture(SIZE, Format.R32F) as image:
         meshes = [device.mesh(rectangle(color=(i % 2, 0, 0, 0.5))) for i in range(12)]
         with device.render_pass(image), device.states(BlendFunction.ALPHA):

@@ -1,5 +1,5 @@
-"""What one thing must not do to another: states to copies, conditions to clears, devices to each other, and what
-is written between two draws to the first of them."""
+"""Side effects that must not happen: of states on copies, of conditions on clears, of devices on each other, and of
+writes between two draws on the first draw."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 SIZE = (8, 8)
 HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NEVER, BlendFunction.ADDITIVE)
-"""States that would spoil a copy done by drawing."""
+"""States that would break a copy that is implemented as a draw."""
 
 
 class Loaded(Shader):
@@ -78,7 +78,7 @@ class Count(Shader):
 
 
 def hostile_draw(device: Device) -> None:
-    """Send the hostile states to the hardware: they are told at a draw, and stay."""
+    """Send the hostile states to the hardware, where they stay after a draw."""
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.D24S8) as depth,
@@ -171,7 +171,7 @@ def test_srgb_samples_are_averaged_in_linear_light(device: Device) -> None:
 
 @pytest.mark.needs("occlusion_queries", "conditional_rendering")
 def test_a_condition_drops_draws_only(device: Device) -> None:
-    """Clears, resolves, copies, mipmaps and writes inside it happen."""
+    """Clears, resolves, copies, mipmaps and writes inside a condition are executed."""
     data = np.full((8, 8, 4), 100, "u1")
     query = device.occlusion_query()
     samples = min(4, device.capabilities.max_samples)
@@ -219,7 +219,7 @@ def test_a_condition_does_not_drop_dispatches(device: Device) -> None:
 
 
 def steps(device: Device, write: Any, shader: Any, **bindings: Any) -> Any:
-    """Eight draws, one a column, `write(i)` before each; all in one pass, nothing waited for."""
+    """Draw eight columns in one pass, with `write(i)` before each draw and no wait between."""
     columns = [rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)]
     with device.texture(SIZE, Format.R32F) as image, device.mesh(np.concatenate(columns)) as mesh:
         program = device.program(shader)
@@ -286,7 +286,7 @@ def test_each_draw_reads_its_own_element_of_a_uniform_array(device: Device) -> N
 
 
 def test_a_target_can_be_read_in_its_pass(device: Device) -> None:
-    """Everything happens in the order of the calls, reads too."""
+    """All commands, reads included, execute in the order of the calls."""
     with device.texture(SIZE, Format.R32F) as image, device.mesh(rectangle(color=(2, 0, 0, 0))) as mesh:
         with device.render_pass(image, clear=(1, 0, 0, 0)):
             assert_same(image.read(), 1)
@@ -320,7 +320,7 @@ def test_work_between_two_draws_of_a_pass_leaves_the_pass_as_it_was(device: Devi
 
 
 def test_draws_of_two_devices_may_alternate(device: Device, backend: str) -> None:
-    """Neither sees the other's programs, bindings, states or passes, though no draw binds anything anew."""
+    """Neither device sees the other's programs, bindings, states or passes, although no draw rebinds anything."""
     columns = np.concatenate([rectangle(-1 + i / 4, -1, -1 + (i + 1) / 4, 1) for i in range(8)])
     with rhi.create_device(backend, validation=True) as other:
         parts = []

@@ -99,7 +99,7 @@ Array = NDArray[Any]
 
 
 def run(device: Device, shader: Any, element: Any, inputs: Array, outputs: int, result: Any = None) -> Array:
-    """One invocation per row of `inputs`, `outputs` rows of results each: (n, outputs, …)."""
+    """Run one invocation per row of `inputs`; return (n, outputs, …) results, `outputs` rows for each."""
     result = result or element
     with device.storage(element, inputs) as source, device.storage(result, len(inputs) * outputs) as target:
         device.dispatch(device.program(shader), len(inputs), source=source, target=target)
@@ -175,7 +175,7 @@ def test_powers_and_roots_are_near_float64_s(device: Device) -> None:
 
 
 class Steps(Shader):
-    """Functions with steps: exact."""
+    """Functions with steps, whose results are exact."""
 
     source: Storage[float]
     target: StorageRW[float]
@@ -214,7 +214,7 @@ def test_functions_with_steps_are_exact(device: Device) -> None:
 
 
 class Specials(Shader):
-    """Infinities and what is no number, from bits."""
+    """Infinities and NaN, made from bits."""
 
     source: Storage[uint]
     target: StorageRW[uint]
@@ -357,7 +357,7 @@ def test_components_are_read_and_written_in_any_order(device: Device) -> None:
 
 
 class Integers(Shader):
-    """Python's meaning of division, and bits."""
+    """Division and remainder as in Python, and bit operations."""
 
     source: Storage[ivec4]
     target: StorageRW[ivec4]
@@ -465,7 +465,7 @@ def test_packed_numbers_are_rounded_to_the_nearest(device: Device) -> None:
 
 
 class Conversions(Shader):
-    """Between kinds of numbers."""
+    """Conversions between kinds of numbers."""
 
     source: Storage[float]
     target: StorageRW[ivec4]
@@ -487,7 +487,7 @@ def test_conversions_cut_towards_zero(device: Device) -> None:
 
 
 class Collatz(Shader):
-    """Loops of a length that only the data knows."""
+    """Loops whose length depends on the data."""
 
     source: Storage[uint]
     target: StorageRW[uint]
@@ -532,7 +532,7 @@ def first_divisor(n: int) -> int:
 
 @function
 def raised(values: vec3, by: float = 1.0) -> vec3:
-    """Changes its own copy only."""
+    """Changes only its own copy."""
     values.x += by
     values *= 2.0
     return values
@@ -587,7 +587,7 @@ def test_control_flow_is_python_s(device: Device) -> None:
 
 
 class Short(Shader):
-    """`and` and `or` stop as soon as they can: what would lie outside isn't read."""
+    """`and` and `or` short-circuit: an element outside of the array isn't read."""
 
     source: Storage[int]
     target: StorageRW[ivec4]
@@ -677,7 +677,7 @@ class Base(Shader):
 
 
 class Derived(Base):
-    """Another constant, and a method around that of the base."""
+    """Overrides a constant, and a method that calls the base's."""
 
     scale = 3.0
 
@@ -686,7 +686,7 @@ class Derived(Base):
 
 
 class Variant(Derived):
-    """The other branch."""
+    """Takes the other branch."""
 
     detailed = True
 

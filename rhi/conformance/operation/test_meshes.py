@@ -1,4 +1,4 @@
-"""What a draw reads: vertex formats, views, bases, instances, shared buffers."""
+"""Inputs of draws: vertex formats, views, base vertices and instances, shared buffers."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ CENTERS = centers([(i, 0) for i in range(8)], ROW)
 
 
 def drawn_points(device: Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
-    """How often each of 8 texels in a row was drawn."""
+    """Return how often each of 8 texels in a row was drawn."""
     with device.texture(ROW, Format.R32F) as image:
         with device.render_pass(image), device.states(BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh, instances)
@@ -53,7 +53,7 @@ def drawn_points(device: Device, mesh: Any, instances: int = 1) -> NDArray[Any]:
 
 
 def vertices_of(mesh: Mesh) -> Buffer:
-    """The buffer of a mesh's vertices."""
+    """Return the vertex buffer of a mesh."""
     assert mesh.vertices is not None
     return mesh.vertices
 
@@ -129,7 +129,7 @@ def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: Device) -> No
 
 
 def test_a_draw_sees_the_vertices_of_its_time(device: Device) -> None:
-    """A write after a draw doesn't reach back, though the GPU may not have got there yet."""
+    """A write after a draw doesn't change it, even if the GPU hasn't executed the draw yet."""
     with (
         device.texture(ROW, Format.R32F) as image,
         device.mesh(corners(CENTERS[:1]), primitive=Primitive.POINTS) as mesh,
@@ -170,7 +170,7 @@ class Probe(Struct):
 
 
 class ShowFloat(Shader):
-    """The attribute as a color."""
+    """Draws the attribute as a color."""
 
     def vertex(self, v: Probe) -> FlatShade:
         return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=v.value)
@@ -207,7 +207,7 @@ class Pair(Struct):
 
 
 class ShowPair(Shader):
-    """Two components as a color."""
+    """Draws two components as a color."""
 
     def vertex(self, v: Pair) -> FlatShade:
         return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=vec4(v.pair, 0.0, 1.0))
@@ -252,7 +252,7 @@ class IntegerProbe(Struct):
 
 
 class Integers(Struct):
-    """Integers on their way."""
+    """Integer varyings."""
 
     clip: vec4
     unsigned: Flat[uvec4]
@@ -261,7 +261,7 @@ class Integers(Struct):
 
 
 class IntegerOutputs(Struct):
-    """Where they go."""
+    """Integer outputs."""
 
     unsigned: uvec4
     signed: ivec4
@@ -269,7 +269,7 @@ class IntegerOutputs(Struct):
 
 
 class ShowIntegers(Shader):
-    """Integer attributes to integer targets."""
+    """Writes integer attributes to integer targets."""
 
     def vertex(self, v: IntegerProbe) -> Integers:
         return Integers(
@@ -330,7 +330,7 @@ def test_three_components_and_one_lie_where_the_dtype_says(device: Device) -> No
 
 
 class Instanced(Struct):
-    """A vertex, and what an instance adds."""
+    """A vertex attribute and an instance attribute."""
 
     position: vec2
     offset: vec2
@@ -388,7 +388,7 @@ def test_instances_of_indexed_meshes_read_their_elements(device: Device) -> None
 
 
 class Numbered(Shader):
-    """Which vertex, instance and draw this is."""
+    """Writes the indices of the vertex, instance and draw."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(
@@ -407,7 +407,7 @@ def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
     ):
         with device.render_pass(image):
             device.draw(device.program(Numbered), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
-        # Vertices 2 and 3, plus 2; the last of three instances is seen; instances count from their base.
+        # Vertices 2 and 3, plus 2. The last of three instances is visible. Instances are counted from their base.
         assert_same(image.read()[0, 4], (4, 12, 0, 1))
         assert_same(image.read()[0, 5], (5, 12, 0, 1))
 
@@ -423,7 +423,7 @@ def test_without_indices_vertices_count_from_the_first_of_the_buffer(device: Dev
 
 
 class FullTriangle(Shader):
-    """A triangle over the whole target, from vertex numbers alone."""
+    """Covers the whole target with one triangle, from vertex numbers alone."""
 
     def vertex(self) -> FlatShade:
         x = float(vertex_index() % 2) * 4.0 - 1.0
@@ -602,7 +602,7 @@ def test_a_count_from_a_buffer_limits_indirect_draws(device: Device, stored: int
 
 @pytest.mark.needs("indirect_count")
 def test_a_count_does_not_linger(device: Device) -> None:
-    """A draw without a count, after one with: it draws all that it was told to."""
+    """A draw without a count buffer executes all its draws, even after one with a count buffer."""
     with (
         device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
         device.buffer(mesh.draws(np.arange(4), 1)) as buffer,
@@ -613,7 +613,7 @@ def test_a_count_does_not_linger(device: Device) -> None:
 
 
 def test_arguments_are_read_when_the_draw_is_executed(device: Device) -> None:
-    """Not when it is issued: what is copied there before it in the stream counts."""
+    """They are read at execution, not when the draw is issued: a copy before it in the stream takes effect."""
     with (
         device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
         device.buffer(mesh.draws(3, 2)) as source,

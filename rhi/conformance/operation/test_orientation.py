@@ -39,7 +39,7 @@ NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wr
 
 
 def texels(width: int, height: int) -> NDArray[Any]:
-    """Every texel its own color."""
+    """Return texels of distinct colors."""
     y, x = np.mgrid[0:height, 0:width]
     return np.stack([x, y, 255 - x, 255 - y], axis=-1).astype(np.uint8)
 
@@ -76,7 +76,7 @@ def test_depth_has_its_top_row_first_too(device: Device) -> None:
 
 
 class Textured(Shader):
-    """A texture where uv says."""
+    """Samples a texture at uv."""
 
     source: Texture2D
 
@@ -88,7 +88,7 @@ class Textured(Shader):
 
 
 def placed(uvs: object) -> NDArray[Any]:
-    """A full rectangle whose corners (lower left, lower right, upper right, upper left) have these uv."""
+    """Return a full rectangle with these uv at its lower left, lower right, upper right and upper left corners."""
     rows = np.zeros(6, TexturedVertex.dtype)
     rows["position"] = rectangle()["position"]
     rows["uv"] = np.asarray(uvs)[[0, 1, 2, 0, 2, 3]]
@@ -145,7 +145,7 @@ def test_a_drawn_texture_is_copied_as_it_is(device: Device) -> None:
 
 
 class FragmentPlace(Shader):
-    """Where the fragment is."""
+    """Writes the coordinates of the fragment."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -176,7 +176,7 @@ def test_fragment_coordinates_do_not_depend_on_the_viewport(device: Device) -> N
 
 
 class Derivatives(Shader):
-    """How the color changes to the right and downwards."""
+    """Writes the derivatives of the color, to the right and downwards."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -197,7 +197,7 @@ def test_derivatives_point_right_and_down(device: Device) -> None:
 
 
 class Loads(Shader):
-    """Texels by their integer coordinates."""
+    """Loads texels by integer coordinates."""
 
     source: Texture2D
 
@@ -271,7 +271,7 @@ def test_image_loads_see_drawn_texels_from_the_top_left(device: Device) -> None:
 
 
 class Camera(Struct):
-    """A matrix and what else may go wrong with its layout."""
+    """A matrix between fields that reveal a wrong layout."""
 
     world: mat4
     turn: mat3
@@ -280,7 +280,7 @@ class Camera(Struct):
 
 
 class Moved(Shader):
-    """Positions times a matrix."""
+    """Transforms positions by a matrix."""
 
     camera: Uniform[Camera]
 
@@ -347,7 +347,7 @@ def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
 
 @pytest.mark.needs("draws")
 def test_white_is_white(device: Device) -> None:
-    """The control of all of these: nothing else is drawn but what a test asks for."""
+    """The control of these tests: nothing is drawn beyond what a test requests."""
     whole = corners([(-1, -1), (3, -1), (-1, 3)], WHITE)
     with device.texture((2, 2), Format.RGBA8) as target, device.mesh(whole) as mesh:
         with device.render_pass(target):

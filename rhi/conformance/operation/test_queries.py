@@ -39,7 +39,7 @@ SIZE = (16, 16)
 
 @pytest.fixture(params=["native", "emulated"])
 def query(device: Device, request: pytest.FixtureRequest) -> Iterator[OcclusionQuery]:
-    """A query of each sort that the device has."""
+    """A query of each kind that the device has."""
     emulated = request.param == "emulated"
     wanted = "sample_counter" if emulated else "occlusion_queries"
     if not getattr(device.capabilities, wanted):
@@ -51,7 +51,7 @@ def query(device: Device, request: pytest.FixtureRequest) -> Iterator[OcclusionQ
 
 
 def count(device: Device, query: OcclusionQuery, rows: Any, *states: Any, **clears: Any) -> int:
-    """Samples of one draw over a depth buffer cleared to 0.5."""
+    """Return the visible samples of one draw over a depth buffer cleared to 0.5."""
     with (
         device.texture(SIZE, Format.R8) as image,
         device.texture(SIZE, Format.D24S8) as depth,
@@ -107,7 +107,7 @@ def test_a_query_counts_by_the_depth_function(
 
 
 def test_a_query_counts_without_color_and_depth_writes(device: Device, query: OcclusionQuery) -> None:
-    """As visibility algorithms use it: a box that leaves no trace."""
+    """Visibility algorithms draw boxes this way, without changing color or depth."""
     assert count(device, query, rectangle(depth=0.75), ColorWrite.OFF, DepthWrite.OFF) == 256
 
 
@@ -121,7 +121,7 @@ def test_a_query_counts_after_the_stencil_test(device: Device, query: OcclusionQ
 
 
 class Checkered(Shader):
-    """Every other fragment is thrown away."""
+    """Discards every other fragment."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -141,7 +141,7 @@ def test_a_query_does_not_count_what_is_discarded(device: Device, query: Occlusi
 
 
 def test_a_query_does_not_count_clears(device: Device, query: OcclusionQuery) -> None:
-    """Nor what other work between its begin and end does."""
+    """Other work between the begin and end of a query isn't counted either."""
     with device.texture(SIZE, Format.R8, levels=2) as other, device.texture(SIZE, Format.R8) as image:
         with device.render_pass(image, clear=(1, 1, 1, 1)), query:
             other.generate_mipmaps()
@@ -188,7 +188,7 @@ def test_a_query_may_be_used_again(device: Device, query: OcclusionQuery) -> Non
 
 
 def test_a_query_begun_before_its_answer_was_there_counts_anew(device: Device, query: OcclusionQuery) -> None:
-    """The device may still be at work for it."""
+    """The device may still be executing its draws."""
     size, layers = (512, 512), 40
     with device.texture(size, Format.R8) as image, device.mesh(np.tile(rectangle(), layers)) as mesh:
         for _ in range(5):

@@ -42,7 +42,7 @@ BARS = np.concatenate([texel_rectangle(0, 0, 1 + i % 16, 1 + i // 16, SIZE) for 
 
 @pytest.fixture(params=["native", "emulated"])
 def emulated(device: Device, request: pytest.FixtureRequest) -> bool:
-    """Each sort of queries that the device has."""
+    """Each kind of query that the device has."""
     emulated: bool = request.param == "emulated"
     wanted = "sample_counter" if emulated else "occlusion_queries"
     if not getattr(device.capabilities, wanted):
@@ -52,7 +52,7 @@ def emulated(device: Device, request: pytest.FixtureRequest) -> bool:
 
 @pytest.fixture
 def queries(device: Device, emulated: bool) -> Iterator[QuerySet]:
-    """A set of 64."""
+    """A query set of 64 rows."""
     queries = device.query_set(64, emulated=emulated)
     assert queries.emulated is emulated
     yield queries
@@ -61,7 +61,7 @@ def queries(device: Device, emulated: bool) -> Iterator[QuerySet]:
 
 @pytest.fixture
 def bars(device: Device) -> Iterator[Mesh]:
-    """The 64 rectangles."""
+    """A mesh of the 64 rectangles."""
     with device.mesh(BARS) as bars:
         yield bars
 
@@ -73,14 +73,14 @@ def image(device: Device) -> Iterator[Any]:
 
 
 def parts(mesh: Mesh, *which: int) -> NDArray[Any]:
-    """The draws of these rectangles."""
+    """Return the draws of these rectangles."""
     return mesh.draws(6 * np.array(which, int), 6)
 
 
 def count(
     device: Device, image: Any, queries: QuerySet, mesh: Mesh, draws: NDArray[Any], rows: Any = None
 ) -> list[int]:
-    """The answers to these draws in a pass of their own."""
+    """Return the counts of these draws in a pass of their own."""
     with device.render_pass(image):
         device.draw_counted(device.program(Colored), mesh, draws, queries, rows)
     return [int(samples) for samples in queries.wait()]
@@ -93,7 +93,7 @@ def test_each_draw_is_counted_by_a_query_of_its_own(
 
 
 def test_counts_are_those_of_queries_asked_one_by_one(device: Device, emulated: bool) -> None:
-    """Random boxes against a depth buffer with steps, as visibility algorithms ask for them."""
+    """Random boxes over a stepped depth buffer, as in visibility algorithms."""
     random = np.random.default_rng(7)
     size, boxes = (64, 48), 100
     low = random.uniform(-1, 0.8, (boxes, 2))
@@ -148,7 +148,7 @@ def test_rows_that_were_not_asked_for_say_so(
 def test_a_row_whose_draws_cover_nothing_counts_nothing(
     device: Device, queries: QuerySet, bars: Mesh, image: Any
 ) -> None:
-    """Without vertices, without instances, and facing away."""
+    """Draws without vertices, without instances, and facing away."""
     draws = bars.draws([0, 6, 12], [0, 6, 6], instances=[1, 0, 1])
     with device.states(CullMode.FRONT):
         assert count(device, image, queries, bars, draws)[:4] == [0, 0, 0, -1]
@@ -196,7 +196,7 @@ def test_a_set_asked_again_before_it_was_read_answers_for_the_latest(
 
 
 def test_a_set_asked_again_before_it_was_done_counts_anew(device: Device, emulated: bool, image: Any) -> None:
-    """The device may still be at work for it."""
+    """The device may still be executing its draws."""
     layers, queries = 40, device.query_set(2, emulated=emulated)
     with device.texture((512, 512), Format.R8) as large, device.mesh(np.tile(rectangle(), layers)) as mesh:
         for _ in range(5):
@@ -310,7 +310,7 @@ class Column(Shader):
 
 
 def test_indexed_draws_have_their_bases_and_instances(device: Device, queries: QuerySet, image: Any) -> None:
-    """And say that each is the first of its command."""
+    """The draw index of each is 0, as of the first draw of a command."""
     rows = np.concatenate([texel_rectangle(0, 0, 2, 3, SIZE), texel_rectangle(0, 0, 2, 8, SIZE)])
     indices = np.arange(6)
     draws = np.zeros(4, DRAW)
@@ -379,7 +379,7 @@ def test_draws_that_a_condition_drops_count_nothing(device: Device, bars: Mesh, 
 
 
 def test_counted_draws_are_drawn(device: Device, queries: QuerySet, image: Any) -> None:
-    """And leave states and bindings as other draws do."""
+    """Counted draws leave states and bindings as other draws do."""
     rows = np.concatenate([rectangle(-1, -1, 0, 1, color=(1, 0, 0, 1)), rectangle(0, -1, 1, 1)])
     with device.mesh(rows) as mesh:
         program = device.program(Colored)
@@ -394,7 +394,7 @@ def test_counted_draws_are_drawn(device: Device, queries: QuerySet, image: Any) 
 
 
 class Doubled(Shader):
-    """Twice as high as it is."""
+    """Draws everything twice as high."""
 
     def vertex(self, v: Corner) -> Shade:
         p = v.position

@@ -24,7 +24,7 @@ SIZE = (16, 16)
 
 
 def counts(device: Device, rows: Rows, *states: State, size: tuple[int, int] = SIZE) -> NDArray[Any]:
-    """How often each texel is drawn."""
+    """Return how often each texel is drawn."""
     with device.texture(size, Format.R32F) as image, device.mesh(rows) as mesh:
         with (
             device.render_pass(image),
@@ -36,7 +36,7 @@ def counts(device: Device, rows: Rows, *states: State, size: tuple[int, int] = S
 
 
 def at_subtexels(points: Any, size: tuple[int, int] = SIZE) -> NDArray[np.float64]:
-    """Clip positions of window points in 1/16 texel; exact in float32 for sizes that are powers of two."""
+    """Return the clip positions of window points in 1/16 texel, exact in float32 for power-of-two sizes."""
     return window_to_clip(np.asarray(points) / SUBTEXELS, size)
 
 
@@ -44,7 +44,7 @@ def at_subtexels(points: Any, size: tuple[int, int] = SIZE) -> NDArray[np.float6
 
 ON_TARGET = st.tuples(st.integers(0, 16 * SUBTEXELS), st.integers(0, 16 * SUBTEXELS))
 ANYWHERE = st.tuples(st.integers(-4 * SUBTEXELS, 20 * SUBTEXELS), st.integers(-4 * SUBTEXELS, 20 * SUBTEXELS))
-# Corners on texel centers put edges through others: there the fill rule decides.
+# Corners on texel centers make edges pass through other centers, where the fill rule decides.
 CENTER = st.tuples(st.integers(0, 15), st.integers(0, 15)).map(
     lambda p: (p[0] * SUBTEXELS + SUBTEXELS // 2, p[1] * SUBTEXELS + SUBTEXELS // 2)
 )
@@ -136,7 +136,7 @@ def test_a_target_of_any_size_is_covered(device: Device, size: tuple[int, int]) 
 def test_a_face_is_culled_by_its_winding(
     device: Device, cull: CullMode, front: FrontFace, winding: int
 ) -> None:
-    """Counter-clockwise as seen with +Y up: the same on every backend, whichever way its images lie."""
+    """Front faces are counter-clockwise with +Y up on every backend, whichever way up its images are stored."""
     is_front = (winding == 1) is (front is FrontFace.COUNTER_CLOCKWISE)
     seen = cull is CullMode.NONE or (cull is CullMode.FRONT) is not is_front
     assert_same(counts(device, rectangle()[::winding], cull, front), 1 if seen else 0)
@@ -154,7 +154,7 @@ def test_back_faces_are_culled_by_default(device: Device) -> None:
 
 
 class Faces(Shader):
-    """White fronts, gray backs."""
+    """Draws front faces white and back faces gray."""
 
     def vertex(self, v: Corner) -> Bare:
         return Bare(clip=v.position)
@@ -224,7 +224,7 @@ def test_clears_ignore_the_scissor(device: Device) -> None:
 
 
 def test_a_scissor_holds_for_targets_of_other_sizes(device: Device) -> None:
-    """Kept across passes, it still counts from the top of each target."""
+    """A scissor that is kept across passes is measured from the top of each target."""
     with device.mesh(rectangle()) as mesh, device.states(Scissor(0, 0, 2, 1)):
         for size in ((4, 4), (4, 8), (4, 2)):
             with device.texture(size, Format.R8) as image:
@@ -292,7 +292,7 @@ class Straight(Struct):
 
 
 class StraightColored(Shader):
-    """Colors without perspective."""
+    """Interpolates colors without perspective."""
 
     def vertex(self, v: Corner) -> Straight:
         return Straight(clip=v.position, color=v.color)
@@ -308,7 +308,7 @@ RGB = np.array([(1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)
 
 
 def weights(size: tuple[int, int]) -> NDArray[np.float64]:
-    """Barycentric weights of `TRIANGLE` at the texel centers; (height, width, 3)."""
+    """Return the (height, width, 3) barycentric weights of `TRIANGLE` at the texel centers."""
     w, h = size
     x, y = np.meshgrid((np.arange(w) + 0.5) * 2 / w - 1, 1 - (np.arange(h) + 0.5) * 2 / h)
     b, c = (x + 1) / 2, (y + 1) / 2
@@ -341,7 +341,7 @@ def test_values_without_perspective_are_interpolated_in_the_image(device: Device
 
 
 def test_a_clipped_triangle_keeps_its_values(device: Device) -> None:
-    """Clipping makes new corners; what they carry is what the triangle has there."""
+    """Clipping creates new corners, with the varyings that the triangle has there."""
     big = corners(
         [(-3, -1), (3, -1), (3, 1), (-3, -1), (3, 1), (-3, 1)],
         [(x / 6 + 0.5, 0, 0, 1) for x in (-3, 3, 3, -3, 3, -3)],

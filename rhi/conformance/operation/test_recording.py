@@ -1,4 +1,4 @@
-"""The command stream: every call with its arguments, its labels and the line it came from."""
+"""The command stream: every call with its arguments, its labels and the line that issued it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from rhi.conformance.shapes import rectangle
 
 
 def line() -> int:
-    """The caller's line."""
+    """Return the line number of the caller."""
     return sys._getframe(1).f_lineno
 
 

@@ -97,7 +97,7 @@ SampleCube = make_sampling_shader(TextureCube, solid_place)
 
 
 class Gather2D(Shader):
-    """Component 1 of the four texels around (u, v)."""
+    """Gathers component 1 of the four texels around (u, v)."""
 
     source: Texture2D
     places: Storage[vec4]
@@ -139,7 +139,7 @@ def test_a_shader_reads_what_the_format_means(device: Device, format: Format) ->
 
 
 class LoadUint(Shader):
-    """Unsigned integers by texel."""
+    """Loads unsigned integers by texel."""
 
     source: UintTexture2D
     results: StorageRW[uvec4]
@@ -150,7 +150,7 @@ class LoadUint(Shader):
 
 
 class LoadInt(Shader):
-    """Signed integers by texel."""
+    """Loads signed integers by texel."""
 
     source: IntTexture2D
     results: StorageRW[ivec4]
@@ -233,7 +233,7 @@ def test_srgb_is_filtered_in_linear_light(device: Device) -> None:
 
 
 class Drawn(Shader):
-    """A texture over the whole target, its level chosen by the derivatives."""
+    """Samples a texture over the whole target, at the level that the derivatives choose."""
 
     source: Texture2D
 
@@ -277,7 +277,7 @@ def test_minifying_and_magnifying_have_filters_of_their_own(
 
 
 def wrapped(index: NDArray[np.int64], wrap: Wrap, size: int) -> NDArray[np.int64]:
-    """The texel that is read for `index`; −1 for the border."""
+    """Return the index of the texel that is read for `index`, −1 for the border."""
     if wrap is Wrap.REPEAT:
         return index % size
     if wrap is Wrap.MIRROR:
@@ -331,7 +331,7 @@ def test_w_wraps_too(device: Device) -> None:
 
 
 def ladder(device: Device, levels: int = 4) -> Any:
-    """8×8, each level of one color: 0, 10, 20, 30."""
+    """Return an 8×8 texture whose levels have one color each: 0, 10, 20, 30."""
     texture = device.texture((8, 8), Format.R32F, levels=levels)
     for level in range(levels):
         texture.write(np.full((8 >> level, 8 >> level), level * 10.0, "f4"), level=level)
@@ -356,7 +356,7 @@ def test_the_mip_filter_chooses_levels(device: Device, mip: Filter | None, expec
 
 
 class LoadLevels(Shader):
-    """One texel of each level, and how large each is."""
+    """Writes one texel and the size of each level."""
 
     source: Texture2D
     results: StorageRW[vec4]
@@ -410,7 +410,7 @@ def test_a_cube_s_faces_lie_around_it(device: Device) -> None:
 
 
 def face_place(face: int, direction: tuple[float, float, float]) -> tuple[float, float]:
-    """(u, v) on a cube's face, v down: OpenGL 4.3, table 8.19."""
+    """Return (u, v) on a cube's face, v down, by table 8.19 of OpenGL 4.3."""
     x, y, z = direction
     s, t, m = [(-z, -y, x), (z, -y, -x), (x, z, y), (x, -z, -y), (x, -y, z), (-x, -y, -z)][face]
     return (s / m + 1) / 2, (t / m + 1) / 2
@@ -455,7 +455,7 @@ def test_gather_gives_the_four_texels_of_a_linear_filter(device: Device) -> None
 
 
 class Compared(Shader):
-    """A shadow map, against a reference z at (x, y)."""
+    """Compares a shadow map at (x, y) with a reference z."""
 
     source: DepthTexture2D
     places: Storage[vec4]
@@ -485,7 +485,7 @@ def test_a_comparison_is_reference_against_texel(device: Device, function: Compa
 
 @pytest.mark.needs("draws")
 def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
-    """Half of the texels are nearer: half of the answer, whatever their depths are."""
+    """With half of the texels nearer the result is 0.5, whatever their depths are."""
     sampler = SamplerDescriptor(
         Filter.LINEAR, Filter.LINEAR, None, Wrap.CLAMP, Wrap.CLAMP, compare=Comparison.LESS
     )
@@ -514,7 +514,7 @@ def test_one_texture_is_read_through_several_samplers(device: Device) -> None:
 
 
 class TwoTextures(Shader):
-    """Two textures at once."""
+    """Reads three textures at once."""
 
     first: Texture2D
     second: Texture2D
@@ -545,7 +545,7 @@ def test_several_textures_stay_apart(device: Device) -> None:
 
 
 class Slots(Shader):
-    """As many textures, storage buffers, uniforms and images as every device has."""
+    """Uses as many textures, storage buffers, uniforms and images as every device has."""
 
     t0: Texture2D
     t1: Texture2D
@@ -634,7 +634,7 @@ def test_anisotropy_may_be_asked_for(device: Device) -> None:
 
 
 class ComparedLayers(Shader):
-    """Shadow maps in layers, and around a point."""
+    """Compares a layered and a cube shadow map."""
 
     layers: DepthTexture2DArray
     around: DepthTextureCube

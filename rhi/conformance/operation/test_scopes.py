@@ -1,4 +1,4 @@
-"""State scopes: what holds inside, what is restored, and the two counters. No shader runs."""
+"""State scopes: the states inside, the states restored after, and the two counters. No shader runs."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ pytestmark = pytest.mark.needs("draws")
 
 
 def states_of_draws(device: Device, *draws: object) -> list[dict[type, object]]:
-    """The states in effect at the draws that a callable of `draws` makes."""
+    """Return the states in effect at the draws that a callable of `draws` issues."""
     before = len(device.stream)
     with device.texture((4, 4), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)

@@ -40,7 +40,7 @@ def after(
     device: Device, *states: State, stored: int, rows: Rows | None = None, depth: float = 0.0,
     primitive: Primitive = Primitive.TRIANGLES,
 ) -> tuple[NDArray[Any], NDArray[Any]]:  # fmt: skip
-    """Color and stencil after one draw over a cleared buffer."""
+    """Return color and stencil after one draw over a cleared buffer."""
     rows = rectangle() if rows is None else rows
     with (
         device.texture(SIZE, Format.R8) as image,

@@ -73,7 +73,7 @@ class Three(Struct):
 
 
 class ToThree(Shader):
-    """The color to a float, an unsigned and a two-channel target."""
+    """Writes the color to a float, an unsigned and a two-channel target."""
 
     def vertex(self, v: Corner) -> FlatShade:
         return FlatShade(clip=v.position, color=v.color)
@@ -101,7 +101,7 @@ class Two(Struct):
 
 
 class ToTwo(Shader):
-    """The color, and the same backwards."""
+    """Writes the color, and the color with its channels reversed."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -147,7 +147,7 @@ def test_each_target_blends_by_its_own_function(device: Device) -> None:
 
 
 def test_a_target_without_an_output_keeps_other_targets_right(device: Device) -> None:
-    """A program with one output in a pass of two: the first is written as ever."""
+    """A program with one output, in a pass with two targets, writes the first target."""
     with (
         device.texture(SIZE, Format.RGBA8) as one,
         device.texture(SIZE, Format.RGBA8) as two,
@@ -296,7 +296,7 @@ def test_a_clear_reaches_all_samples(device: Device) -> None:
 
 
 def test_depth_is_tested_for_each_sample(device: Device) -> None:
-    """A triangle covers half of each texel on the diagonal; what lies behind it shows in the other samples."""
+    """A triangle covers half of each texel on the diagonal; the other samples show the surface behind it."""
     require_samples(device, 4)
     with (
         device.texture((8, 8), Format.R32F, samples=4) as image,
@@ -385,7 +385,7 @@ def test_points_and_lines_ignore_culling(device: Device) -> None:
 
 
 class Nothing(Shader):
-    """No fragment output at all."""
+    """A program without fragment outputs."""
 
     def vertex(self, v: Corner) -> Bare:
         return Bare(clip=v.position)

@@ -379,7 +379,7 @@ def test_mipmaps_are_boxes_of_two_by_two(device: Device, format: Format) -> None
     assert_same(level0, squeezed(format, data))
     above = data
     for level in levels:
-        # Each level is judged by the one above it, so that roundings don't add up.
+        # Each level is compared with one computed from the level above, so that rounding errors don't accumulate.
         expected = halve(format, above)
         if format.dtype.kind == "f":
             slack: Any = np.abs(above.astype(np.float64)).max() * (
@@ -436,7 +436,7 @@ def test_mipmaps_of_odd_sizes_stay_within_the_range_of_their_texels(device: Devi
 
 
 def test_the_reference_conversion_is_its_own_inverse() -> None:
-    """The judge is judged: `encode` after `decode` gives every stored number back."""
+    """A test of the reference: `encode` after `decode` returns every stored number."""
     for format in (Format.RGBA8, Format.RGBA8_SRGB, Format.RGBA8_SNORM, Format.RGBA16):
         top = largest(format)
         stored: Sequence[int] = range(-top if format.kind is ChannelKind.SNORM else 0, top + 1)

@@ -39,7 +39,7 @@ def test_completed_never_falls_and_never_runs_ahead(device: Device) -> None:
 
 
 def test_completed_gets_there_without_a_wait(device: Device) -> None:
-    """A signal starts the work before it: polling alone sees it finish."""
+    """A signal starts the work before it, so polling alone sees it finish."""
     value = device.signal()
     assert comes_true(lambda: device.completed >= value)
 
@@ -79,7 +79,7 @@ def test_a_fence_is_passed_only_after_the_work_before_it(device: Device) -> None
 
 @pytest.mark.needs("draws", "shading")
 def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
-    """The work grows until its signal is seen unfinished, and once more: then it can't end by itself meanwhile."""
+    """The work is increased until its signal is seen unfinished, and once more, so that it can't finish in between."""
     unfinished = 0
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)

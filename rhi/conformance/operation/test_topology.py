@@ -1,4 +1,4 @@
-"""Each topology covers the texels it should, with and without indices, and strips restart."""
+"""The texels that each topology covers, with and without indices, and the restart of strips."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIZE = (16, 16)
 def drawn(
     device: Device, primitive: Primitive, positions: Any, indices: Any = None, color: Any = (1, 1, 1, 1)
 ) -> NDArray[Any]:
-    """The image of one draw without culling."""
+    """Return the image of one draw without culling."""
     rows = corners(positions, color)
     with (
         device.texture(SIZE, Format.RGBA8) as image,
@@ -34,7 +34,7 @@ def drawn(
 
 
 def covered(*triangles: Any) -> NDArray[np.bool_]:
-    """What triangles in window texels cover together."""
+    """Return the texels that triangles in window coordinates cover together."""
     mask = np.zeros(SIZE[::-1], bool)
     for triangle in triangles:
         mask |= rasterise(np.asarray(triangle) * SUBTEXELS, *SIZE)
@@ -67,7 +67,7 @@ def test_a_line_covers_the_texels_between_its_ends(
     y = start[1] + steps * (end[1] - start[1]) // count
     expected = np.zeros((16, 16), bool)
     expected[y, x] = True
-    # Whether the last texel belongs to the line is left to the device (the diamond-exit rule leaves it out).
+    # A device may include the last texel of the line or not (the diamond-exit rule excludes it).
     image[end[1], end[0]] = 255
     assert_mask(image, expected)
 
@@ -222,7 +222,7 @@ BOXES = [
 
 
 def boxes(chosen: Any) -> NDArray[np.bool_]:
-    """What the quads of these numbers cover, of 16 that lie side by side."""
+    """Return the texels that the quads of these numbers cover, of 16 side by side."""
     return covered(*(part for i in chosen for part in (BOXES[i][:3], [BOXES[i][0], *BOXES[i][2:]])))
 
 
@@ -285,7 +285,7 @@ def test_quads_are_drawn_once_per_instance(device: Device) -> None:
 
 
 def test_more_quads_than_16_bits_can_count(device: Device) -> None:
-    """20,000 quads of 80,000 vertices: the last ones are where they should be."""
+    """20,000 quads of 80,000 vertices, of which the last ones are drawn at the right place."""
     positions = np.full((20_000, 4, 2), -3.0)
     for place, box in ((0, 3), (16_384, 5), (19_999, 12)):
         positions[place] = window_to_clip(BOXES[box], SIZE)
@@ -299,7 +299,7 @@ def test_more_quads_than_16_bits_can_count(device: Device) -> None:
 
 
 def test_a_strip_with_a_base_vertex_restarts_at_the_last_index(device: Device) -> None:
-    """The restart is told by the index itself, before the base is added."""
+    """The restart index is compared before the base vertex is added."""
     points = [(0, 0), (1, 1), (1, 6), (6, 1), (9, 9), (9, 15), (15, 9)]
     indices = np.array([0, 1, 2, 0xFFFF, 3, 4, 5], "u2")
     rows = corners(window_to_clip(points, SIZE))

@@ -1,4 +1,4 @@
-"""Transient memory and immediate mode: what is given out stays intact for its frame, also around the wrap."""
+"""Transient memory and immediate mode: allocations stay intact for their frame, even when the ring wraps."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
 
 def points(count: int, size: tuple[int, int]) -> NDArray[Any]:
-    """The first `count` texels of a target, row by row, as points that carry their number."""
+    """Return points on the first `count` texels of a target, row by row, with their numbers as colors."""
     number = np.arange(count)
     rows = corners(centers(np.stack([number % size[0], number // size[0]], axis=1), size))
     rows["color"][:, 0] = number
@@ -43,7 +43,7 @@ def test_each_draw_of_a_frame_has_its_own_constants(device: Device) -> None:
 
 
 def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None:
-    """The ring grows while the frame is being made; what was given out before stays."""
+    """The ring grows during the frame; earlier allocations stay intact."""
     size = (32, 32)
     rows = points(1024, size)
     with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
@@ -56,7 +56,7 @@ def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None
 
 
 def test_constants_of_frames_in_flight_do_not_disturb_each_other(backend: str) -> None:
-    """Many frames around the wrap, none of them read until the end."""
+    """Many frames across the wrap of the ring, none of them read until the end."""
     with rhi.create_device(backend, validation=True, frames_in_flight=3) as device:
         rng = np.random.default_rng(0)
         frames, per_frame, size = 40, 60, (10, 6)
@@ -106,7 +106,7 @@ def test_rings_settle_at_what_their_frames_need(fresh_device: Device) -> None:
         for index in range(300):
             device.transient.uniform(Tint(color=(index, 0, 0, 0)))
         device.present()
-    # Two frames in flight and the one being written; a ring doubles, and may waste its end.
+    # Two frames in flight and the one being written. A ring grows by doubling and may leave its end unused.
     frame = 300 * max(16, device.capabilities.uniform_alignment)
     assert device.transient.capacity <= 4 * max(3 * frame, 1 << 16)
 
@@ -259,7 +259,7 @@ def test_immediate_blocks_and_other_draws_keep_their_order(device: Device) -> No
 
 
 def test_a_great_many_immediate_vertices_fit(device: Device) -> None:
-    """More than the ring has room for at first: 20,000 vertices of 32 bytes."""
+    """20,000 vertices of 32 bytes, more than the ring holds at first."""
     size = (200, 100)
     with device.texture(size, Format.R32F) as image:
         with device.render_pass(image), device.immediate(device.program(Colored), Primitive.POINTS) as many:

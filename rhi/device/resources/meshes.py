@@ -260,6 +260,7 @@ class Mesh(Drawable, Resource):
     def create_vertex_array(
         self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
     ) -> Id:
+        """Create the vertex array of this mesh for a program's inputs; all views of the mesh share it."""
         return self.data.create_vertex_array(key, program, name, attributes)
 
     @property
