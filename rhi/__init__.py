@@ -76,10 +76,10 @@ from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode
 from rhi.device.registry import backend_names, create_device, report
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
-from rhi.device.resources.meshes import Mesh
+from rhi.device.resources.meshes import Drawable, Mesh
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Sampler, Texture, TextureTarget
-from rhi.device.transient import TransientMemory
+from rhi.device.transient import TransientMemory, TransientMesh
 from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
 
 __version__ = "0.1.0"
@@ -114,6 +114,7 @@ __all__ = [
     "DepthWrite",
     "Device",
     "DeviceError",
+    "Drawable",
     "Encoder",
     "Filter",
     "FixedQueue",
@@ -161,6 +162,7 @@ __all__ = [
     "TextureTarget",
     "TimerNode",
     "TransientMemory",
+    "TransientMesh",
     "UniformArray",
     "UniformBuffer",
     "ValidationError",

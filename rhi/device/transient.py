@@ -228,6 +228,7 @@ class TransientMesh(Drawable):
     def create_vertex_array(
         self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
     ) -> NoReturn:
+        """Refuse the draw: transient vertices are laid out for one program, and this is another one."""
         self._core.refuse(
             MESH_ATTRIBUTE,
             f"draw of program {name!r}",
