@@ -196,8 +196,8 @@ class Run:
 
 
 SEEDS = [
-    pytest.param(range(8), id="few"),
-    pytest.param(range(8, 200), id="many", marks=pytest.mark.nightly),
+    pytest.param(range(5), id="few"),
+    pytest.param(range(5, 200), id="many", marks=pytest.mark.nightly),
 ]
 
 
