@@ -1,7 +1,11 @@
-"""What the project says of its own structure is true: paths in back-ticks lead to modules and files that exist."""
+"""The structure of the project: what the docs say of it is true, and a name means one thing.
+
+Which package may import which is held by import-linter (pyproject.toml), so it isn't tested here.
+"""
 
 from __future__ import annotations
 
+import ast
 import importlib
 import logging
 import re
@@ -125,3 +129,64 @@ def test_a_path_that_exists_resolves(dotted: str) -> None:
 )
 def test_a_path_that_does_not_exist_is_found(dotted: str) -> None:
     assert not resolves(dotted)
+
+
+# -- one name, one thing -------------------------------------------------------------------------------------------
+
+ROLES = {"Buffers", "Draws", "Fence", "Programs", "Queries", "Samplers", "Textures", "VertexArrays"}
+"""Classes with the same job in each backend, which therefore have the same name."""
+REPRESENTATIONS = {"Break", "Continue", "If", "Return", "Statement"}
+"""Statements of both intermediate representations, always written `tree.If` and `lanes.If`."""
+
+
+def find_classes(source: str) -> Iterator[str]:
+    """The names of the classes at the top level of a module."""
+    yield from (node.name for node in ast.parse(source).body if isinstance(node, ast.ClassDef))
+
+
+def find_homonyms(sources: dict[str, str]) -> dict[str, list[str]]:
+    """Names of classes that several modules define, with these modules. A leading underscore makes no other name."""
+    modules: dict[str, list[str]] = {}
+    for module, source in sources.items():
+        for name in find_classes(source):
+            modules.setdefault(name.lstrip("_"), []).append(module)
+    return {name: found for name, found in modules.items() if len(found) > 1}
+
+
+def test_a_class_name_means_one_thing() -> None:
+    sources = {
+        str(path.relative_to(ROOT)): path.read_text()
+        for package in PACKAGES
+        for path in (ROOT / package).rglob("*.py")
+        if not path.is_relative_to(ROOT / "rhi/conformance")
+    }
+    homonyms = find_homonyms(sources)
+    for name in ROLES:
+        assert all(module.startswith("rhi/backends/") for module in homonyms.pop(name, []))
+    for name in REPRESENTATIONS:
+        assert sorted(homonyms.pop(name)) == ["rhi/shading/ir/lanes.py", "rhi/shading/ir/tree.py"]
+    assert homonyms == {}
+
+
+def test_a_homonym_is_found() -> None:
+    assert find_homonyms({"a": "class Place: ...", "b": "class _Place: ...", "c": "class Other: ..."}) == {
+        "Place": ["a", "b"]
+    }
+
+
+def test_the_root_of_rhi_has_at_most_a_dozen_packages_and_modules() -> None:
+    rooms = [
+        path for path in (ROOT / "rhi").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
+    ]
+    assert len(rooms) <= 12
+
+
+def test_the_example_of_a_port_imports_the_contract_and_the_language_only() -> None:
+    for path in sorted((ROOT / "examples/numpy_backend/rhi_numpy").glob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            for name in names:
+                assert name.split(".")[0] != "rhi" or name in ("rhi.contract", "rhi.shading"), (
+                    f"{path.name}: {name}"
+                )

@@ -13,11 +13,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from rhi.conformance.shaders import Corner
 
-Rows = NDArray[Any]
+VertexRows = NDArray[Any]
 WHITE = (1.0, 1.0, 1.0, 1.0)
 
 
-def corners(positions: ArrayLike, color: ArrayLike = WHITE, depth: ArrayLike = 0.5) -> Rows:
+def corners(positions: ArrayLike, color: ArrayLike = WHITE, depth: ArrayLike = 0.5) -> VertexRows:
     """Return vertices at (n, 2), (n, 3) or (n, 4) clip positions, with one color or (n, 4) colors."""
     given = np.asarray(positions, np.float64)
     rows = np.zeros(len(given), Corner.dtype)
@@ -31,7 +31,7 @@ def corners(positions: ArrayLike, color: ArrayLike = WHITE, depth: ArrayLike = 0
 def rectangle(
     left: float = -1.0, bottom: float = -1.0, right: float = 1.0, top: float = 1.0, *,
     depth: ArrayLike = 0.5, color: ArrayLike = WHITE,
-) -> Rows:  # fmt: skip
+) -> VertexRows:  # fmt: skip
     """Return a rectangle as two front-facing triangles (counter-clockwise with +Y up)."""
     a, b, c, d = (left, bottom), (right, bottom), (right, top), (left, top)
     return corners([a, b, c, a, c, d], color, depth)
@@ -39,7 +39,7 @@ def rectangle(
 
 def texel_rectangle(
     x: float, y: float, width: float, height: float, size: Sequence[int], **more: Any
-) -> Rows:
+) -> VertexRows:
     """Return a rectangle given in texels from the top left of a (width, height) target."""
     w, h = size
     return rectangle(2 * x / w - 1, 1 - 2 * (y + height) / h, 2 * (x + width) / w - 1, 1 - 2 * y / h, **more)

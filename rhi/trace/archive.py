@@ -45,7 +45,7 @@ def source_name(program: int, stage: str, language: str) -> str:
     return f"programs/{program}.{stage}.{language}"
 
 
-class Writer:
+class ArchiveWriter:
     """Writes the members of a trace. The file gets its name when it is complete."""
 
     def __init__(self, path: Path) -> None:
@@ -75,7 +75,7 @@ class Writer:
             self._part.unlink(missing_ok=True)
 
 
-class Reader:
+class ArchiveReader:
     """Reads the members of a file that may come from anybody."""
 
     def __init__(self, path: Path, max_bytes: int) -> None:

@@ -31,7 +31,7 @@ from rhi.trace.ids import ID_ARGUMENTS
 
 __rhi_internal__ = True
 
-Source = Trace | Device | CommandStream
+TraceSource = Trace | Device | CommandStream
 Thing = Command | Refusal
 REFUSED: Final = "refused"
 
@@ -87,7 +87,7 @@ class Differences(Sequence[Difference]):
         return "\n".join(lines) or "no differences"
 
 
-def diff(a: Source, b: Source) -> Differences:
+def diff(a: TraceSource, b: TraceSource) -> Differences:
     """Return the differences of trace `b` from trace `a`."""
     left, right = _Side(_stream(a)), _Side(_stream(b))
     found: list[Difference] = []
@@ -95,7 +95,7 @@ def diff(a: Source, b: Source) -> Differences:
     return Differences(found)
 
 
-def _stream(source: Source) -> CommandStream:
+def _stream(source: TraceSource) -> CommandStream:
     return source.stream if isinstance(source, (Trace, Device)) else source
 
 

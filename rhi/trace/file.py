@@ -26,7 +26,7 @@ from rhi.commands.stream import Command, CommandStream, Failure, Refusal, find_s
 from rhi.contract.descriptors import ProgramDescriptor, Region, TextureDescriptor
 from rhi.device.device import Device
 from rhi.errors import CallSite, refuse
-from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, Reader, Writer, source_name
+from rhi.trace.archive import COMMANDS, HEADER, MAX_BYTES, ArchiveReader, ArchiveWriter, source_name
 from rhi.trace.codec import LANGUAGES, MismatchError, Sources, argument_types, decode, encode, sources_of
 from rhi.trace.rules import (
     TRACE_ARRAY,
@@ -106,7 +106,7 @@ def save(source: Trace | Device | CommandStream, path: str | PathLike[str]) -> N
         ValidationError: `trace-incomplete` if the stream was cleared or its recording paused.
     """
     trace = as_trace(source)
-    with Writer(Path(path)) as writer:
+    with ArchiveWriter(Path(path)) as writer:
         numbers: dict[bytes, int] = {}  # arrays by digest, so that data that is written each frame is stored once
         sites: dict[tuple[str, int, str], int] = {}
         lines: list[str] = []
@@ -158,7 +158,7 @@ def _to_json(line: dict[str, Any]) -> str:
     return json.dumps(line, separators=(",", ":"))
 
 
-def _write_array(writer: Writer, numbers: dict[bytes, int], command: Command, data: bytes) -> int:
+def _write_array(writer: ArchiveWriter, numbers: dict[bytes, int], command: Command, data: bytes) -> int:
     array: NDArray[Any] = np.frombuffer(data, np.uint8)
     if command.op is Op.WRITE_TEXTURE:
         texture, region = command.resource(command["texture"]), command["region"]
@@ -190,14 +190,14 @@ def load(path: str | PathLike[str], *, max_bytes: int = MAX_BYTES) -> Trace:
         ValidationError: the file is damaged, too large, or not a trace (rules `trace-…`).
         OSError: the file can't be opened.
     """
-    with Reader(Path(path), max_bytes) as reader:
+    with ArchiveReader(Path(path), max_bytes) as reader:
         return _Loader(reader).load()
 
 
 class _Loader:
     """Reads one trace file."""
 
-    def __init__(self, reader: Reader) -> None:
+    def __init__(self, reader: ArchiveReader) -> None:
         self.reader = reader
         self.stream = CommandStream()
         self.validator = SequenceValidator()

@@ -34,7 +34,7 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.states import AlphaTest, AlphaToCoverage, StencilTest
 from rhi.errors import refuse
-from rhi.trace.archive import Reader
+from rhi.trace.archive import ArchiveReader
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
 
 __rhi_internal__ = True
@@ -84,7 +84,7 @@ class SequenceValidator:
         self._conditional = False
         self._signalled = 0
 
-    def check(self, op: Op, values: Sequence[Any], failed: bool, where: str, reader: Reader) -> None:
+    def check(self, op: Op, values: Sequence[Any], failed: bool, where: str, reader: ArchiveReader) -> None:
         """Refuse the file if this command isn't valid next. A command that `failed` when it was recorded has no effect,
         and may have requested more memory than there was."""
         before = self._total, self._query, self._conditional, self._signalled

@@ -26,7 +26,7 @@ from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_format
 from rhi.conformance.reference import compare
 from rhi.conformance.shaders import Bare, Colored, Corner
-from rhi.conformance.shapes import Rows, corners, rectangle
+from rhi.conformance.shapes import VertexRows, corners, rectangle
 from rhi.contract.formats import DEPTH_FORMATS
 from rhi.shading import Shader, vec4
 
@@ -37,7 +37,7 @@ BITS = {Format.D16: 16, Format.D24: 24, Format.D24S8: 24, Format.D32F: 24, Forma
 
 
 def depth_after(
-    device: Device, *draws: Rows, clear: float = 0.0, states: tuple[rhi.State, ...] = (DepthTest.ON,),
+    device: Device, *draws: VertexRows, clear: float = 0.0, states: tuple[rhi.State, ...] = (DepthTest.ON,),
     format: Format = Format.D32F, size: tuple[int, int] = SIZE,
 ) -> NDArray[Any]:  # fmt: skip
     """Return the depth buffer after drawing rows in order."""

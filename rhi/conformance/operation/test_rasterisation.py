@@ -15,7 +15,7 @@ from rhi import BlendFunction, CullMode, Device, Format, FrontFace, Scissor, Sta
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise, rasterise_within
 from rhi.conformance.shaders import Bare, Colored, Corner
-from rhi.conformance.shapes import Rows, corners, rectangle, texel_rectangle, window_to_clip
+from rhi.conformance.shapes import VertexRows, corners, rectangle, texel_rectangle, window_to_clip
 from rhi.shading import NoPerspective, Shader, Struct, front_facing, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
@@ -23,7 +23,7 @@ pytestmark = pytest.mark.needs("draws", "shading")
 SIZE = (16, 16)
 
 
-def counts(device: Device, rows: Rows, *states: State, size: tuple[int, int] = SIZE) -> NDArray[Any]:
+def counts(device: Device, rows: VertexRows, *states: State, size: tuple[int, int] = SIZE) -> NDArray[Any]:
     """Return how often each texel is drawn."""
     with device.texture(size, Format.R32F) as image, device.mesh(rows) as mesh:
         with (

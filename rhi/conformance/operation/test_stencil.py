@@ -28,7 +28,7 @@ from rhi import (
 from rhi.conformance.compare import assert_same
 from rhi.conformance.reference import compare, stencil
 from rhi.conformance.shaders import Colored
-from rhi.conformance.shapes import Rows, rectangle
+from rhi.conformance.shapes import VertexRows, rectangle
 
 pytestmark = pytest.mark.needs("draws", "shading", "stencil")
 
@@ -37,7 +37,7 @@ KEEP, REPLACE = StencilOperation.KEEP, StencilOperation.REPLACE
 
 
 def after(
-    device: Device, *states: State, stored: int, rows: Rows | None = None, depth: float = 0.0,
+    device: Device, *states: State, stored: int, rows: VertexRows | None = None, depth: float = 0.0,
     primitive: Primitive = Primitive.TRIANGLES,
 ) -> tuple[NDArray[Any], NDArray[Any]]:  # fmt: skip
     """Return color and stencil after one draw over a cleared buffer."""

@@ -10,7 +10,7 @@ from rhi.backends.cl.raster.merger import MergerKey
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS
 from rhi.backends.cl.raster.tables import EMPTY_BATCH, MAX_PLANES, TILE
-from rhi.backends.cl.raster.targets import RenderTarget
+from rhi.backends.cl.raster.targets import PassSurfaces
 from rhi.contract.descriptors import Interpolation
 
 __rhi_internal__ = True
@@ -36,7 +36,7 @@ class BatchState:
     )  # fmt: skip
 
     def __init__(
-        self, pipeline: Pipeline, target: RenderTarget, vertex: VertexKernels, streams: int, raster: Kernel,
+        self, pipeline: Pipeline, target: PassSurfaces, vertex: VertexKernels, streams: int, raster: Kernel,
         key: MergerKey, table: dict[str, float],
     ) -> None:  # fmt: skip
         """`table` is a result of `describe_batch`."""

@@ -20,8 +20,8 @@ from rhi.backends.cl.raster.merger import MergerKey, make_key
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.states import make_view
 from rhi.backends.cl.raster.targets import (
+    PassSurfaces,
     RenderSurface,
-    RenderTarget,
     color_clear,
     depth_clear,
     stencil_clear,
@@ -51,7 +51,7 @@ class DrawState:
         self._bindings = bindings
         self.ready_for: VertexKernels | None = None
         self.pipeline: Pipeline | None = None
-        self.target: RenderTarget | None = None
+        self.target: PassSurfaces | None = None
         self.values: dict[type, Any] = {
             state: (value,) * MAX_TARGETS if state in PER_TARGET else value
             for state, value in DEFAULTS.items()
@@ -77,7 +77,7 @@ class DrawState:
             depth = self._make_surface(attachment, texture.levels, depth_clear(attachment, depth_format))
             if texture.stencil:
                 stencil = self._make_surface(attachment, texture.stencil, stencil_clear(attachment), True)
-        self.target = RenderTarget(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
+        self.target = PassSurfaces(descriptor.size, descriptor.samples, colors, depth, stencil, drawn)
         self._formats = tuple(formats), depth_format
         self.ready_for = None
 
@@ -117,7 +117,7 @@ class DrawState:
         self._memo = {key: value for key, value in self._memo.items() if key[0] is not pipeline}  # type: ignore[index]
 
     def look_up(
-        self, pipeline: Pipeline, target: RenderTarget
+        self, pipeline: Pipeline, target: PassSurfaces
     ) -> tuple[MergerKey, Kernel, bytes, dict[str, float]]:
         """Return the merger's key, the raster kernel, the `VIEW_STRUCT` and the batch table for the current state."""
         colors, depth = self._formats

@@ -3,7 +3,7 @@
 - A clear is deferred to the first batch that draws into its surface. Each tile then clears its own texels, on all
   workers in parallel, and depth is cleared where it is staged, without a round trip through memory.
 - If another command comes first, or the pass ends without draws, the pending clears are executed as fills
-  (`RenderTarget.fill_cleared`).
+  (`PassSurfaces.fill_cleared`).
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class RenderSurface:
             self.clear = None
 
 
-class RenderTarget:
+class PassSurfaces:
     """The surfaces that a pass draws into.
 
     Attributes:

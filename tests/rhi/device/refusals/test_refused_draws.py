@@ -11,14 +11,14 @@ from refused_shaders import Everything, Passing
 
 from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Primitive
 from rhi.conformance.shaders import Colored, IntColored, UintColored
-from rhi.conformance.shapes import Rows, corners, rectangle
+from rhi.conformance.shapes import VertexRows, corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
 from rhi.errors import rules
 
 SIZE = (4, 4)
 
 
-def wrong_meshes() -> dict[str, Rows]:
+def wrong_meshes() -> dict[str, VertexRows]:
     missing = np.zeros(6, np.dtype([("position", "f4", 4)]))
     narrow = np.zeros(6, np.dtype([("position", "f4", 3), ("color", "f4", 4)]))
     integer = np.zeros(6, np.dtype([("position", "u4", 4), ("color", "f4", 4)]))
