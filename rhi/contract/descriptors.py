@@ -203,7 +203,7 @@ class VertexFormat(enum.Enum):
 
 @dataclass(frozen=True, slots=True)
 class VertexAttribute:
-    """Where the attribute `location` lies in each element of its stream: `offset` bytes in, as `format`."""
+    """The place of the attribute `location` in each element of its stream: `offset` bytes in, as `format`."""
 
     location: int
     format: VertexFormat
@@ -376,14 +376,17 @@ class StageText:
 
 @dataclass(frozen=True, eq=False)
 class ProgramDescriptor:
-    """What a backend makes a program from.
+    """A program with its stages, bindings, inputs and outputs.
 
-    `emit(language, stage)` returns the stage's `StageText`, language being "glsl" (4.30); "opencl" and the lanes of a
-    work-item, 1, 4, 8 or 16 for compute stages, 16 for others ("opencl16", see `rhi.shading.opencl.stages`); or, of
-    compute stages, "numpy", a Python module. `varyings` are those that the fragment stage
-    reads, in the order of their words. `shared_bytes` is the memory that a work-group shares. `checked`: its stages
-    report faults on OpenCL and NumPy (`rhi.shading.ir.faults`). `flushes_denormals`: numbers below 2^-126 may count
-    as 0, which OpenGL may always do.
+    Attributes:
+        emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
+            "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
+            "opencl4" and "opencl8"; and for compute stages "numpy", a Python module.
+        work_group: size of a work-group in invocations.
+        varyings: the varyings that the fragment stage reads, in the order of their words.
+        shared_bytes: memory that a work-group shares, in bytes.
+        checked: whether the stages report faults on OpenCL and NumPy (`rhi.shading.ir.faults`).
+        flushes_denormals: whether numbers below 2^-126 may be treated as 0, which OpenGL may always do.
     """
 
     name: str

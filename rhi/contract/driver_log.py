@@ -1,6 +1,7 @@
-"""What a driver says of a program's text, as a `ShaderError` that names the Python lines; for backends.
+"""Conversion of a driver's messages about a program into a `ShaderError` that names Python lines.
 
-A backend knows how its driver writes a message and its line. Where that line came from, the descriptor knows.
+A backend parses the messages of its driver, whose lines are lines of the emitted text. The text knows the Python line
+that each of them came from.
 """
 
 from __future__ import annotations
@@ -16,23 +17,23 @@ from rhi.errors.rules import SHADER_DRIVER
 __rhi_internal__ = True
 
 SHOWN: Final = 10
-"""Messages that are shown, the first ones."""
+"""Number of messages that are shown."""
 
 
 def make_driver_error(
     descriptor: ProgramDescriptor, stage: Stage | None, source: StageText, messages: Iterable[tuple[str, int]],
     language: str,
 ) -> ShaderError:  # fmt: skip
-    """The error for a program whose text a driver refused.
+    """Return the error for a program that a driver rejected.
 
     Args:
-        stage: the one that was refused; None: linking.
-        source: the whole text that the driver was given, with the origins of its lines.
-        messages: what it said, each with the line of the text that it is about, from 1; 0: of none.
-        language: what the text is written in, as users call it.
+        stage: the rejected stage, or None for an error in linking.
+        source: the whole text that the driver compiled, with the origins of its lines.
+        messages: the driver's messages, each with a line of the text, counted from 1; 0 for none.
+        language: name of the text's language, for the message.
 
     Returns:
-        `shader-driver`; its site is the Python line of the first message whose origin is known.
+        An error with the rule `shader-driver`. Its site is the Python line of the first message whose origin is known.
     """
     lines = source.text.split("\n")
     rows: list[str] = []

@@ -177,17 +177,17 @@ def _show(value: Any) -> str:
 
 
 class Sources:
-    """A loaded program's texts, in place of the shader class that wrote them."""
+    """The sources of a loaded program, in place of the shader class that emitted them."""
 
     def __init__(self, name: str) -> None:
         self.name = name
         self.texts: dict[tuple[str, Stage], str] = {}
 
     def emit(self, language: str, stage: Stage) -> StageText:
-        """As `ProgramDescriptor.emit`.
+        """Return the source of a stage; see `ProgramDescriptor.emit`.
 
         Raises:
-            ShaderError: `trace-source` if the trace has none in this language.
+            ShaderError: `trace-source` if the trace has no source in this language.
         """
         text = self.texts.get((language, stage))
         if text is None:
@@ -197,7 +197,7 @@ class Sources:
 
 
 def sources_of(descriptor: ProgramDescriptor) -> dict[tuple[str, Stage], str]:
-    """A program's texts in the languages that it can be had in."""
+    """Return the sources of a program, in all languages in which it can be emitted."""
     found: dict[tuple[str, Stage], str] = {}
     for language in LANGUAGES:
         for stage in Stage:  # in their order: equal traces are equal files

@@ -1,6 +1,6 @@
 """The numpy backend: rhi's contract on NumPy. Memory, copies, clears, time and compute; no draws.
 
-The example port of docs/porting.md, steps 1 to 4. Every call is carried out at once, so order is the order of the
+The example port of docs/porting.md, steps 1 to 4. Every call is executed at once, so order is the order of the
 calls, reads wait for nothing and a fence is passed when it is signalled.
 """
 

@@ -290,7 +290,7 @@ def test_a_polygon_offset_is_kept_within_its_clamp(device: Device, sign: float) 
 def test_depth_that_a_bias_moves_beyond_the_range_is_its_end(
     device: Device, format: Format, function: DepthFunction, units: float, end: float
 ) -> None:
-    """Where equal depths pass, so does what was moved beyond what is stored."""
+    """A depth that is biased beyond the range is clamped to its end: it passes a test for equality with the end."""
     require_format(device, format)
     with (
         device.texture(SIZE, Format.R8) as image,
