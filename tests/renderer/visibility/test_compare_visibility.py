@@ -141,8 +141,9 @@ def test_pixels_differ_by_what_they_show_or_by_the_order_of_draws() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("gl")
+@pytest.mark.parametrize("frames", ["20", pytest.param("60", marks=pytest.mark.nightly)])
 def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, frames: str
 ) -> None:
     delay_answers(monkeypatch, 0)  # late ones cost triangles: no matter of the algorithms
     command = [
@@ -152,7 +153,7 @@ def test_at_ground_level_the_counts_are_those_of_the_thesis_or_less(
         "--camera-path",
         "ground",
         "--frames",
-        "20",
+        frames,
         "--size",
         "320x180",
     ]
