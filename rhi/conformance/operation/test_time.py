@@ -79,7 +79,7 @@ def test_a_fence_is_passed_only_after_the_work_before_it(device: Device) -> None
 
 @pytest.mark.needs("draws", "shading")
 def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
-    """The work grows until its signal has been seen unfinished twice, so that a wait was necessary."""
+    """The work grows until its signal was seen unfinished twice: then it is too long to finish before the wait."""
     unfinished = 0
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
