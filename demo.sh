@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Sets everything up, renders the city to out/city.png, and prints what each run cost.
+# Sets everything up, renders the city to out/city.png, and prints the cost of each run.
 #
 #   ./demo.sh [SCENE]      a scene spec such as city:blocks=20, hall, or a model file
 set -euo pipefail

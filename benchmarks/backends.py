@@ -1,14 +1,15 @@
-"""How backends grow: time against triangles, pixels and lights on gl and cl, with the fitted slopes.
+"""How the time of a pass grows with triangles, pixels and lights on gl and cl, with the fitted slopes.
 
-- triangles: a sheet of equal triangles that fills the image, depth alone.
-- pixels: a lit city, from 160×90 to 2560×1440.
-- lights: one full-screen triangle whose fragments add up so many point lights.
-- draws: the triangles of a city in 1,936 draws of one call each, against the same in one.
-- taps, taps_srgb, taps_half, taps_float: a full-screen triangle of 4 bilinear samples of a 512×512 image of 8 bits, of
-  8 bits in sRGB, of 16 and 32 bits.
+- triangles: a sheet of equal triangles that fills the image, depth only, with 2,048 to 2,097,152 triangles.
+- pixels: a lit city, at 160×90 to 2560×1440.
+- lights: a full-screen triangle whose fragments sum 1 to 256 point lights.
+- draws: the depth of a city in one draw (0 in the column of sizes), and in 1,936 draws, one for each object (1).
+- taps, taps_srgb, taps_half, taps_float: a full-screen triangle that takes 4 bilinear samples of a 512×512 texture:
+  RGBA8, RGBA8_SRGB, RGBA16F and RGBA32F.
 
-Both backends take turns, round by round; times are medians. A slope is the exponent p in `time = c · n^p`, fitted to
-the upper half of the sizes, where fixed costs have faded: 1 means that twice as much takes twice as long.
+Images have 1280×720 pixels in all series but `pixels`. The backends take turns, round by round; times are medians,
+and the ratio is gl's time divided by cl's. A slope is the exponent p in `time = c · n^p`: with 1, twice the work
+takes twice as long. The one or two smallest sizes of a series aren't fitted, since fixed costs dominate them.
 
     python benchmarks/backends.py [--json] [--plot docs/images/backends.png] [--rounds 9] [--only lights,draws]
 """
@@ -40,11 +41,11 @@ SIZE = (1280, 720)
 Work = Callable[[int], object]
 
 
-class Place(Struct):
+class Position(Struct):
     position: vec4
 
 
-class Across(Struct):
+class Varyings(Struct):
     clip: vec4
     uv: vec2
 
@@ -59,9 +60,9 @@ class Scale(Struct):
 
 
 class Sheet(Shader):
-    """Positions as they are."""
+    """Passes positions through, and writes depth only."""
 
-    def vertex(self, v: Place) -> vec4:
+    def vertex(self, v: Position) -> vec4:
         return v.position
 
     def fragment(self) -> None:
@@ -69,14 +70,14 @@ class Sheet(Shader):
 
 
 class Lights(Shader):
-    """A curved floor under point lights."""
+    """A curved surface lit by point lights."""
 
     lights: Storage[Light]
 
-    def vertex(self, v: Place) -> Across:
-        return Across(clip=v.position, uv=v.position.xy)
+    def vertex(self, v: Position) -> Varyings:
+        return Varyings(clip=v.position, uv=v.position.xy)
 
-    def fragment(self, v: Across) -> vec4:
+    def fragment(self, v: Varyings) -> vec4:
         normal = vec3(v.uv * 0.3, 1.0)
         place = vec3(v.uv, dot(v.uv, v.uv) * 0.1)
         color = vec3(0.0)
@@ -88,15 +89,15 @@ class Lights(Shader):
 
 
 class Taps(Shader):
-    """Four bilinear samples."""
+    """The mean of four bilinear samples."""
 
     image: Texture2D
     scale: Uniform[Scale]
 
-    def vertex(self, v: Place) -> Across:
-        return Across(clip=v.position, uv=v.position.xy * 0.5 + 0.5)
+    def vertex(self, v: Position) -> Varyings:
+        return Varyings(clip=v.position, uv=v.position.xy * 0.5 + 0.5)
 
-    def fragment(self, v: Across) -> vec4:
+    def fragment(self, v: Varyings) -> vec4:
         uv = v.uv * self.scale.factor
         total = self.image.sample_lod(uv, 0.0) + self.image.sample_lod(uv + vec2(0.013, 0.0), 0.0)
         total += self.image.sample_lod(uv + vec2(0.0, 0.013), 0.0)
@@ -158,13 +159,13 @@ def draw_city(device: Device, pixels: int) -> Work:
     return passes.work("lit")
 
 
-def draw_apart(device: Device, apart: int) -> Work:
-    """The city's triangles in one draw each object, or all in one mesh and one draw."""
+def draw_city_depth(device: Device, separate: int) -> Work:
+    """Draw the depth of the city: one draw for each object, or one draw of a mesh that holds them all."""
     scene = load_scene("city")
     passes = BackendPasses(device, scene, find_path("sky", scene).camera(900), SIZE)
     arrays, resources = passes.resources.arrays, passes.resources
     bindings = {"view": arrays.view, "objects": arrays.objects, "places": arrays.places}
-    if apart:
+    if separate:
         program, parts = device.program(DepthShader), []
         for draw in resources.draws:
             part = resources.mesh.view(
@@ -174,7 +175,7 @@ def draw_apart(device: Device, apart: int) -> Work:
             parts.append(part)
     else:
         program = device.program(Sheet)
-        parts = [place_city(device, passes)]
+        parts = [merge_city(device, passes)]
         bindings = {}
 
     def work(_: int) -> None:
@@ -186,8 +187,8 @@ def draw_apart(device: Device, apart: int) -> Work:
     return work
 
 
-def place_city(device: Device, passes: BackendPasses) -> Mesh:
-    """All objects as one mesh, in clip space."""
+def merge_city(device: Device, passes: BackendPasses) -> Mesh:
+    """Create one mesh of all objects, with positions in clip space."""
     scene, camera = passes.resources.scene, passes.camera
     matrix = np.asarray(camera.relative_view_projection).T
     positions, placed, indices, base = scene.meshes.vertices["position"], [], [], 0
@@ -211,7 +212,7 @@ SERIES: dict[str, tuple[Callable[[Device, int], Work], list[int]]] = {
     "triangles": (draw_sheet, [2 ** (2 * k + 1) for k in range(5, 11)]),
     "pixels": (draw_city, [14_400 * 4**k for k in range(5)]),
     "lights": (draw_lights, [1, 4, 16, 32, 64, 128, 256]),
-    "draws": (draw_apart, [0, 1]),
+    "draws": (draw_city_depth, [0, 1]),
     "taps": (partial(draw_taps, Format.RGBA8), [4]),
     "taps_srgb": (partial(draw_taps, Format.RGBA8_SRGB), [4]),
     "taps_half": (partial(draw_taps, Format.RGBA16F), [4]),
@@ -268,9 +269,14 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
-    parser.add_argument("--plot", type=Path, metavar="F.png", help="draw the growth as charts")
-    parser.add_argument("--rounds", type=int, default=9, metavar="N", help="of each size (default: 9)")
-    parser.add_argument("--only", default=",".join(SERIES), metavar="A,B,…", help=f"of {', '.join(SERIES)}")
+    parser.add_argument("--plot", type=Path, metavar="F.png", help="write charts of the series to this image")
+    parser.add_argument("--rounds", type=int, default=9, metavar="N", help="rounds for each size (default: 9)")
+    parser.add_argument(
+        "--only",
+        default=",".join(SERIES),
+        metavar="A,B,…",
+        help=f"series to measure: {', '.join(SERIES)} (default: all)",
+    )
     given = parser.parse_args()
     result: dict[str, Any] = {}
     for name in given.only.split(","):

@@ -1,10 +1,19 @@
-"""What command buffers cost: recording a draw and replaying it, against drawing it at once.
+"""The cost of command buffers: recording draws and replaying them, compared with drawing directly.
+
+Each draw has constants of its own, so it is two commands (bind_uniform, draw). The triangles have no area, so none is
+rasterised. The variants take turns, round by round, in one process; the figures are medians in microseconds per draw.
+
+- `drawn at once`: the draws are issued on the device.
+- `recorded`: the draws are recorded into a new command buffer, which isn't submitted.
+- `first submission`: a new command buffer is submitted. This includes what is created once: the calls with their
+  arguments, and the buffer of transient constants.
+- `replayed`: a command buffer that was submitted before is submitted again.
+- `recorded on 4 threads, together`: each of 4 threads records a quarter of the draws; the wall time is divided by the
+  number of all draws.
+
+With `transient constants` each draw allocates its constants from transient memory.
 
     python benchmarks/command_buffers.py [--backend gl] [--json] [--draws 5000] [--rounds 15]
-
-Each draw has its own constants, so it is two commands (bind_uniform, draw); triangles end before the rasteriser. The
-variants take turns round by round in one process; figures are medians, in microseconds a draw. `first submission`
-includes what is made once: the calls with their arguments, and the buffer of transient constants.
 """
 
 from __future__ import annotations
@@ -22,7 +31,7 @@ from renderer.measure import alternate
 
 
 def measure(backend: str, draws: int, rounds: int) -> dict[str, float]:
-    """Microseconds a draw, by variant."""
+    """Return the microseconds per draw of each variant."""
     with rhi.create_device(backend, record=False) as device:
         scene = Scene(device, draws, scale=0.0)
 
@@ -33,14 +42,14 @@ def measure(backend: str, draws: int, rounds: int) -> dict[str, float]:
 
         kept, fresh = record(scene.draw), [record(scene.draw)]
         device.submit(kept)
-        makes_anew = {
+        recorded_anew = {
             "first submission": scene.draw,
             "first submission, transient constants": scene.draw_transient,
         }
 
-        def get_ready(name: str) -> None:
-            if name in makes_anew:
-                fresh[0] = record(makes_anew[name])
+        def prepare(name: str) -> None:
+            if name in recorded_anew:
+                fresh[0] = record(recorded_anew[name])
             device.finish()
             gc.collect()
 
@@ -54,12 +63,12 @@ def measure(backend: str, draws: int, rounds: int) -> dict[str, float]:
             "drawn at once, transient constants": lambda _: scene.draw_transient(device),
             "recorded on 4 threads, together": lambda _: record_on_threads(scene, 4),
         }
-        times = alternate(work, range(rounds), before=get_ready)
+        times = alternate(work, range(rounds), before=prepare)
         return {name: each.median / draws * 1e6 for name, each in times.items()}
 
 
 def record_on_threads(scene: Scene, count: int) -> None:
-    """As many draws as one pass has, a part on each thread."""
+    """Record the draws of the scene on `count` threads, an equal share on each."""
 
     def work(part: int) -> None:
         ranges = scene.ranges[part::count]
@@ -76,9 +85,9 @@ def record_on_threads(scene: Scene, count: int) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--backend", default="gl")
-    parser.add_argument("--draws", type=int, default=5000, help="draws a round")
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--backend", default="gl", help="backend to measure (default: %(default)s)")
+    parser.add_argument("--draws", type=int, default=5000, help="draws per round (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=15, help="rounds (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
     result = measure(arguments.backend, arguments.draws, arguments.rounds)
@@ -86,7 +95,7 @@ def main() -> None:
         print(json.dumps(result, indent=2))
         return
     for name, microseconds in result.items():
-        print(f"{name:40} {microseconds:8.2f} µs a draw")
+        print(f"{name:40} {microseconds:8.2f} µs per draw")
 
 
 if __name__ == "__main__":

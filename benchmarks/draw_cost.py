@@ -1,12 +1,17 @@
-"""What a draw costs through rhi, against bare moderngl doing the same OpenGL work with the same GL objects.
+"""The cost of a draw through rhi, compared with bare moderngl doing the same OpenGL work with the same GL objects.
+
+- `bare moderngl`: a loop that binds a range of a uniform buffer and renders a vertex array. It is the reference.
+- `device.draw`, `program.draw`: the same draws through rhi. Each has its own vertex buffer and its own constants.
+- `device.draw_many`: as many draws of one shared mesh in one call, with the constants as instance attributes.
+- `scope of 3 states`: entering and leaving `device.states` with 3 states, without a draw.
+
+The target has 64×64 pixels. The variants take turns, round by round, in one process. A figure is the time of all draws
+of a round divided by their number, the median over the rounds; `ratio` is the median of the ratios to the bare loop of
+the same round. The device is finished between rounds, outside of the measured time, because llvmpipe runs the GPU's
+work on the same cores. Triangles stop before the rasteriser unless --rasterize is given: filling pixels costs all
+variants the same, and would hide the differences.
 
     python benchmarks/draw_cost.py [--json] [--draws 2000] [--triangles 10] [--rounds 41] [--rasterize]
-
-Each draw has its own vertex buffer and its own constants, into a 64×64 target. The variants take turns round by
-round in one process; a figure is the median over the rounds of the time for all draws, divided by their number.
-`ratio` is the median of the per-round ratios to the bare loop of the same round. The GPU's work (llvmpipe runs
-it on the same cores) is waited for between rounds, outside the measured time. Triangles stop before the
-rasteriser unless --rasterize is given: filling pixels costs all variants the same and hides what is measured.
 """
 
 from __future__ import annotations
@@ -48,7 +53,7 @@ class Varying(Struct):
 
 
 class Flat(Shader):
-    """Per-object constants in a uniform range."""
+    """Reads its per-object constants from a range of a uniform buffer."""
 
     camera: Uniform[Camera]
     object: Uniform[Object]
@@ -67,7 +72,7 @@ class CornerOfObject(Corner):
 
 
 class FlatMany(Shader):
-    """Per-object constants in a stream of instances, picked by each draw's base instance."""
+    """Reads its per-object constants from instance attributes, which each draw selects by its base instance."""
 
     camera: Uniform[Camera]
 
@@ -80,7 +85,7 @@ class FlatMany(Shader):
 
 
 def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[str, dict[str, float]]:
-    """Microseconds a draw and ratio to the bare loop, by variant."""
+    """Return the microseconds per draw of each variant, and its ratio to the bare loop."""
     device = rhi.create_device("gl")
     backend = device.backend_as(GlBackend)
     program, many = device.program(Flat), device.program(FlatMany)
@@ -150,7 +155,7 @@ def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[st
     for _ in range(rounds):
         for name, run in variants.items():
             with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
-                # One draw first, so that program and camera are bound alike for the bare loop.
+                # One untimed draw binds the program and the camera, which the bare loop does not bind itself.
                 own_draw(meshes[0], camera=camera, object=ranges[0])
                 start = time.perf_counter()
                 run()
@@ -172,9 +177,9 @@ def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[st
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--draws", type=int, default=2000)
-    parser.add_argument("--triangles", type=int, default=10, help="triangles a draw")
-    parser.add_argument("--rounds", type=int, default=41)
+    parser.add_argument("--draws", type=int, default=2000, help="draws per round (default: %(default)s)")
+    parser.add_argument("--triangles", type=int, default=10, help="triangles per draw (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=41, help="rounds (default: %(default)s)")
     parser.add_argument("--rasterize", action="store_true", help="let the triangles reach the rasteriser")
     options = parser.parse_args()
     result = measure(options.draws, options.triangles, options.rounds, options.rasterize)

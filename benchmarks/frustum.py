@@ -1,9 +1,10 @@
-"""What frustum culling through the hierarchy costs, against testing every box with NumPy.
+"""The cost of frustum culling through the bounding volume hierarchy, compared with testing every box with NumPy.
 
-100,000 boxes on a plain, as of a city, about 5 % of them visible, along a camera path of 200 frames. The
-reference is the fastest plain form found: for each plane the p-vertex of every box, columns contiguous.
-Each other way alternates with it, frame by frame, in one process; medians and ratios are over frames.
-"cold" is the same after 64 MB of other memory were read before each call, as in a busy frame.
+The scene is 100,000 boxes on a plain, like a city, seen along a camera path of 200 frames; about 5 % of the boxes are
+visible. The reference, "every box", is the fastest plain NumPy form that was found: for each plane it tests the
+p-vertex of every box (the corner farthest along the plane's normal), with contiguous columns. Each other method
+alternates with it, frame by frame, in one process. Times are medians over the frames, and a ratio is the quotient of
+the medians. "cold" is the same measurement with 64 MB of other memory read before each call, as in a busy frame.
 
     python benchmarks/frustum.py [--json] [--boxes 100000] [--cube]
 """
@@ -33,7 +34,8 @@ TARGET = 0.2
 
 
 def make_boxes(count: int, cube: bool) -> tuple[Floats, Floats]:
-    """Boxes (count, 3) of .4 to 6 m in a square of 1 km, 60 m high, or in a cube of 1 km."""
+    """Return the lower and upper corners (count, 3) of boxes of .4 to 6 m in a square of 1 km, 60 m high, or in a cube
+    of 1 km."""
     rng = np.random.default_rng(0)
     centre = rng.uniform(-500.0, 500.0, (count, 3))
     if not cube:
@@ -43,7 +45,7 @@ def make_boxes(count: int, cube: bool) -> tuple[Floats, Floats]:
 
 
 def make_cameras(cube: bool) -> list[Camera]:
-    """A walk around the middle that also turns, up to 2 degrees a frame."""
+    """Return the cameras of a path around the center that also turns, by up to 2 degrees per frame."""
     lens = Perspective(fov=np.radians(60.0), far=390.0 if cube else 220.0)
     step = np.arange(FRAMES)
     eyes = np.stack([10 * np.sin(step / 30), np.full(FRAMES, 10.0), 10 * np.cos(step / 30)], axis=1)
@@ -52,7 +54,7 @@ def make_cameras(cube: bool) -> list[Camera]:
 
 
 def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Rows:
-    """Plane after plane, each only on the boxes that the ones before left."""
+    """Return the visible boxes; each plane is tested only on the boxes that passed the planes before it."""
     left: Rows | None = None
     for *normal, d in planes.tolist():
         far = [(upper if n > 0.0 else lower)[:, axis] for axis, n in enumerate(normal)]
@@ -68,7 +70,11 @@ def cull_with_early_out(planes: Floats, lower: Floats, upper: Floats) -> Rows:
 
 
 def measure(count: int, cube: bool) -> dict[str, Any]:
-    """All ways on `count` boxes; raises when one finds another set than the reference."""
+    """Measure all methods on `count` boxes.
+
+    Raises:
+        AssertionError: if a method finds other boxes than the reference.
+    """
     lower, upper = make_boxes(count, cube)
     columns = np.ascontiguousarray(lower.T).T, np.ascontiguousarray(upper.T).T
     started = time.perf_counter()
@@ -99,7 +105,7 @@ def measure(count: int, cube: bool) -> dict[str, Any]:
                     found = candidate(planes)
                     times.append(time.perf_counter() - started)
                     if not np.array_equal(found, rows_expected):
-                        raise AssertionError(f"{name} finds another set than every box")
+                        raise AssertionError(f"{name}: finds other boxes than the test of every box")
             base, median = (float(np.median(times)) for times in spent)
             row[f"{label}microseconds"] = round(1e6 * median, 1)
             row[f"{label}ratio"] = round(median / base, 4)
@@ -119,8 +125,8 @@ def measure(count: int, cube: bool) -> dict[str, Any]:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--boxes", type=int, default=100_000, help="how many boxes (default: %(default)s)")
-    parser.add_argument("--cube", action="store_true", help="boxes fill a cube: more of them cross planes")
+    parser.add_argument("--boxes", type=int, default=100_000, help="number of boxes (default: %(default)s)")
+    parser.add_argument("--cube", action="store_true", help="spread the boxes in a cube: more cross planes")
     given = parser.parse_args()
     result = measure(given.boxes, given.cube)
     if given.json:

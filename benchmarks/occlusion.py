@@ -1,11 +1,12 @@
-"""What CHC++ costs the CPU, calls of the device apart: microseconds for each node visited.
+"""The CPU cost of CHC++ without the device's calls: microseconds per visited node.
 
-The city's camera path, 60 frames. In place of a device stands an oracle that answers at once: an object shows
-if it is within 150 m of the eye, so that about as much is visible as from a street. Seeing all nodes as the
-camera does (NumPy over all nodes) is timed apart from the walk (Python, node by node).
+The camera follows the city's ground path for 60 frames. Queries go to an oracle instead of a device, and are answered
+at once: an object is visible if it is within 150 m of the eye, which is about as much as is visible from a street. The
+update of all nodes for the camera (`update_milliseconds`: NumPy, over all nodes) is timed apart from the traversal
+(`walk_microseconds_per_node`: Python, node by node).
 
-Then, where there is a device that draws, what twice as many objects cost if as many are seen: boxes behind a
-wall and 40 in front of it, the frames of both scenes taking turns.
+On a backend that draws, the benchmark also measures how frame time grows when the scene has twice as many objects but
+the same number are visible: boxes behind a wall, and 40 in front of it. The frames of the two scenes take turns.
 
     python benchmarks/occlusion.py [--json] [--scene city] [--backend gl] [--boxes 10000]
 """
@@ -39,7 +40,7 @@ SIGHT = 150.0
 
 
 class OracleQuery:
-    """Answered at once."""
+    """An occlusion query that is answered at once."""
 
     is_finished = True
 
@@ -48,7 +49,7 @@ class OracleQuery:
 
 
 class OracleQueries:
-    """Stands in for `BoxQueries`; `nodes` (m,) bool says which nodes show."""
+    """A stand-in for `BoxQueries`, with a list `nodes` (m,) of bool: whether each node is visible."""
 
     boxes = draws = 0
     stalled = 0.0
@@ -72,7 +73,7 @@ class OracleQueries:
 
 
 def measure(text: str) -> dict[str, Any]:
-    """Medians over the frames."""
+    """Measure the traversal of the scene `text` names; times are medians over the frames."""
     scene = load_scene(text)
     with rhi.create_device("null") as device:
         algorithm = ChcPlusPlus(scene, device)
@@ -111,7 +112,7 @@ def measure(text: str) -> dict[str, Any]:
 
 
 def make_hidden(count: int) -> Scene:
-    """`count` boxes behind a wall, the same place filled the more densely, and 40 in front of it."""
+    """Return a scene of `count` boxes behind a wall, in a region of fixed size, and 40 in front of it."""
     rng = np.random.default_rng(3)
     builder = SceneBuilder(f"{count} boxes")
     mesh, material = builder.add_mesh(BUILT_IN["box"]()), builder.add_material()
@@ -125,7 +126,7 @@ def make_hidden(count: int) -> Scene:
 
 
 def measure_doubling(backend: str | None, boxes: int) -> dict[str, Any]:
-    """How much longer a frame of twice as many boxes takes; the eye moves a little each frame."""
+    """Measure how much longer a frame with twice as many boxes takes; the eye moves a little each frame."""
     scenes = {str(count): make_hidden(count) for count in (boxes, 2 * boxes)}
     with rhi.create_device(backend) as device, ExitStack() as stack:
         if not device.capabilities.renders:
@@ -156,11 +157,11 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
-        "--scene", default="city", help="a generator with a ground path (default: %(default)s)"
+        "--scene", default="city", help="a scene with a ground path (default: %(default)s)"
     )
-    parser.add_argument("--backend", help="for twice as many objects (default: the first that works)")
+    parser.add_argument("--backend", help="backend for the doubled scene (default: the first that works)")
     parser.add_argument(
-        "--boxes", type=int, default=10_000, help="of the smaller scene (default: %(default)s)"
+        "--boxes", type=int, default=10_000, help="hidden boxes of the smaller scene (default: %(default)s)"
     )
     given = parser.parse_args()
     result = measure(given.scene) | measure_doubling(given.backend, given.boxes)

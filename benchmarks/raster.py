@@ -1,13 +1,20 @@
-"""The OpenCL rasteriser against Mesa's llvmpipe: the same calls of rhi on both, on the same cores.
+"""The OpenCL rasteriser compared with Mesa's llvmpipe: the same calls of rhi on both, on the same cores.
 
-A city of 1,936 blocks. `depth` and `lit` draw its 1.14 million triangles at once, from the ground and from the sky;
-`small` are blocks of 12 triangles, `draws` a draw for each block. `queries` asks for 1,000 boxes, then reads all
-answers; `waited` reads each before it asks for the next, a tenth as many. `lights` shades a full screen with 64 lights,
-`taps` with 4 bilinear taps. `growth` fits time ~ work^slope on doubled triangles, pixels and lights, on cl.
+The scene is a city of 1,936 blocks with 1.14 million triangles. The passes:
 
-Backends take turns round by round in one process, from the first command until the device is done; medians. "ratio" is
-gl's time divided by cl's, the median of the rounds' ratios; "processor" is that of processor time over all threads,
-which holds on a machine that does other things, too.
+- depth, depth_sky: depth only, in one draw, from the ground and from the sky.
+- lit, lit_sky: depth and lit color, in one draw, from the ground and from the sky.
+- small: depth of the same city with 12 triangles per block, from the ground.
+- draws: the same as `depth`, in one draw for each block.
+- queries: 1,000 boxes are counted with one query set, and then all answers are read.
+- waited: a tenth as many boxes; each query is read before the next one begins.
+- lights: a full screen shaded with 64 lights.
+- taps: a full screen with 4 bilinear samples per pixel.
+- growth: the exponents of time ~ work^slope for triangles, pixels and lights on cl, fitted to processor time.
+
+The backends take turns, round by round, in one process. A time runs from the first command until the device is
+finished; figures are medians. "ratio" is gl's time divided by cl's, the median of the rounds' ratios. "processor" is
+the same ratio of processor time over all threads, which stays valid on a machine that does other work, too.
 
     python benchmarks/raster.py [--json] [--rounds 9] [--size 1280x720] [--passes depth,lit,…]
 """
@@ -144,7 +151,7 @@ class Taps(Shader):
 
 
 def make_box(detail: int) -> tuple[NDArray[Any], NDArray[np.uint32]]:
-    """Vertices and indices of a cube of edge 2, each face in detail² quads."""
+    """Return the vertices and indices of a cube with edges of 2, each face split into detail² quads."""
     steps = np.linspace(-1, 1, detail + 1)
     u, v = (a.ravel() for a in np.meshgrid(steps, steps, indexing="ij"))
     quad = np.arange(detail)[:, None] * (detail + 1) + np.arange(detail)
@@ -161,7 +168,7 @@ def make_box(detail: int) -> tuple[NDArray[Any], NDArray[np.uint32]]:
 
 
 def make_city(blocks: int, detail: int) -> tuple[NDArray[Any], NDArray[np.uint32], NDArray[Any]]:
-    """Vertices, indices and boxes of blocks² boxes."""
+    """Return the vertices, indices and bounding boxes of blocks² boxes."""
     vertices, indices = make_box(detail)
     x, z = (
         a.ravel() * 6.0 - blocks * 3 for a in np.meshgrid(np.arange(blocks), np.arange(blocks), indexing="ij")
@@ -178,7 +185,7 @@ def make_city(blocks: int, detail: int) -> tuple[NDArray[Any], NDArray[np.uint32
 
 
 def make_matrix(eye: tuple[float, ...], target: tuple[float, ...], aspect: float) -> NDArray[np.float32]:
-    """World to clip, reversed depth, 0.5 to 600."""
+    """Return the matrix from world to clip space, with reversed depth from 0.5 to 600."""
     away = np.subtract(eye, target) / np.linalg.norm(np.subtract(eye, target))
     right = np.cross((0, 1, 0), away) / np.linalg.norm(np.cross((0, 1, 0), away))
     look = np.eye(4)
@@ -191,7 +198,7 @@ def make_matrix(eye: tuple[float, ...], target: tuple[float, ...], aspect: float
 
 
 class Bench:
-    """The passes on one device."""
+    """The resources and passes of the benchmark on one device."""
 
     def __init__(self, backend: str, size: tuple[int, int]) -> None:
         self.device: Device = rhi.create_device(backend)
@@ -232,24 +239,24 @@ class Bench:
         }
 
     def draw_depth(self, path: str, mesh: rhi.Mesh | None = None) -> None:
-        """All triangles of the city."""
+        """Draw the depth of the city, or of another mesh, in one draw."""
         with self.device.render_pass(depth=self.depth, clear_depth=0.0):
             self.device.draw(self.device.program(Depth), mesh or self.city, view=self.views[path])
 
     def draw_parts(self) -> None:
-        """The same, a draw for each block."""
+        """Draw the depth of the city with one draw for each block."""
         program, view, draw = self.device.program(Depth), self.views["ground"], self.device.draw
         with self.device.render_pass(depth=self.depth, clear_depth=0.0):
             for part in self.parts:
                 draw(program, part, view=view)
 
     def draw_lit(self, path: str) -> None:
-        """Depth and color of the city."""
+        """Draw the depth and the color of the city."""
         with self.device.render_pass(self.color, self.depth, clear=(0, 0, 0, 1), clear_depth=0.0):
             self.device.draw(self.device.program(Lit), self.city, view=self.views[path])
 
     def count_boxes(self, waits: bool) -> None:
-        """Against the depth that is there: all at once, or a tenth of them one by one."""
+        """Count the visible samples of boxes: all at once, or, with `waits`, a tenth of them one by one."""
         device, program, view = self.device, self.device.program(Boxes), self.views["ground"]
         with device.render_pass(depth=self.depth), device.states(CullMode.NONE, DepthWrite.OFF):
             if not waits:
@@ -262,12 +269,12 @@ class Bench:
             self.queries.wait()
 
     def fill(self, program: Any, **bindings: Any) -> None:
-        """A full screen."""
+        """Draw a full-screen triangle."""
         with self.device.render_pass(self.color), self.device.states(DepthTest.OFF, DepthWrite.OFF):
             self.device.draw(program, self.screen, **bindings)
 
     def make_work(self, name: str) -> Callable[[], None]:
-        """What a pass's name stands for."""
+        """Return the function that executes the pass of this name, after preparing what it reads."""
         device = self.device
         if name in ("queries", "waited"):
             self.draw_depth("ground")
@@ -302,7 +309,7 @@ PASSES: Final = (
 
 
 def measure(benches: dict[str, Bench], name: str, rounds: int) -> list[dict[str, Any]]:
-    """A row per backend."""
+    """Measure a pass; return one row for each backend."""
     work = {backend: bench.make_work(name) for backend, bench in benches.items()}
     times: dict[str, list[tuple[float, float]]] = {backend: [] for backend in benches}
     for number in range(-2, rounds):
@@ -330,7 +337,7 @@ def measure(benches: dict[str, Bench], name: str, rounds: int) -> list[dict[str,
 
 
 def measure_growth(rounds: int) -> dict[str, float]:
-    """The slope of log time over log work on cl, for triangles, pixels and lights."""
+    """Return the slope of log processor time over log work on cl, for triangles, pixels and lights."""
 
     def time_of(work: Callable[[], None], device: Device) -> float:
         spent = []
@@ -348,7 +355,7 @@ def measure_growth(rounds: int) -> dict[str, float]:
         depth = device.texture((1280, 720), Format.D32F)
         program = device.program(Depth)
         points: dict[str, list[tuple[float, float]]] = {"triangles": [], "pixels": [], "lights": []}
-        for detail in (3, 4, 6, 8):  # facades in finer quads: the same picture of more triangles
+        for detail in (3, 4, 6, 8):  # finer quads on the facades: the same picture with more triangles
             vertices, indices, _ = make_city(BLOCKS, detail)
             with device.mesh(vertices, indices) as mesh:
 
@@ -382,14 +389,18 @@ def measure_growth(rounds: int) -> dict[str, float]:
 
 
 def main() -> None:
-    """Measure and print."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--json", action="store_true")
-    parser.add_argument("--rounds", type=int, default=9)
-    parser.add_argument("--size", default="1280x720")
-    parser.add_argument("--passes", default=",".join((*PASSES, "growth")))
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+    parser.add_argument("--rounds", type=int, default=9, help="rounds of each pass (default: %(default)s)")
+    parser.add_argument("--size", default="1280x720", metavar="WxH", help="size of the image (default: %(default)s)")
+    parser.add_argument(
+        "--passes",
+        default=",".join((*PASSES, "growth")),
+        metavar="A,B,…",
+        help="passes to measure (default: all)",
+    )
     given = parser.parse_args()
     width, height = map(int, given.size.split("x"))
     names = given.passes.split(",")

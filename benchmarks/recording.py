@@ -1,10 +1,10 @@
-"""How fast commands are recorded on the null device, with call sites, and the memory they take.
+"""The rate at which commands are recorded on the null device, with call sites, and the memory that they use.
+
+Each draw has constants of its own, so it is two commands (bind_uniform, draw). The variants take turns, round by
+round, in one process, with the garbage collector on, as in a program. The figures are medians over the rounds.
+`executed` includes the null backend's execution of the commands, which a fence causes.
 
     python benchmarks/recording.py [--json] [--draws 5000] [--rounds 15]
-
-Each draw has its own constants, so it is two commands (bind_uniform, draw). The variants take turns round by
-round in one process, with the garbage collector on, as in a program; a figure is the median over the rounds.
-`executed` adds what the null backend does with the commands when a fence demands them.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from rhi.contract.descriptors import Primitive
 
 
 def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
-    """Commands a second and bytes a command, by variant."""
+    """Return the commands per second and the bytes per command of each variant."""
     device = rhi.create_device("null")
     scene = Scene(device, draws)
 
@@ -52,7 +52,7 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
         "recorder alone": (bare, lambda: recorder.signal(next(fences)), recorder.stream),
     }
 
-    def get_ready(name: str) -> None:
+    def prepare(name: str) -> None:
         for _, finish, stream in variants.values():
             finish()
             stream.clear()
@@ -65,10 +65,10 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
 
     work: dict[str, Callable[[int], object]] = {name: lambda _, run=run: run() for name, (run, *_) in variants.items()}
     work |= {f"{name}, executed": lambda _, name=name: record_and_execute(name) for name in variants}
-    times = alternate(work, range(rounds), before=get_ready)
+    times = alternate(work, range(rounds), before=prepare)
     rows = {}
     for name, (run, _, stream) in variants.items():
-        get_ready(name)
+        prepare(name)
         run()
         rows[name] = {
             "commands_per_second": len(stream) / times[name].median,
@@ -80,15 +80,15 @@ def measure(draws: int, rounds: int) -> dict[str, dict[str, float]]:
 
 
 def bytes_per_command(stream: rhi.CommandStream) -> float:
-    """Memory of the list and of the instruction offsets in it; arguments are the caller's own objects."""
+    """Return the bytes of the list and of the instruction offsets in it; arguments are the caller's own objects."""
     offsets = sum(sys.getsizeof(command.offset) for command in stream)
     return (sys.getsizeof(stream.data) + offsets) / len(stream)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--draws", type=int, default=5000, help="draws a round")
-    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--draws", type=int, default=5000, help="draws per round (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=15, help="rounds (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
     result = measure(arguments.draws, arguments.rounds)

@@ -1,5 +1,5 @@
-"""What the benchmarks of commands draw: many triangles, each with constants of its own, so two commands a draw
-(bind_uniform, draw)."""
+"""The scene of the benchmarks of commands: many triangles, each drawn with constants of its own, so that a draw is two
+commands (bind_uniform, draw)."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ class Flat(Shader):
 
 
 class Scene:
-    """A device and what a pass of so many draws needs."""
+    """The resources on a device for a pass with a given number of draws."""
 
     def __init__(self, device: rhi.Device, draws: int, size: int = 64, scale: float = 1.0) -> None:
-        """`scale` of the triangles; 0: they end before the rasteriser."""
+        """Create the resources. With a `scale` of 0 the triangles have no area, and none is rasterised."""
         self.device = device
         self.program = device.program(Flat)
         corners = np.array([[-1, -1], [1, -1], [0, 1]], np.float32) * scale
@@ -42,20 +42,20 @@ class Scene:
         device.finish()
 
     def draw(self, encoder: rhi.Encoder) -> None:
-        """The pass."""
+        """Draw or record the pass."""
         draw, program, mesh = encoder.draw, self.program, self.mesh
         with encoder.render_pass(self.image, clear=(0, 0, 0, 1)):
             for constants in self.ranges:
                 draw(program, mesh, object=constants)
 
     def draw_transient(self, encoder: rhi.Encoder) -> None:
-        """The pass, with constants in transient memory."""
+        """Draw or record the pass with its constants in transient memory."""
         value = Object(offset=(0, 0, 0, 0))
         with encoder.render_pass(self.image, clear=(0, 0, 0, 1)):
             for _ in self.ranges:
                 encoder.draw(self.program, self.mesh, object=encoder.transient.uniform(value))
 
     def present(self) -> None:
-        """The end of the frame, with all of its work done."""
+        """Present the frame and wait until its work is done."""
         self.device.present(self.image)
         self.device.finish()

@@ -1,9 +1,9 @@
-"""How fast the simulated GPU takes commands, against the null device that only executes them.
+"""The rate at which the simulated GPU processes commands, compared with the null device, which only executes them.
+
+Each draw has constants of its own, so it is two commands (bind_uniform, draw). A frame is recorded, presented and
+waited for. The variants take turns, round by round, in one process; figures are medians over the rounds.
 
     python benchmarks/simulation.py [--json] [--draws 5000] [--rounds 9]
-
-Each draw has its own constants, so it is two commands (bind_uniform, draw); a frame is recorded, presented
-and waited for. The variants take turns round by round in one process; figures are medians over the rounds.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from rhi.backends.null import Simulation
 
 
 def make(draws: int, simulation: Simulation | None) -> Scene:
-    """A scene on a null device, simulated or not."""
+    """Create the scene on a null device, with or without a simulation."""
     options = {} if simulation is None else {"simulation": simulation}
     return Scene(rhi.create_device("null", **options), draws, size=256)
 
 
 def measure(draws: int, rounds: int) -> dict[str, float]:
-    """Commands a second, by variant: with constants in memory of their own, or in the ring."""
+    """Return the commands per second of each variant, with constants in a uniform array or in transient memory."""
     scenes = {
         "executed": make(draws, None),
         "simulated": make(draws, Simulation()),
@@ -50,8 +50,8 @@ def measure(draws: int, rounds: int) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--draws", type=int, default=5000, help="draws a frame")
-    parser.add_argument("--rounds", type=int, default=9)
+    parser.add_argument("--draws", type=int, default=5000, help="draws per frame (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=9, help="rounds (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     arguments = parser.parse_args()
     result = measure(arguments.draws, arguments.rounds)

@@ -1,8 +1,9 @@
-"""What `software_depth` costs beside the renderer's device: building depth, and testing boxes against it.
+"""The cost of `software_depth` on its own OpenCL device: building the depth, and testing boxes against it.
 
-City, from the middle of each path: the depth of the occluders that it chooses, tiles included, then `--boxes` boxes in
-one batch, those of the objects in the frustum over and over; medians. `test_milliseconds` has the upload and the answer
-in it.
+The camera stands at the middle of each path of the scene. `depth_milliseconds` is the time to draw the depth of the
+occluders that the algorithm chooses and to reduce it to the farthest depth of each tile. `test_milliseconds` is the
+time to test `--boxes` boxes in one batch, including the upload and the readback; the boxes are those of the objects
+in the frustum, repeated. Times are medians.
 
     python benchmarks/software_depth.py [--json] [--scene city] [--boxes 10000] [--size 960x540] [--rounds 60]
 """
@@ -30,11 +31,11 @@ from renderer.visibility.gpu.occluder_depth import OccluderDepth
 from renderer.visibility.software_depth import BACKEND, OCCLUDERS
 
 TARGET = 2.0
-"""Milliseconds for 10,000 boxes."""
+"""The goal for testing 10,000 boxes, in milliseconds."""
 
 
 def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: int) -> dict[str, Any]:
-    """A row for one path."""
+    """Measure one path; return its row."""
     frames = scene.paths[path]
     camera = frames.camera(len(frames) // 2).with_aspect(size[0] / size[1])
     rows = find_visible_objects(FrustumCulling(scene), camera)
@@ -42,12 +43,12 @@ def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: 
     chosen = algorithm.choose_occluders(camera, rows)
     algorithm.destroy()
     lower, upper, far = pad_boxes(camera, scene.objects.lower[rows], scene.objects.upper[rows])
-    asked = np.resize(np.flatnonzero(~find_near(camera, lower, upper, far)), boxes)
-    centre, half = 0.5 * (lower + upper)[asked] - camera.position, 0.5 * (upper - lower)[asked]
+    tested = np.resize(np.flatnonzero(~find_near(camera, lower, upper, far)), boxes)
+    centre, half = 0.5 * (lower + upper)[tested] - camera.position, 0.5 * (upper - lower)[tested]
     times = []
     with rhi.create_device(BACKEND) as device:
         depth = OccluderDepth(device, scene, OCCLUDERS, boxes)
-        for _ in range(rounds + 3):  # the first ones compile
+        for _ in range(rounds + 3):  # the first rounds compile, and are dropped
             begin = time.perf_counter()
             depth.render(camera, chosen, size)
             device.finish()
@@ -70,12 +71,14 @@ def measure(scene: Scene, path: str, boxes: int, size: tuple[int, int], rounds: 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--scene", default="city", help="one with paths (default: %(default)s)")
-    parser.add_argument("--boxes", type=int, default=10_000, help="to test at once (default: %(default)s)")
     parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="(default: 960x540)"
+        "--scene", default="city", help="a scene with paths `ground` and `sky` (default: %(default)s)"
     )
-    parser.add_argument("--rounds", type=int, default=60, help="of each path (default: %(default)s)")
+    parser.add_argument("--boxes", type=int, default=10_000, help="boxes to test in one batch (default: %(default)s)")
+    parser.add_argument(
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="size of the image (default: 960x540)"
+    )
+    parser.add_argument("--rounds", type=int, default=60, help="rounds for each path (default: %(default)s)")
     given = parser.parse_args()
     scene = load_scene(given.scene)
     rows = [measure(scene, path, given.boxes, given.size, given.rounds) for path in ("ground", "sky")]

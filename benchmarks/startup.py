@@ -1,8 +1,9 @@
-"""How long `import rhi` takes, in fresh processes.
+"""The time that `import rhi` takes in a new process.
+
+Each run is a new interpreter, and the interpreter's own start isn't counted. `import numpy` is timed for comparison,
+because `import rhi` includes it.
 
     python benchmarks/startup.py [--json] [--runs 15]
-
-Each run is a new interpreter. NumPy's own import is timed beside it: it is most of what there is.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ IMPORTS = {
 
 
 def time_import(statement: str) -> float:
-    """Seconds that a statement takes in a new interpreter, without the interpreter's start."""
+    """Return the seconds that a statement takes in a new interpreter, without the interpreter's start."""
     code = f"import time; start = time.perf_counter(); {statement}; print(time.perf_counter() - start)"
     return float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
 
@@ -29,7 +30,7 @@ def time_import(statement: str) -> float:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print the figures as JSON")
-    parser.add_argument("--runs", type=int, default=15)
+    parser.add_argument("--runs", type=int, default=15, help="runs of each import (default: %(default)s)")
     options = parser.parse_args()
     times: dict[str, list[float]] = {name: [] for name in IMPORTS}
     for _ in range(options.runs):

@@ -1,10 +1,10 @@
-"""How fast traces are: replayed on the null device, compared, saved and loaded.
+"""The speed of traces: replayed on the null device, compared, saved and loaded.
+
+The trace is frames of draws in labelled passes, each object with a binding of its own. `replay` includes everything
+that the null device does, the recording of the replayed commands included; `replay, not recorded` is the same on a
+device without a recorder. The variants take turns, round by round; figures are medians.
 
     python benchmarks/traces.py [--commands N] [--rounds N] [--json]
-
-The trace is frames of draws in labelled passes, each object with a binding of its own. `replay` counts all
-that the null device does, the recording of what is replayed included; `replay, not recorded` is the same on a
-device without a recorder. Medians of the rounds, taken in turn.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ from rhi.trace import Trace, diff, load, replay, save
 
 
 def record(commands: int, changed: int = -1) -> Trace:
-    """A trace of about so many commands; draw `changed` is another."""
+    """Return a trace of at least `commands` commands. The draw with the number `changed` has two instances, all others
+    have one."""
     with rhi.create_device("null") as device:
         scene = Scene(device, 64)
         drawn = 0
@@ -41,7 +42,7 @@ def record(commands: int, changed: int = -1) -> Trace:
 
 
 def measure(commands: int = 10_000, rounds: int = 7) -> dict[str, float]:
-    """Commands a second of each kind of work, and seconds of a diff."""
+    """Return the commands per second of each kind of work, and the seconds of each diff."""
     trace, other = record(commands), record(commands, commands // 4)
     folder = tempfile.TemporaryDirectory()
     file = Path(folder.name) / "trace.zip"
@@ -69,8 +70,8 @@ def measure(commands: int = 10_000, rounds: int = 7) -> dict[str, float]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
-    parser.add_argument("--commands", type=int, default=10_000)
-    parser.add_argument("--rounds", type=int, default=7)
+    parser.add_argument("--commands", type=int, default=10_000, help="length of the trace (default: %(default)s)")
+    parser.add_argument("--rounds", type=int, default=7, help="rounds (default: %(default)s)")
     parser.add_argument("--json", action="store_true", help="print JSON instead of a table")
     options = parser.parse_args()
     result = measure(options.commands, options.rounds)

@@ -1,12 +1,12 @@
-"""What culling on the device finds, misses and costs: `two_pass`, and `depth_pyramid` beside it.
+"""What culling on the device finds, misses and costs: `two_pass` and `depth_pyramid`.
 
-- Along a path, against an exact count: every object drawn with its number as colour, the nearest of each pixel kept.
-  `culled_share` is how many of the hidden objects in the frustum were not drawn; `second_share` how many objects of
-  those in the frustum the second list had; `wrong_pixels` the most in a frame that show something else than without
-  culling. The first frame isn't counted but for its pixels. After the path come as many teleports as are asked for,
-  which count for their pixels alone.
-- What a frame costs the CPU, with 10,000 objects and with 100,000: on the null device, which does nothing of what it is
-  told, the whole of `Renderer.render`; both in turns, medians.
+- Visibility along a path, compared with exact counts: every object is drawn with its number as its color, and the
+  nearest one is kept for each pixel. `culled_share` is the share of the hidden objects in the frustum that weren't
+  drawn. `second_share` is the number of objects in the second draw list, as a share of those in the frustum.
+  `wrong_pixels` is the largest number of pixels in a frame that differ from the image without culling. The path is
+  followed by `--teleports` frames at random places. These and the first frame count only for `wrong_pixels`.
+- CPU time of a frame with 10,000 and with 100,000 objects: the processor time of the whole of `Renderer.render`, on
+  the null device, which executes no draws. The two scenes take turns, frame by frame; figures are medians.
 
     python benchmarks/two_pass.py [--json] [--scene city] [--frames 60] [--teleports 12] [--size 960x540]
 """
@@ -49,7 +49,7 @@ ROUNDS = 60
 def measure_path(
     device: rhi.Device, scene: Scene, path: str, frames: int, teleports: int, size: tuple[int, int]
 ) -> list[dict[str, Any]]:
-    """A row for each algorithm."""
+    """Measure a path; return one row for each algorithm."""
     aspect, middle = size[0] / size[1], len(scene.paths[path]) // 2
     smooth = [scene.paths[path].camera(middle - frames // 2 + frame) for frame in range(frames + 1)]
     rng = np.random.default_rng(1)
@@ -94,7 +94,7 @@ def measure_path(
 
 
 def measure_cpu() -> list[dict[str, Any]]:
-    """A row for each algorithm, by the processor time of the thread that renders."""
+    """Measure the processor time of the thread that renders; return one row for each algorithm."""
     rows = []
     scenes = [load_scene(f"grid:mesh=box,count={count}") for count in COUNTS]
     for name, make in ALGORITHMS.items():
@@ -129,13 +129,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--scene", default="city", help="a scene with paths (default: %(default)s)")
-    parser.add_argument("--paths", default="ground,sky", help="which (default: %(default)s)")
-    parser.add_argument("--frames", type=int, default=60, help="of each path (default: %(default)s)")
-    parser.add_argument("--teleports", type=int, default=12, help="after them (default: %(default)s)")
+    parser.add_argument("--paths", default="ground,sky", help="paths to measure (default: %(default)s)")
+    parser.add_argument("--frames", type=int, default=60, help="frames of each path (default: %(default)s)")
+    parser.add_argument("--teleports", type=int, default=12, help="teleports after each path (default: %(default)s)")
     parser.add_argument(
-        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="(default: 960x540)"
+        "--size", type=parse_size, default=(960, 540), metavar="WxH", help="size of the image (default: 960x540)"
     )
-    parser.add_argument("--backend", help="that draws (default: the first that works)")
+    parser.add_argument("--backend", help="a backend that draws (default: the first that works)")
     given = parser.parse_args()
     scene = load_scene(given.scene)
     with rhi.create_device(given.backend) as device:

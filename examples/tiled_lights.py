@@ -152,7 +152,7 @@ class FindLamps(Shader):
     depth: Texture2D
     counts: StorageRW[int]
     lists: StorageRW[int]
-    depths = shared(int, 2)  # bits of the nearest and the farthest: positive floats are ordered like ints
+    depths = shared(int, 2)  # bits of the nearest and the farthest depth: positive floats are ordered like ints
     found = shared(int, 1)
 
     def unproject(self, pixel: vec2, depth: float) -> vec3:
@@ -262,7 +262,7 @@ class Renderer:
         self.depths = device.texture(size, Format.D32F, samples=samples, label="samples of depth")
         self.depth = device.texture(size, Format.D32F, label="depth")
         self.shadow_map = device.texture((SHADOW_SIZE, SHADOW_SIZE), Format.D32F, label="shadow map")
-        border = Wrap.BORDER  # 0, the farthest depth: points beyond the map are lit
+        border = Wrap.BORDER  # its depth is 0, the farthest one: points outside of the map are lit
         self.shadow = self.shadow_map.sampled(
             SamplerDescriptor(compare=Comparison.GREATER_EQUAL, mip=None, wrap_u=border, wrap_v=border)
         )
@@ -284,9 +284,9 @@ class Renderer:
         self.is_queried = False
 
     def render(self, eye: tuple[float, float, float], target: tuple[float, float, float]) -> None:
-        """Draw and present a frame."""
+        """Render and present a frame."""
         device = self.device
-        if self.is_queried:  # a cell that comes into view is drawn one frame late
+        if self.is_queried:  # last frame's results: a cell that comes into view is drawn one frame late
             self.visible = self.queries.wait() != 0
         from_world = perspective(self.size[0] / self.size[1]) @ look(eye, target)
         view = device.transient.uniform(
@@ -348,7 +348,8 @@ def make_cube() -> tuple[NDArray[np.void], NDArray[np.uint16]]:
 
 
 def make_boxes() -> tuple[NDArray[np.void], NDArray[np.intp]]:
-    """Make boxes in cells of 5×5 with a plate under each; return them, and the first box of each cell with an end."""
+    """Make cells of 5×5 boxes on a plate; return the boxes sorted by cell, and the index of each cell's first box,
+    followed by the number of boxes."""
     rng = np.random.default_rng(7)
     boxes = np.zeros((CELLS, CELLS, 26), Box.dtype)
     x, z = np.meshgrid(np.arange(CELLS), np.arange(CELLS), indexing="ij")
@@ -397,7 +398,7 @@ def perspective(aspect: float, lens: float = 1.7) -> NDArray[np.float64]:
 
 
 def orthographic(reach: float, far: float) -> NDArray[np.float64]:
-    """Return a parallel projection with reversed depth: 1 at the eye, 0 at `far`."""
+    """Return an orthographic projection with reversed depth: 1 at the eye, 0 at `far`."""
     return np.array([[1 / reach, 0, 0, 0], [0, 1 / reach, 0, 0], [0, 0, 1 / far, 1], [0, 0, 0, 1]])
 
 

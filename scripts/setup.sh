@@ -1,7 +1,9 @@
-# Sourced by demo.sh and test.sh: makes .venv with what is asked for, and the system drivers where they are
-# missing and may be installed. Says what it installs. Expects to be in the project's root.
+# Sourced by demo.sh and test.sh, in the project's root. Defines
 #
 #   setup EXTRA [DEBIAN PACKAGE …]
+#
+# which creates .venv with rhi[EXTRA], and installs those Debian packages (drivers) that are missing if this user may.
+# It prints what it installs.
 
 say() { printf '[setup] %s\n' "$*"; }
 
@@ -15,7 +17,7 @@ install_packages() {
     local sudo=""
     if [ "$(id -u)" -ne 0 ]; then
         if ! command -v sudo >/dev/null || ! sudo -n true 2>/dev/null; then
-            say "missing system packages, and no right to install them: ${missing[*]}"
+            say "system packages are missing, and this user can't install them: ${missing[*]}"
             say "as an administrator: apt-get install ${missing[*]}"
             return 0
         fi
@@ -24,7 +26,7 @@ install_packages() {
     say "installing system packages: ${missing[*]}"
     $sudo apt-get update -qq || true
     DEBIAN_FRONTEND=noninteractive $sudo apt-get install -y -qq --no-install-recommends "${missing[@]}" >/dev/null ||
-        say "apt-get could not install: ${missing[*]} (going on without)"
+        say "apt-get could not install: ${missing[*]} (continuing without them)"
 }
 
 find_python() {
@@ -50,10 +52,10 @@ setup() {
     python="$(find_python)" || { say "Python 3.11 or newer is needed"; exit 1; }
     if [ ! -x .venv/bin/python ]; then
         "$python" -c 'import ensurepip' 2>/dev/null || install_packages python3-venv
-        say "making .venv with $("$python" --version)"
+        say "creating .venv with $("$python" --version)"
         "$python" -m venv .venv
     fi
-    # What is installed is remembered by the project file's checksum, so that a second run starts at once.
+    # A file named after the checksum of pyproject.toml records that it is installed, so that a second run starts at once.
     local stamp
     stamp=".venv/.setup-$extra-$(cksum <pyproject.toml | tr ' ' '-')"
     if [ ! -e "$stamp" ]; then

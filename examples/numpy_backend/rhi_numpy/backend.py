@@ -1,7 +1,7 @@
 """The numpy backend: rhi's contract on NumPy. Memory, copies, clears, time and compute; no draws.
 
-The example port of docs/porting.md, steps 1 to 4. Every call is executed at once, so order is the order of the
-calls, reads wait for nothing and a fence is passed when it is signalled.
+The example of docs/porting.md, steps 1 to 4. Every call is executed at once. So commands execute in the order of the
+calls, reads never wait, and a fence is completed as soon as it is signalled.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from rhi.contract import (
 from rhi_numpy.memory import Memory
 from rhi_numpy.programs import Program
 
-__rhi_internal__ = True  # call sites name the line that called rhi, not ours
+__rhi_internal__ = True  # errors name the line that called rhi, not one of this module
 
 
 class NumpyBackend:
-    """One device; see `rhi.Backend`."""
+    """One device; see `rhi.contract.Backend`."""
 
     def __init__(self) -> None:
         self._capabilities = Capabilities(
@@ -86,8 +86,8 @@ class NumpyBackend:
         return self._memory.buffers[buffer][offset : offset + size].tobytes()
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
-        taken = self._memory.buffers[source][source_offset : source_offset + size]
-        self._memory.buffers[target][target_offset : target_offset + size] = taken
+        data = self._memory.buffers[source][source_offset : source_offset + size]
+        self._memory.buffers[target][target_offset : target_offset + size] = data
 
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
         self._memory.buffers[buffer][offset : offset + size].view("<u4")[:] = value
@@ -98,7 +98,7 @@ class NumpyBackend:
         self._memory.create_texture(texture, descriptor)
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        """Nothing samples: `max_texture_slots` is 0."""
+        """Do nothing: no shader can sample a texture, since `max_texture_slots` is 0."""
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
         self._memory.write_texture(texture, level, region, data)
@@ -127,7 +127,7 @@ class NumpyBackend:
         self._memory.clear_targets(descriptor)
 
     def end_pass(self) -> None:
-        """Nothing to resolve: `max_samples` is 1."""
+        """Do nothing: `max_samples` is 1, so there is nothing to resolve."""
 
     # -- 3: time and labels ------------------------------------------------------------------------------
 
@@ -138,7 +138,7 @@ class NumpyBackend:
         return self._fence
 
     def wait(self, value: int, seconds: float) -> bool:
-        return True  # the device waits only for what was signalled
+        return True  # the front end waits only for values that were signalled
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
         self._times[query] = None
@@ -150,13 +150,13 @@ class NumpyBackend:
         return self._times[query]
 
     def push_label(self, text: str) -> None:
-        """For tools; there are none."""
+        """Do nothing: labels are for debugging tools, and NumPy has none."""
 
     def pop_label(self) -> None:
-        """For tools; there are none."""
+        """Do nothing, as in `push_label`."""
 
     def present(self, texture: Id) -> None:
-        """There is no window."""
+        """Do nothing: there is no window."""
 
     # -- 4: compute --------------------------------------------------------------------------------------
 
@@ -179,11 +179,11 @@ class NumpyBackend:
         x, y, z = np.frombuffer(self.read_buffer(buffer, offset, 12), "<u4").tolist()
         self.dispatch(x, y, z)
 
-    # -- 5 to 8: what needs capabilities that are declared missing ---------------------------------------
+    # -- 5 to 8: methods whose capabilities are declared missing -----------------------------------------
 
     def _refuse(self, *arguments: object) -> NoReturn:
         refuse(
-            rules.DEVICE_CAPABILITY, "the numpy backend", "a draw, or what serves draws", "memory and compute"
+            rules.DEVICE_CAPABILITY, "the numpy backend", "a draw, or a call that draws need", "memory and compute"
         )
 
     create_vertex_array = set_states = draw = draw_indirect = resolve_texture = _refuse

@@ -1,7 +1,8 @@
 """Buffers and textures as arrays.
 
-A buffer is bytes. A texture's level is an array (layers, height, width, channels) as `Texture.read` gives it, top
-row first; depth is float32 with the values that its format has, stencil an array of its own.
+A buffer is an array of bytes. A level of a texture is an array (layers, height, width, channels) like the one that
+`Texture.read` returns, top row first. Depth is float32, limited to the values that its format can store; stencil is a
+separate array.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ __rhi_internal__ = True
 
 @dataclass
 class Texture:
-    """A texture's levels, and those of its stencil if it has one."""
+    """The levels of a texture, and those of its stencil if it has one."""
 
     descriptor: TextureDescriptor
     levels: list[NDArray[Any]] = field(default_factory=list)
@@ -48,20 +49,20 @@ class Memory:
         self.buffers[buffer] = _zeros((descriptor.size,), np.dtype(np.uint8), "device.buffer")
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        made = Texture(descriptor)
+        created = Texture(descriptor)
         format = descriptor.format
         for level in range(descriptor.levels):
             width, height = descriptor.level_size(level)
             box = descriptor.level_layers(level), height, width
-            made.levels.append(_zeros((*box, format.channels), format.dtype, "device.texture"))
+            created.levels.append(_zeros((*box, format.channels), format.dtype, "device.texture"))
             if format.has_stencil:
-                made.stencil.append(_zeros((*box, 1), np.dtype(np.uint8), "device.texture"))
-        self.textures[texture] = made
+                created.stencil.append(_zeros((*box, 1), np.dtype(np.uint8), "device.texture"))
+        self.textures[texture] = created
 
     def box(self, texture: Id, level: int, region: Region, stencil: bool = False) -> NDArray[Any]:
-        """The texels of a region, to be read or written in place."""
-        made = self.textures[texture]
-        return (made.stencil if stencil else made.levels)[level][
+        """Return a view of the texels in a region, which can be read and written."""
+        stored = self.textures[texture]
+        return (stored.stencil if stencil else stored.levels)[level][
             region.layer : region.layer + region.layers,
             region.y : region.y + region.height,
             region.x : region.x + region.width,
@@ -79,25 +80,25 @@ class Memory:
             self.box(target, target_level, target_region, True)[:] = self.box(source, level, region, True)
 
     def generate_mipmaps(self, texture: Id) -> None:
-        made = self.textures[texture]
-        for above, below in zip(made.levels, made.levels[1:], strict=False):
-            below[:] = halve(made.descriptor.format, above, len(below))
+        stored = self.textures[texture]
+        for above, below in zip(stored.levels, stored.levels[1:], strict=False):
+            below[:] = halve(stored.descriptor.format, above, len(below))
 
     def clear_targets(self, descriptor: PassDescriptor) -> None:
-        """What a pass clears at its beginning."""
+        """Clear the targets for which a pass requests it."""
         for color in descriptor.colors:
             if color.clear is not None:
-                made = self.textures[color.texture]
-                texel = np.array(color.clear, np.float64)[: made.descriptor.format.channels]
-                made.levels[color.level][color.layer] = encode(made.descriptor.format, texel)
+                stored = self.textures[color.texture]
+                texel = np.array(color.clear, np.float64)[: stored.descriptor.format.channels]
+                stored.levels[color.level][color.layer] = encode(stored.descriptor.format, texel)
         depth = descriptor.depth
         if depth is None:
             return
-        made = self.textures[depth.texture]
+        stored = self.textures[depth.texture]
         if depth.clear is not None:
-            made.levels[depth.level][depth.layer] = encode(made.descriptor.format, np.array([depth.clear]))
+            stored.levels[depth.level][depth.layer] = encode(stored.descriptor.format, np.array([depth.clear]))
         if depth.clear_stencil is not None:
-            made.stencil[depth.level][depth.layer] = depth.clear_stencil
+            stored.stencil[depth.level][depth.layer] = depth.clear_stencil
 
 
 def _zeros(shape: tuple[int, ...], dtype: np.dtype[Any], call: str) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""Compute programs: what the shading language writes for NumPy, run on the bound ranges."""
+"""Compute programs: the NumPy code that the shading language emits, run on the bound ranges of buffers."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Program:
         buffers: Mapping[Id, NDArray[np.uint8]],
         ranges: Mapping[tuple[BindingKind, int], tuple[Id, int, int]],
     ) -> None:
-        """Run work-groups on what is bound."""
+        """Run work-groups on the bound ranges."""
         memory: dict[str, Any] = {}
         for binding in self._bindings:
             buffer, offset, size = ranges[binding.kind, binding.slot]

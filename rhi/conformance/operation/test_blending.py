@@ -102,7 +102,7 @@ def test_without_a_scope_nothing_blends(device: Device) -> None:
 
 
 def test_draws_blend_in_order(device: Device) -> None:
-    """Half of white over half of black is not half of black over half of white."""
+    """The order of two blended draws matters: white over black at half opacity isn't black over white."""
     rows = np.concatenate([rectangle(color=(1, 1, 1, 0.5)), rectangle(color=(0, 0, 0, 0.5))])
     with device.texture((2, 2), Format.RGBA32F) as image, device.mesh(rows) as mesh:
         for order, expected in (((0, 6), 0.25), ((6, 0), 0.5)):

@@ -228,7 +228,7 @@ def test_a_clear_holds_its_place_among_writes(device: Device) -> None:
         assert_same(buffer.read(), [5, 5, 6, 5])
 
 
-# -- life ------------------------------------------------------------------------------------------------
+# -- lifetime --------------------------------------------------------------------------------------------
 
 
 def test_a_buffer_ends_with_its_with_block(device: Device) -> None:

@@ -1,6 +1,6 @@
 """Clears under draws: a backend may defer a clear until it draws, so the result must not depend on what is drawn where.
 
-Targets are larger than a rasteriser's tiles and no multiple of them.
+Targets are larger than a rasteriser's tiles, and their sizes aren't multiples of a tile's.
 """
 
 from __future__ import annotations

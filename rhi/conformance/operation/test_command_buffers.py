@@ -73,7 +73,7 @@ class Double(Shader):
 
 
 def record(device: Device, give: Callable[[CommandBuffer], object]) -> CommandBuffer:
-    """Return a command buffer with the commands that `give` records."""
+    """Return a command buffer with the commands that the function `give` records."""
     with device.record() as commands:
         give(commands)
     return commands
@@ -260,9 +260,9 @@ def test_what_is_drawn_later_is_what_is_drawn_at_once(device: Device) -> None:
 def test_the_same_commands_are_issued_as_directly(recording: Device) -> None:
     program, mesh, tints = make_scene(recording)
     with recording.texture(SIZE, Format.RGBA8) as image:
-        scene(recording, recording, image, program, mesh, tints)  # makes what is made once
+        scene(recording, recording, image, program, mesh, tints)  # creates resources on first use
         empty = record(recording, lambda c: None)
-        recording.submit(empty)  # brings the states to the defaults
+        recording.submit(empty)  # resets the states to the defaults
         since = len(recording.stream)
         commands = record(recording, lambda c: scene(c, recording, image, program, mesh, tints))
         recording.submit(commands)
@@ -369,7 +369,7 @@ def test_transient_constants_of_a_buffer_live_as_long_as_it_does(device: Device)
                 tint = commands.transient.uniform(Tint(color=(i, 0, 0, 1)))
                 commands.draw(program, mesh.view(6 * i, 6), tint=tint)
         for frame in range(4):
-            with device.render_pass(image, clear=(9, 0, 0, 0)):  # and the device's own ring goes round
+            with device.render_pass(image, clear=(9, 0, 0, 0)):  # meanwhile the device's own ring wraps
                 for _ in range(64):
                     other = device.transient.uniform(Tint(color=(frame, 0, 0, 1)))
                     device.draw(program, mesh, tint=other)
@@ -398,7 +398,7 @@ def test_ad_hoc_geometry_can_be_recorded(device: Device) -> None:
 
 @pixels
 def test_transient_things_of_all_kinds_lie_side_by_side(device: Device) -> None:
-    """Allocations have sizes that are no multiples of the others' alignments."""
+    """The size of each kind of allocation isn't a multiple of the alignment of the other kinds."""
     with device.texture(SIZE, Format.R32F) as image, device.mesh(COLUMNS) as mesh:
         program, colored = device.program(Tinted), device.program(Colored)
         with device.record() as commands, commands.render_pass(image, clear=(-1, 0, 0, 0)):
@@ -463,9 +463,8 @@ def test_threads_record_draws_of_the_same_mesh_and_program(device: Device) -> No
         assert_same(image.read(), np.broadcast_to(np.arange(1.0, 9.0), (8, 8)))
         device.submit(*made.values())
         assert_same(image.read(), np.broadcast_to(2 * np.arange(1.0, 9.0), (8, 8)))
-        with device.render_pass(
-            image, clear=(0, 0, 0, 0)
-        ):  # what the buffers made of the mesh serves the device
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            # The device can use the vertex arrays that the command buffers created for the mesh.
             device.draw(program, mesh, tint=device.transient.uniform(Tint(color=(3, 0, 0, 1))))
         assert_same(image.read(), 3)
 
@@ -628,7 +627,7 @@ def test_a_clear_keeps_its_place_among_dispatches(device: Device) -> None:
         assert_same(rows.read(), 9)
 
 
-# -- life --------------------------------------------------------------------------------------------------
+# -- lifetime ----------------------------------------------------------------------------------------------
 
 
 @draws

@@ -274,7 +274,7 @@ def test_a_storage_buffer_knows_its_length(device: Device) -> None:
 
 
 class Pick(Struct):
-    """One number."""
+    """A number."""
 
     value: float
 
@@ -418,7 +418,7 @@ def test_atomics_lose_nothing(device: Device) -> None:
         assert_same(a.read(), [(2 - i).sum(), 100 - 255, 155])
         result = b.read()
         assert_same(result[:6], [i.sum(), 7, 255, 255, 0xFFFFFF00, np.bitwise_xor.reduce(i)])
-        assert 1000 <= result[6] < 1256, "one of them found the 5"
+        assert 1000 <= result[6] < 1256, "exactly one invocation replaced the 5"
         assert_same(result[7:], [256, 42])
         assert_same(np.sort(order.read()), i)
 
@@ -512,7 +512,7 @@ def test_one_layer_is_an_image(device: Device) -> None:
 
 
 class StoreLayers(Shader):
-    """Stores in each texel of an array its layer."""
+    """Stores its number in each texel of an array, counted across rows and layers."""
 
     target: Image2DArray = image(Format.R32F)
 
@@ -523,7 +523,7 @@ class StoreLayers(Shader):
 
 
 class StoreVolume(Shader):
-    """Stores in each texel of a volume its number."""
+    """Stores its number in each texel of a volume, counted across rows and slices."""
 
     target: Image3D = image(Format.R32F)
 
@@ -545,11 +545,11 @@ def test_all_layers_are_an_image(device: Device, kind: TextureKind, shader: Any)
         assert_same(target.read_layers(), np.arange(24).reshape(4, 2, 3, 1))
 
 
-# -- order -------------------------------------------------------------------------------------------------
+# -- order of dispatches and other commands ----------------------------------------------------------------
 
 
 class Double(Shader):
-    """Doubles its neighbour's number, which another invocation of the dispatch before wrote."""
+    """Computes 2x + 1 of the number x that another invocation of the previous dispatch wrote."""
 
     work_group = (32,)
     source: Storage[uint]

@@ -40,7 +40,7 @@ def depth_after(
     device: Device, *draws: VertexRows, clear: float = 0.0, states: tuple[rhi.State, ...] = (DepthTest.ON,),
     format: Format = Format.D32F, size: tuple[int, int] = SIZE,
 ) -> NDArray[Any]:  # fmt: skip
-    """Return the depth buffer after drawing rows in order."""
+    """Return the depth buffer after one draw for each of `draws`, in order."""
     with device.texture(size, format) as depth:
         with device.render_pass(depth=depth, clear_depth=clear), device.states(*states):
             for rows in draws:
@@ -83,7 +83,7 @@ def test_float_depth_is_precise_near_zero(device: Device) -> None:
 
 
 def test_float_depth_is_not_squeezed_on_its_way(device: Device) -> None:
-    """A mapping through −1…1 would lose the low bits of depths near 0."""
+    """An intermediate mapping to −1…1 would lose the low bits of depths near 0."""
     depths = np.float32(2.0) ** -np.arange(8, 24, dtype=np.float32)
     for depth in depths[::5]:
         assert_near(
@@ -198,7 +198,7 @@ def test_a_ramp_is_clipped_where_it_leaves_the_range(device: Device) -> None:
 
 
 def test_an_infinite_far_plane_can_be_drawn_to(device: Device) -> None:
-    """A vertex at infinity has w 0 before the camera moves it; reversed depth puts it at exactly 0."""
+    """Points at infinity are homogeneous vectors with w = 0; reversed depth maps them to exactly 0."""
     rows = rectangle(depth=0.0)
     assert_same(depth_after(device, rows, clear=0.0, states=(DepthFunction.GREATER_EQUAL,)), 0.0)
 
@@ -232,7 +232,8 @@ def test_a_viewport_maps_depth_into_its_range(device: Device, near: float, far: 
 
 @pytest.mark.parametrize("format", [Format.D16, Format.D24S8, Format.D32F], ids=lambda f: f.name)
 def test_a_depth_bias_is_counted_in_steps_of_the_format(device: Device, format: Format) -> None:
-    """The bias unit is the smallest difference that is certain to be resolved: one or two stored numbers."""
+    """The unit of a bias is the smallest difference in depth that is certain to be distinguished: one or two steps of
+    the format."""
     require_format(device, format)
     step = 2.0 ** -BITS[format]
     plain = depth_after(device, rectangle(depth=0.6), format=format)
@@ -317,7 +318,7 @@ def test_lines_and_points_are_not_offset(device: Device) -> None:
 
 
 class Elsewhere(Shader):
-    """The positions of `Colored`, with other varyings and another fragment stage."""
+    """Has the positions of `Colored`, but other varyings and another fragment stage."""
 
     def vertex(self, v: Corner) -> Bare:
         return Bare(clip=v.position)
@@ -355,7 +356,8 @@ def test_two_programs_with_the_same_positions_give_the_same_depth(device: Device
 def test_the_same_triangle_has_the_same_depth_whatever_the_scissor(
     device: Device, nearest: float, window: tuple[int, int]
 ) -> None:
-    """OpenGL 4.5, appendix A, rule 2: geometry drawn window by window passes EQUAL against the same drawn at once."""
+    """OpenGL 4.5, appendix A, rule 2: geometry drawn scissor by scissor passes EQUAL against the depth of one draw
+    of the whole."""
     size = (90, 70)
     rng = np.random.default_rng(0)
     positions = np.ones((30, 4))

@@ -82,7 +82,7 @@ class CountFragments(Shader):
 
 
 class CountEarly(CountFragments):
-    """Counts the fragments that run, with the depth test first."""
+    """Counts the fragments that run, with early depth test."""
 
     early_depth = True
 
@@ -179,7 +179,7 @@ def test_a_fragment_s_own_depth_is_clamped(device: Device) -> None:
             assert_same(depth.read(), expected)
 
 
-# -- order of memory effects, without barriers of the user's -----------------------------------------------
+# -- order of memory accesses, without explicit barriers --------------------------------------------------
 
 
 class Scale(Shader):
@@ -299,7 +299,7 @@ class Fill(Shader):
 
 
 class Sum(Shader):
-    """Adds everything up."""
+    """Sums all numbers."""
 
     values: Storage[uint]
     total: StorageRW[uint]
@@ -326,7 +326,7 @@ def test_a_dispatch_reads_what_fragments_wrote(device: Device) -> None:
 
 
 class FromMemory(Shader):
-    """Vertices and colors from storage, by number."""
+    """Reads positions from storage by vertex index."""
 
     points: Storage[vec4]
 
@@ -352,7 +352,7 @@ def test_a_vertex_stage_reads_storage(device: Device) -> None:
 
 
 def test_draws_of_one_pass_see_their_effects_in_order(device: Device) -> None:
-    """Repeated blending: no fragment of a later draw overtakes one of an earlier draw."""
+    """Repeated blending shows that no fragment of a later draw overtakes one of an earlier draw."""
     with device.texture(SIZE, Format.R32F) as image:
         meshes = [device.mesh(rectangle(color=(i % 2, 0, 0, 0.5))) for i in range(12)]
         with device.render_pass(image), device.states(BlendFunction.ALPHA):

@@ -48,7 +48,7 @@ HOSTILE = (Scissor(0, 0, 1, 1), ColorWrite.OFF, CullMode.FRONT, DepthFunction.NE
 
 
 class Loaded(Shader):
-    """A color from a texture."""
+    """Loads its color from a texture."""
 
     source: Texture2D
 
@@ -78,7 +78,7 @@ class Count(Shader):
 
 
 def hostile_draw(device: Device) -> None:
-    """Send the hostile states to the hardware, where they stay after a draw."""
+    """Draw with the hostile states, which stay set in the driver after the draw."""
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.D24S8) as depth,
@@ -89,7 +89,7 @@ def hostile_draw(device: Device) -> None:
         device.draw(device.program(Colored), mesh)
 
 
-# -- states and what is no draw ----------------------------------------------------------------------------
+# -- states and operations that aren't draws ---------------------------------------------------------------
 
 
 @pytest.mark.parametrize("at_end", [True, False], ids=["in the pass", "by itself"])
@@ -166,7 +166,7 @@ def test_srgb_samples_are_averaged_in_linear_light(device: Device) -> None:
         assert_near(target.read()[..., 0], srgb * 255, 1.5, "sRGB curves may be approximated")
 
 
-# -- conditions --------------------------------------------------------------------------------------------
+# -- conditional rendering ---------------------------------------------------------------------------------
 
 
 @pytest.mark.needs("occlusion_queries", "conditional_rendering")

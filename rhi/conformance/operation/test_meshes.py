@@ -129,7 +129,7 @@ def test_a_mesh_draws_what_was_written_to_its_buffer_later(device: Device) -> No
 
 
 def test_a_draw_sees_the_vertices_of_its_time(device: Device) -> None:
-    """A write after a draw doesn't change it, even if the GPU hasn't executed the draw yet."""
+    """A write after a draw doesn't affect the draw, even if the GPU hasn't executed it yet."""
     with (
         device.texture(ROW, Format.R32F) as image,
         device.mesh(corners(CENTERS[:1]), primitive=Primitive.POINTS) as mesh,
@@ -163,7 +163,7 @@ def test_arrays_by_name_make_a_mesh(device: Device) -> None:
 
 
 class Probe(Struct):
-    """A vertex with one attribute of interest."""
+    """A vertex with one attribute to be tested."""
 
     position: vec2
     value: vec4
@@ -200,7 +200,7 @@ def test_a_float_attribute_takes_floats_and_normalised_integers(device: Device, 
 
 
 class Pair(Struct):
-    """A vertex with two components of interest."""
+    """A vertex with two components to be tested."""
 
     position: vec2
     pair: vec2
@@ -298,14 +298,14 @@ def test_integer_attributes_keep_all_their_bits(device: Device, code: str) -> No
 
 
 class Narrow(Struct):
-    """A vertex of odd sizes."""
+    """A vertex with three components and one."""
 
     position: vec3
     weight: float
 
 
 class ShowNarrow(Shader):
-    """Three components and one."""
+    """Draws points at three-component positions, with a one-component color."""
 
     def vertex(self, v: Narrow) -> FlatShade:
         return FlatShade(clip=vec4(v.position, 1.0), color=vec4(v.weight))
@@ -338,7 +338,7 @@ class Instanced(Struct):
 
 
 class ShowInstances(Shader):
-    """A point moved by its instance."""
+    """Draws a point, moved by the instance's offset."""
 
     def vertex(self, v: Instanced) -> FlatShade:
         return FlatShade(clip=vec4(v.position + v.offset, 0.5, 1.0), color=vec4(v.shade))
@@ -348,7 +348,8 @@ class ShowInstances(Shader):
 
 
 def instanced(device: Device) -> Any:
-    """One point, eight instances: each lands on a texel of its own with its number plus 1 as the color."""
+    """Return a mesh of one point with eight instances: each covers a texel of its own, with its number plus 1 as the
+    color."""
     vertices = {"position": CENTERS[:1]}
     instances = {"offset": CENTERS - CENTERS[0], "shade": np.arange(1.0, 9.0)}
     return device.mesh(vertices, instances=instances, primitive=Primitive.POINTS)
@@ -407,7 +408,8 @@ def test_a_shader_knows_its_vertex_and_instance(device: Device) -> None:
     ):
         with device.render_pass(image):
             device.draw(device.program(Numbered), mesh.view(1, 2, base_vertex=2, base_instance=10), 3)
-        # Vertices 2 and 3, plus 2. The last of three instances is visible. Instances are counted from their base.
+        # Vertices 2 and 3 plus the base vertex 2. The last of three instances is visible. Instance indices include
+        # the base instance.
         assert_same(image.read()[0, 4], (4, 12, 0, 1))
         assert_same(image.read()[0, 5], (5, 12, 0, 1))
 
@@ -441,7 +443,7 @@ def test_a_shader_without_attributes_counts_its_vertices(device: Device) -> None
         assert_same(image.read(), 255)
 
 
-# -- many draws --------------------------------------------------------------------------------------------
+# -- many draws in one call --------------------------------------------------------------------------------
 
 
 def test_many_draws_draw_what_each_says(device: Device) -> None:
@@ -613,7 +615,7 @@ def test_a_count_does_not_linger(device: Device) -> None:
 
 
 def test_arguments_are_read_when_the_draw_is_executed(device: Device) -> None:
-    """They are read at execution, not when the draw is issued: a copy before it in the stream takes effect."""
+    """Indirect arguments are read when the draw is executed, not when it is issued: a copy before it takes effect."""
     with (
         device.mesh(corners(CENTERS), primitive=Primitive.POINTS) as mesh,
         device.buffer(mesh.draws(3, 2)) as source,

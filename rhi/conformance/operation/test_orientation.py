@@ -271,7 +271,7 @@ def test_image_loads_see_drawn_texels_from_the_top_left(device: Device) -> None:
 
 
 class Camera(Struct):
-    """A matrix between fields that reveal a wrong layout."""
+    """Matrices of three sizes, and a number after them that reveals a wrong layout."""
 
     world: mat4
     turn: mat3
@@ -297,7 +297,7 @@ FLAT = np.array([(1, 2), (3, 4)], float)
 
 @pytest.mark.needs("draws")
 def test_a_matrix_is_applied_as_numpy_does(device: Device) -> None:
-    """`matrix @ vector`, uploaded as it is: a translation stands in the last column."""
+    """`matrix @ vector`, uploaded without a transposition by the user: a translation is in the last column."""
     world = np.eye(4)
     world[:3, 3] = (1.0, 0.5, 0.0)
     rows = rectangle(-1, 0, -0.5, 0.5)
@@ -347,7 +347,7 @@ def test_products_of_matrices_are_those_of_numpy(device: Device) -> None:
 
 @pytest.mark.needs("draws")
 def test_white_is_white(device: Device) -> None:
-    """The control of these tests: nothing is drawn beyond what a test requests."""
+    """A control for these tests: a white triangle over the whole target makes every texel white."""
     whole = corners([(-1, -1), (3, -1), (-1, 3)], WHITE)
     with device.texture((2, 2), Format.RGBA8) as target, device.mesh(whole) as mesh:
         with device.render_pass(target):

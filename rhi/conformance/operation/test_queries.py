@@ -39,7 +39,7 @@ SIZE = (16, 16)
 
 @pytest.fixture(params=["native", "emulated"])
 def query(device: Device, request: pytest.FixtureRequest) -> Iterator[OcclusionQuery]:
-    """A query of each kind that the device has."""
+    """Yield a native and an emulated query, of those that the device supports."""
     emulated = request.param == "emulated"
     wanted = "sample_counter" if emulated else "occlusion_queries"
     if not getattr(device.capabilities, wanted):
@@ -141,7 +141,7 @@ def test_a_query_does_not_count_what_is_discarded(device: Device, query: Occlusi
 
 
 def test_a_query_does_not_count_clears(device: Device, query: OcclusionQuery) -> None:
-    """Other work between the begin and end of a query isn't counted either."""
+    """Other operations between the begin and the end of a query aren't counted either."""
     with device.texture(SIZE, Format.R8, levels=2) as other, device.texture(SIZE, Format.R8) as image:
         with device.render_pass(image, clear=(1, 1, 1, 1)), query:
             other.generate_mipmaps()
@@ -188,7 +188,7 @@ def test_a_query_may_be_used_again(device: Device, query: OcclusionQuery) -> Non
 
 
 def test_a_query_begun_before_its_answer_was_there_counts_anew(device: Device, query: OcclusionQuery) -> None:
-    """The device may still be executing its draws."""
+    """The device may still be executing the draws of the earlier begin."""
     size, layers = (512, 512), 40
     with device.texture(size, Format.R8) as image, device.mesh(np.tile(rectangle(), layers)) as mesh:
         for _ in range(5):
@@ -215,7 +215,7 @@ def test_many_queries_keep_their_own_counts(device: Device, query: OcclusionQuer
 
 
 def test_an_answer_comes_without_waiting_for_it(device: Device, query: OcclusionQuery) -> None:
-    """Polling alone sees the query finish: `end` starts the work that it waits for."""
+    """Polling is enough for the query to finish: `end` submits its work."""
     with device.texture(SIZE, Format.R8) as image, device.mesh(rectangle()) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)
@@ -224,8 +224,8 @@ def test_an_answer_comes_without_waiting_for_it(device: Device, query: Occlusion
 
 
 def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
-    """The work before an answer grows until polls have missed it several times: one that waits never does, although
-    the fence says that there is something to wait for. A device that works at once has nothing to show."""
+    """The work of the query grows until more than 10 polls find it unfinished. A poll that waits never does, although
+    the fence was unfinished before. A device that executes commands at once can't fail this test."""
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
         for instances in (4**n for n in range(5)):
@@ -240,7 +240,7 @@ def test_polling_does_not_block(device: Device, query: OcclusionQuery) -> None:
             if polls > 10:
                 break
         else:
-            assert not unfinished, f"{polls} polls during {instances} full screens: each of them waited"
+            assert not unfinished, f"{polls} polls during {instances} full screens: each of them blocked"
 
 
 def test_an_answer_stays_until_the_next_begin(device: Device, query: OcclusionQuery) -> None:
@@ -324,7 +324,7 @@ def test_draws_after_a_condition_do_not_depend_on_it(device: Device) -> None:
 @pytest.mark.needs("occlusion_queries", "shading")
 @pytest.mark.needs("draws")
 def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
-    """Either the answer is there, or reading it is refused: never a zero that means 'not yet'."""
+    """Either the answer is available, or reading it raises an error: a 0 never means 'not yet'."""
     query = device.occlusion_query()
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 60)) as mesh:
         with device.render_pass(image), query:

@@ -42,7 +42,7 @@ BARS = np.concatenate([texel_rectangle(0, 0, 1 + i % 16, 1 + i // 16, SIZE) for 
 
 @pytest.fixture(params=["native", "emulated"])
 def emulated(device: Device, request: pytest.FixtureRequest) -> bool:
-    """Each kind of query that the device has."""
+    """Whether the queries are emulated: no and yes, as far as the device supports them."""
     emulated: bool = request.param == "emulated"
     wanted = "sample_counter" if emulated else "occlusion_queries"
     if not getattr(device.capabilities, wanted):
@@ -52,7 +52,7 @@ def emulated(device: Device, request: pytest.FixtureRequest) -> bool:
 
 @pytest.fixture
 def queries(device: Device, emulated: bool) -> Iterator[QuerySet]:
-    """A query set of 64 rows."""
+    """Yield a query set of 64 rows."""
     queries = device.query_set(64, emulated=emulated)
     assert queries.emulated is emulated
     yield queries
@@ -61,7 +61,7 @@ def queries(device: Device, emulated: bool) -> Iterator[QuerySet]:
 
 @pytest.fixture
 def bars(device: Device) -> Iterator[Mesh]:
-    """A mesh of the 64 rectangles."""
+    """Yield a mesh of the 64 rectangles of `BARS`."""
     with device.mesh(BARS) as bars:
         yield bars
 
@@ -196,7 +196,7 @@ def test_a_set_asked_again_before_it_was_read_answers_for_the_latest(
 
 
 def test_a_set_asked_again_before_it_was_done_counts_anew(device: Device, emulated: bool, image: Any) -> None:
-    """The device may still be executing its draws."""
+    """The device may still be executing the draws of the earlier request."""
     layers, queries = 40, device.query_set(2, emulated=emulated)
     with device.texture((512, 512), Format.R8) as large, device.mesh(np.tile(rectangle(), layers)) as mesh:
         for _ in range(5):
@@ -292,11 +292,12 @@ def test_an_answer_comes_without_waiting_for_it(
     assert queries.visible_samples.tolist() == COUNTS
 
 
-# -- draws of all sorts ------------------------------------------------------------------------------------
+# -- kinds of draws ----------------------------------------------------------------------------------------
 
 
 class Column(Shader):
-    """Each instance shifted by two texels, from the left; its number in `seen`."""
+    """Draws each instance two texels to the right of the one before it, with the draw index as red, and counts all
+    fragments in `seen`."""
 
     seen: StorageRW[uint]
 
@@ -310,14 +311,14 @@ class Column(Shader):
 
 
 def test_indexed_draws_have_their_bases_and_instances(device: Device, queries: QuerySet, image: Any) -> None:
-    """The draw index of each is 0, as of the first draw of a command."""
+    """The draw index is 0 in each of them, as in a command with a single draw."""
     rows = np.concatenate([texel_rectangle(0, 0, 2, 3, SIZE), texel_rectangle(0, 0, 2, 8, SIZE)])
     indices = np.arange(6)
     draws = np.zeros(4, DRAW)
     draws["count"] = 6
     draws["instances"] = [1, 3, 1, 2]
     draws["base_vertex"] = [0, 0, 6, 6]
-    draws["base_instance"] = [0, 2, 7, 7]  # the last one's second instance is outside
+    draws["base_instance"] = [0, 2, 7, 7]  # the second instance of the last draw is outside of the target
     with device.mesh(rows, indices) as mesh, device.storage(uint, 1) as seen:
         with device.render_pass(image, clear=(0.5, 0.5, 0.5, 0.5)):
             device.draw_counted(device.program(Column), mesh, draws, queries, seen=seen)
@@ -394,7 +395,7 @@ def test_counted_draws_are_drawn(device: Device, queries: QuerySet, image: Any) 
 
 
 class Doubled(Shader):
-    """Draws everything twice as high."""
+    """Draws everything at twice the height."""
 
     def vertex(self, v: Corner) -> Shade:
         p = v.position
@@ -424,7 +425,7 @@ def test_queries_and_draws_are_counted(device: Device, queries: QuerySet, bars: 
     assert (after.queries - before.queries, after.draws - before.draws) == (3, 4)
 
 
-# -- as commands -------------------------------------------------------------------------------------------
+# -- recorded as commands ----------------------------------------------------------------------------------
 
 
 @pytest.mark.needs("occlusion_queries")
@@ -467,7 +468,7 @@ def test_a_recorded_set_answers_for_the_latest_submission(
 
 @pytest.mark.needs("shading")
 def test_an_unfinished_set_has_no_numbers_yet(device: Device) -> None:
-    """Either the answers are there, or reading them is refused."""
+    """Either the answers are available, or reading them raises an error."""
     queries = device.query_set(2)
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(np.tile(rectangle(), 30)) as mesh:
         with device.render_pass(image):
@@ -475,7 +476,7 @@ def test_an_unfinished_set_has_no_numbers_yet(device: Device) -> None:
         try:
             early = queries.visible_samples
         except ValidationError as error:
-            assert error.rule is rules.QUERY_UNFINISHED  # noqa: PT017 (either is right)
+            assert error.rule is rules.QUERY_UNFINISHED  # noqa: PT017 (both outcomes are valid)
             early = queries.wait()
         assert early.tolist() == [30 << 20] * 2
     queries.destroy()

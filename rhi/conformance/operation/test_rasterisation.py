@@ -1,4 +1,4 @@
-"""Which texels a triangle covers and what it carries there: fill rule, culling, scissor, viewport, clipping,
+"""Which texels a triangle covers, and its varyings there: fill rule, culling, scissor, viewport, clipping,
 interpolation."""
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def test_a_center_on_an_edge_belongs_to_top_and_left_edges(device: Device, trian
 @settings(max_examples=40, deadline=None, derandomize=True, suppress_health_check=list(HealthCheck))
 @given(triangle=st.tuples(ANYWHERE, ANYWHERE, ANYWHERE))
 def test_a_triangle_that_reaches_beyond_the_target_keeps_its_edges(device: Device, triangle: Any) -> None:
-    """Within 1/16 texel: clipping may round the new corners."""
+    """Edges may move by up to 1/16 texel, because clipping may round the corners that it creates."""
     certain, possible = rasterise_within(triangle, *SIZE, 1 / 16)
     drawn = counts(device, corners(at_subtexels(triangle))) != 0
     assert_mask(drawn | certain, drawn)
@@ -285,7 +285,7 @@ def test_what_lies_outside_of_the_viewport_is_not_drawn(device: Device) -> None:
 
 
 class Straight(Struct):
-    """A color that is interpolated in the image."""
+    """A color that is interpolated linearly in the image, without perspective."""
 
     clip: vec4
     color: NoPerspective[vec4]
@@ -301,7 +301,7 @@ class StraightColored(Shader):
         return v.color
 
 
-# A floor that runs from w = 1 to w = 4: barycentric weights in the image and in the world differ.
+# A floor that recedes from w = 1 to w = 4, so barycentric weights in the image and in the world differ.
 W = np.array([1.0, 4.0, 2.0])
 TRIANGLE = np.array([(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)])
 RGB = np.array([(1.0, 0.0, 0.0, 1.0), (0.0, 1.0, 0.0, 1.0), (0.0, 0.0, 1.0, 1.0)])
@@ -341,7 +341,7 @@ def test_values_without_perspective_are_interpolated_in_the_image(device: Device
 
 
 def test_a_clipped_triangle_keeps_its_values(device: Device) -> None:
-    """Clipping creates new corners, with the varyings that the triangle has there."""
+    """Clipping creates corners, whose varyings are those of the triangle at these points."""
     big = corners(
         [(-3, -1), (3, -1), (3, 1), (-3, -1), (3, 1), (-3, 1)],
         [(x / 6 + 0.5, 0, 0, 1) for x in (-3, 3, 3, -3, 3, -3)],

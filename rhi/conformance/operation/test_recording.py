@@ -1,4 +1,4 @@
-"""The command stream: every call with its arguments, its labels and the line that issued it."""
+"""The command stream: every call with its arguments, its labels and its call site."""
 
 from __future__ import annotations
 

@@ -62,13 +62,13 @@ class Constant(Struct):
 
 @function
 def flat_place(at: vec4) -> vec2:
-    """(u, v)."""
+    """Return (u, v)."""
     return at.xy
 
 
 @function
 def solid_place(at: vec4) -> vec3:
-    """(u, v, layer), (u, v, w) or a direction."""
+    """Return (u, v, layer), (u, v, w) or a direction."""
     return at.xyz
 
 
@@ -76,7 +76,7 @@ def make_sampling_shader(kind: Any, place: Any) -> type[Shader]:
     """Return a shader that samples a texture of this type at each place, at the level in the place's w."""
 
     class Sampling(Shader):
-        """A texture at given places and levels."""
+        """Samples a texture at the given places and levels."""
 
         source: kind
         places: Storage[vec4]
@@ -109,7 +109,7 @@ class Gather2D(Shader):
 
 
 def sampled(device: Device, shader: Any, texture: Any, places: ArrayLike) -> NDArray[Any]:
-    """Return what `shader` samples at (n, 2 to 4) `places`: u, v, layer or w, level; 0 for what is missing."""
+    """Return the samples of `shader` at (n, 2 to 4) `places`: u, v, layer or w, level; missing components are 0."""
     given = np.asarray(places, "f4")
     full = np.zeros((len(given), 4), "f4")
     full[:, : given.shape[1]] = given
@@ -257,7 +257,7 @@ class Drawn(Shader):
 def test_minifying_and_magnifying_have_filters_of_their_own(
     device: Device, minify: Filter, magnify: Filter, size: int, smooth: bool
 ) -> None:
-    """A board of 0 and 255 on 16×16 texels, with uv moved so that linear always mixes."""
+    """A checkerboard of 0 and 255, drawn to 16×16 texels. The uv are shifted so that a linear filter always mixes."""
     board = ((np.indices((size, size)).sum(axis=0) % 2) * 255).astype(np.uint8)
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2 + 0.3 / size
@@ -273,7 +273,7 @@ def test_minifying_and_magnifying_have_filters_of_their_own(
     assert (set(values) <= {0, 255}) is not smooth, values
 
 
-# -- wraps -------------------------------------------------------------------------------------------------
+# -- wrap modes --------------------------------------------------------------------------------------------
 
 
 def wrapped(index: NDArray[np.int64], wrap: Wrap, size: int) -> NDArray[np.int64]:
@@ -327,7 +327,7 @@ def test_w_wraps_too(device: Device) -> None:
     assert_near(back[:, 0] * 255, wrapped(index, Wrap.MIRROR, 4) * 60, 1e-3, "conversion in float32")
 
 
-# -- levels ------------------------------------------------------------------------------------------------
+# -- mip levels --------------------------------------------------------------------------------------------
 
 
 def ladder(device: Device, levels: int = 4) -> Any:
@@ -374,7 +374,7 @@ def test_levels_are_loaded_and_measured(device: Device) -> None:
         assert_same(results.read(), [(8, 8, 0, 4), (4, 4, 10, 4), (2, 2, 20, 4), (1, 1, 30, 4)])
 
 
-# -- kinds -------------------------------------------------------------------------------------------------
+# -- texture kinds -----------------------------------------------------------------------------------------
 
 
 def test_an_array_s_layer_is_chosen_by_its_number(device: Device) -> None:
@@ -425,7 +425,7 @@ def test_a_cube_s_faces_are_turned_as_in_opengl(device: Device) -> None:
         d = rng.normal(size=3)
         face = int(np.abs(d).argmax()) * 2 + int(d[np.abs(d).argmax()] < 0)
         u, v = face_place(face, tuple(d))
-        if min(abs(u * 4 - round(u * 4)), abs(v * 4 - round(v * 4))) > 0.02:  # clear of texel borders
+        if min(abs(u * 4 - round(u * 4)), abs(v * 4 - round(v * 4))) > 0.02:  # away from the borders between texels
             directions.append(d)
             expected.append(data[face, int(v * 4), int(u * 4), 0])
     with device.texture(data, Format.R32F, kind=TextureKind.CUBE) as texture:
@@ -441,11 +441,11 @@ def test_a_cube_is_filtered_across_its_edges(device: Device) -> None:
     assert_near(back[:, 0], 0.5, 1 / 64, FILTERED)
 
 
-# -- gather and compare ------------------------------------------------------------------------------------
+# -- gathers and comparisons -------------------------------------------------------------------------------
 
 
 def test_gather_gives_the_four_texels_of_a_linear_filter(device: Device) -> None:
-    """From the lower left around to the upper left, v being up in OpenGL: here that is (0,1) (1,1) (1,0) (0,0)."""
+    """OpenGL gathers counter-clockwise from the lower left, with v up. With v down that is (0,1) (1,1) (1,0) (0,0)."""
     data = np.zeros((4, 4, 4), np.float32)
     data[..., 1] = np.arange(16).reshape(4, 4)
     with device.texture(data, Format.RGBA32F) as texture:
@@ -501,7 +501,7 @@ def test_a_linear_comparison_filters_the_answers(device: Device) -> None:
     assert_near(back[:, 0], (0.5, 1, 0), 1 / 128, FILTERED)
 
 
-# -- binding -----------------------------------------------------------------------------------------------
+# -- bindings ----------------------------------------------------------------------------------------------
 
 
 def test_one_texture_is_read_through_several_samplers(device: Device) -> None:
@@ -594,7 +594,7 @@ def test_many_bindings_of_every_kind_stay_apart(device: Device) -> None:
 
 
 class Graded(Shader):
-    """A level chosen by given derivatives, by those of the coordinates, and moved by a bias both ways."""
+    """Samples at the level of explicit derivatives, and at that of implicit ones with a bias of 1, −1 and 0."""
 
     source: Texture2D
 
@@ -610,7 +610,8 @@ class Graded(Shader):
 
 @pytest.mark.needs("draws")
 def test_derivatives_choose_the_level(device: Device) -> None:
-    """64 texels on 16: level 2. One draw also takes given derivatives and a bias, since a program costs seconds."""
+    """64 texels drawn on 16 use level 2. Explicit derivatives and biases are tested by the same draw, since building a
+    program takes seconds."""
     rows = rectangle()
     rows["color"][:, :2] = (rows["position"][:, :2] + 1) / 2
     with (

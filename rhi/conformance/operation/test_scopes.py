@@ -182,7 +182,7 @@ def test_scopes_nest_deeply(recording: Device) -> None:
 
 
 def test_more_combinations_than_are_remembered_stay_right(recording: Device) -> None:
-    """Vectors are interned in a pool of bounded size; scissors may take any value."""
+    """Vectors of states are interned in a pool of limited size, but scissors can have any value."""
     program = recording.program(Colored)
     since = len(recording.stream)
     with recording.texture((4, 4), Format.RGBA8) as image, recording.mesh(rectangle()) as mesh:

@@ -173,7 +173,7 @@ def test_stencil_counts_overdraw(device: Device) -> None:
     rows = np.concatenate([rectangle(-1, -1, 0, 1), rectangle(), rectangle()])
     _, value = after(device, StencilFront(both_pass=StencilOperation.INCREMENT), ColorWrite.OFF, stored=0, rows=rows,
                      depth=0.0)  # fmt: skip
-    assert_same(value, [[1, 1], [1, 1]])  # the depth test lets only the first of equal depths pass
+    assert_same(value, [[1, 1], [1, 1]])  # of equal depths, only the first one passes the depth test
 
 
 def test_a_stencil_mask_cuts_out_what_is_drawn_through_it(device: Device) -> None:

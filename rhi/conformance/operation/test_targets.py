@@ -101,7 +101,7 @@ class Two(Struct):
 
 
 class ToTwo(Shader):
-    """Writes the color, and the color with its channels reversed."""
+    """Writes the color to the first target, and the color with its channels reversed to the second."""
 
     def vertex(self, v: Corner) -> Shade:
         return Shade(clip=v.position, color=v.color)
@@ -130,7 +130,7 @@ def test_color_write_of_all_targets(device: Device) -> None:
 def test_color_write_of_one_target(device: Device) -> None:
     one, two = two_after(device, ColorWrite.OFF.at(0))
     assert_same(one, (0, 0, 0, 255))
-    assert_same(two, (0, 0, 0, 1))  # the second output is (0, 0, 0, 1) backwards, as cleared
+    assert_same(two, (0, 0, 0, 1))  # the second output, (1, 0, 0, 0) reversed, equals the clear color
     one, two = two_after(device, ColorWrite(alpha=False).at(0), ColorWrite(alpha=False).at(1))
     assert_same(one, (255, 0, 0, 255))
     assert_same(two, (0, 0, 0, 1))
@@ -214,7 +214,7 @@ def test_eight_targets_are_drawn_at_once(device: Device) -> None:
         target.destroy()
 
 
-# -- samples -----------------------------------------------------------------------------------------------
+# -- multisampling -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("samples", [2, 4, 8])

@@ -1,4 +1,4 @@
-"""Fences, frames, deferred destruction, timers, labels; few of these draw."""
+"""Fences, frames, deferred destruction, timers, labels; few of these tests draw."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_completed_never_falls_and_never_runs_ahead(device: Device) -> None:
 
 
 def test_completed_gets_there_without_a_wait(device: Device) -> None:
-    """A signal starts the work before it, so polling alone sees it finish."""
+    """Polling is enough for a signal to complete, because `signal` submits the work before it."""
     value = device.signal()
     assert comes_true(lambda: device.completed >= value)
 
@@ -79,7 +79,7 @@ def test_a_fence_is_passed_only_after_the_work_before_it(device: Device) -> None
 
 @pytest.mark.needs("draws", "shading")
 def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
-    """The work is increased until its signal is seen unfinished, and once more, so that it can't finish in between."""
+    """The work grows until its signal was seen unfinished twice: then it is too long to finish before the wait."""
     unfinished = 0
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
@@ -89,7 +89,7 @@ def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
             value = device.signal()
             unfinished += device.completed < value
             assert device.wait(value)
-            device.signal()  # what is completed is then asked of the backend, not taken from the wait
+            device.signal()  # so `completed` has to query the backend, instead of returning the value waited for
             assert device.completed >= value
             if unfinished == 2:
                 break
@@ -203,7 +203,7 @@ def test_times_of_parts_fit_into_those_of_the_whole(device: Device) -> None:
     device.present()
     device.finish()
     (root,) = device.timers
-    slack = 1e-3  # timestamps of a microsecond's granularity
+    slack = 1e-3  # timestamps may have a granularity of one microsecond
     assert root.gpu_milliseconds >= 0
     assert sum(child.gpu_milliseconds for child in root.children) <= root.gpu_milliseconds + slack
     assert sum(child.cpu_milliseconds for child in root.children) <= root.cpu_milliseconds + slack
@@ -312,10 +312,10 @@ def test_each_call_that_draws_counts_as_one_draw(device: Device) -> None:
 
 @pytest.mark.needs("timestamps", "draws", "shading")
 def test_more_work_takes_more_time(device: Device) -> None:
-    """Told apart by pass: within one, a device that works tile by tile has no single time for a draw.
+    """Whole passes are timed: within a pass, a device that works tile by tile has no separate time for each draw.
 
-    A busy machine only adds to a time: the least of several holds for the little work, and the large one grows until
-    it is the longer one in spite of that.
+    A busy machine can only add to a time. So the small work is the minimum of several runs, and the large work grows
+    until it takes longer in spite of that.
     """
     with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
         program = device.program(Colored)
@@ -328,7 +328,7 @@ def test_more_work_takes_more_time(device: Device) -> None:
             (node,) = device.timers
             return node.gpu_milliseconds
 
-        device.present()  # what was timed before is another frame's
+        device.present()  # earlier timings belong to the frame that ends here
         little = min(measure(1) for _ in range(5))
         assert little > 0
         assert any(measure(16**n) > 4 * little for n in range(1, 5))

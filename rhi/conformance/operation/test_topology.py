@@ -222,7 +222,7 @@ BOXES = [
 
 
 def boxes(chosen: Any) -> NDArray[np.bool_]:
-    """Return the texels that the quads of these numbers cover, of 16 side by side."""
+    """Return the texels covered by the quads with these numbers, out of 16 side by side."""
     return covered(*(part for i in chosen for part in (BOXES[i][:3], [BOXES[i][0], *BOXES[i][2:]])))
 
 
@@ -285,7 +285,7 @@ def test_quads_are_drawn_once_per_instance(device: Device) -> None:
 
 
 def test_more_quads_than_16_bits_can_count(device: Device) -> None:
-    """20,000 quads of 80,000 vertices, of which the last ones are drawn at the right place."""
+    """The last of 20,000 quads with 80,000 vertices are drawn at the right place."""
     positions = np.full((20_000, 4, 2), -3.0)
     for place, box in ((0, 3), (16_384, 5), (19_999, 12)):
         positions[place] = window_to_clip(BOXES[box], SIZE)

@@ -31,7 +31,7 @@ def points(count: int, size: tuple[int, int]) -> NDArray[Any]:
 
 def test_each_draw_of_a_frame_has_its_own_constants(device: Device) -> None:
     size = (64, 32)
-    count = size[0] * size[1]  # far more than the ring holds at first
+    count = size[0] * size[1]  # far more than the initial size of the ring
     rows = points(count, size)
     with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
         with device.render_pass(image):
@@ -56,7 +56,7 @@ def test_constants_made_first_and_drawn_later_are_intact(device: Device) -> None
 
 
 def test_constants_of_frames_in_flight_do_not_disturb_each_other(backend: str) -> None:
-    """Many frames across the wrap of the ring, none of them read until the end."""
+    """Many frames are drawn while the ring wraps, and none is read before the end."""
     with rhi.create_device(backend, validation=True, frames_in_flight=3) as device:
         rng = np.random.default_rng(0)
         frames, per_frame, size = 40, 60, (10, 6)
@@ -74,7 +74,7 @@ def test_constants_of_frames_in_flight_do_not_disturb_each_other(backend: str) -
 
 
 def test_a_fence_in_mid_frame_frees_nothing_of_the_frame(fresh_device: Device) -> None:
-    """Transient memory lives until present(): waiting for the GPU in between must not hand it out again."""
+    """Transient memory lives until present(): waiting for the GPU within a frame must not allow its reuse."""
     device = fresh_device
     with device.texture((2, 2), Format.R32F) as image, device.mesh(rectangle()) as mesh:
         tint = device.transient.uniform(Tint(color=(7, 0, 0, 0)))
@@ -106,7 +106,7 @@ def test_rings_settle_at_what_their_frames_need(fresh_device: Device) -> None:
         for index in range(300):
             device.transient.uniform(Tint(color=(index, 0, 0, 0)))
         device.present()
-    # Two frames in flight and the one being written. A ring grows by doubling and may leave its end unused.
+    # Two frames in flight and the one being recorded. A ring grows by doubling and may leave its end unused.
     frame = 300 * max(16, device.capabilities.uniform_alignment)
     assert device.transient.capacity <= 4 * max(3 * frame, 1 << 16)
 
@@ -259,7 +259,7 @@ def test_immediate_blocks_and_other_draws_keep_their_order(device: Device) -> No
 
 
 def test_a_great_many_immediate_vertices_fit(device: Device) -> None:
-    """20,000 vertices of 32 bytes, more than the ring holds at first."""
+    """20,000 vertices of 32 bytes don't fit into the initial size of the ring."""
     size = (200, 100)
     with device.texture(size, Format.R32F) as image:
         with device.render_pass(image), device.immediate(device.program(Colored), Primitive.POINTS) as many:
