@@ -31,9 +31,9 @@ echo "[test] mypy --strict"
 echo "[test] import order"
 .venv/bin/lint-imports --no-cache
 echo "[test] pytest: tests, and the conformance kit on gl, cl and null, on all cores"
-# PoCL keeps 1 to 3 MB for every program that a process builds. With four workers the largest grows
-# to 1.8 GB; six at least keep each below 1.5 GB.
+# PoCL keeps 1 to 3 MB for every program that a process builds, so at least four processes share them. A file's tests stay
+# in one process, which builds their programs once.
 cores=$(nproc)
-workers=$((cores > 6 ? cores : 6))
-exec .venv/bin/python -m pytest -n "$workers" --dist worksteal --durations 15 "${options[@]}" \
+workers=$((cores > 4 ? cores : 4))
+exec .venv/bin/python -m pytest -n "$workers" --dist loadfile --durations 15 "${options[@]}" \
     tests --pyargs rhi.conformance --rhi-backend gl --rhi-backend cl --rhi-backend null
