@@ -128,10 +128,10 @@ def measure(draws: int, triangles: int, rounds: int, rasterize: bool) -> dict[st
 
     with device.render_pass(image, clear=(0, 0, 0, 1)), device.states(CullMode.NONE):
         through_device()
-    pipeline = backend._programs[program.id]
+    linked = backend._programs[program.id]
     buffer = backend._buffers.objects[objects.buffer.id]
     bare_pairs = [
-        (pipeline._made[mesh.data.vertex_arrays[program]], constants.offset, constants.size)
+        (linked._vertex_arrays[mesh.data.vertex_arrays[program]], constants.offset, constants.size)
         for mesh, constants in pairs
     ]
     mode, count = moderngl.TRIANGLES, triangles * 3
