@@ -30,8 +30,13 @@ NIGHTLY_FACTOR = 20
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """In the profile `nightly`, let a property test take many times the examples that it says."""
+    """In the profile `nightly`, let a property test take many times the examples that it says.
+
+    Tests that are marked nightly say their own number.
+    """
     test = getattr(item, "obj", None)
+    if item.get_closest_marker("nightly") is not None:
+        return
     if getattr(test, "is_hypothesis_test", False) and settings.get_current_profile_name() == "nightly":
         test = getattr(test, "__func__", test)
         if not hasattr(test, "said"):  # a function is shared by its parametrisations
