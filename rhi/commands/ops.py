@@ -86,6 +86,7 @@ def _read_parameters(op: Op) -> dict[str, str]:
 
 _PARAMETERS: Final = {op: _read_parameters(op) for op in Op}
 DRAWS: Final = frozenset({Op.DRAW, Op.DRAW_INDIRECT})
+DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
 WIDTHS: Final = tuple(1 + len(op.parameters) + 2 for op in Op)
 """Number of list elements per command in a stream: its op, its arguments, and two for its call site."""
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import ParamSpec
 
-from rhi.contract.descriptors import Primitive
+from rhi.contract.descriptors import DRAW, Primitive
 from rhi.contract.states import State
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateScope
@@ -54,7 +54,7 @@ class IndirectDraws:
     buffer: Buffer | StorageBuffer[Any]
     draws: int
     offset: int = 0
-    stride: int = 20
+    stride: int = DRAW.itemsize
     count: Buffer | StorageBuffer[Any] | None = None
     count_offset: int = 0
 
@@ -211,18 +211,19 @@ class Encoder:
         buffer = underlying_buffer(arguments.buffer)
         count = None if arguments.count is None else underlying_buffer(arguments.count)
         core.check_usable(buffer, call)
-        end = arguments.offset + (arguments.draws - 1) * arguments.stride + 20
+        end = arguments.offset + (arguments.draws - 1) * arguments.stride + DRAW.itemsize
         if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
             given = f"{arguments.draws} draws from byte {arguments.offset}, {arguments.stride} apart"
             core.refuse(INDIRECT_RANGE, call, given, f"1 draw or more within {buffer.size} bytes")
         if (
-            arguments.stride < 20
+            arguments.stride < DRAW.itemsize
             or arguments.stride % 4
             or arguments.offset % 4
             or arguments.count_offset % 4
         ):
             given = f"stride {arguments.stride}, offset {arguments.offset}"
-            core.refuse(INDIRECT_RANGE, call, given, "a stride of 20 or more and offsets, all multiples of 4")
+            allowed = f"a stride of {DRAW.itemsize} or more and offsets, all multiples of 4"
+            core.refuse(INDIRECT_RANGE, call, given, allowed)
         if mesh.primitive is Primitive.QUADS:
             core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
         if count is not None:

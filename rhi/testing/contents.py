@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.commands.context import StreamContext
-from rhi.commands.ops import DRAWS, Op
+from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, CommandStream
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor
 from rhi.contract.layout import Layout, element_dtype
 from rhi.shading import Struct, value_type_of
 
-DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
 _RANGES: Final = (BindingKind.UNIFORM, BindingKind.STORAGE)
 
 

@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping
 from typing import Final, NoReturn
 
-from rhi.commands.ops import DRAWS, Op
+from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.contract.states import State
 from rhi.device.device import Device
@@ -29,7 +29,7 @@ from rhi.testing.conditions import (
     Where,
     Within,
 )
-from rhi.testing.contents import DISPATCHES, as_fields
+from rhi.testing.contents import as_fields
 from rhi.testing.work import Costs, cost_of, total_costs
 
 SHOWN: Final = 5

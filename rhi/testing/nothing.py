@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
-from rhi.commands.ops import DRAWS, Op
+from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, CommandStream
 from rhi.contract.descriptors import (
     BindingKind,
@@ -40,7 +40,7 @@ from rhi.contract.states import (
     Viewport,
 )
 from rhi.testing.conditions import describe_resource
-from rhi.testing.contents import DISPATCHES, bindings_of
+from rhi.testing.contents import bindings_of
 
 _MIN_VERTICES: Final = {
     Primitive.POINTS: 1,

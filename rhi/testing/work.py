@@ -11,10 +11,10 @@ from contextlib import contextmanager
 from dataclasses import astuple, dataclass, field
 from typing import Final
 
-from rhi.commands.ops import DRAWS, Op
+from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import Command, Commands
 from rhi.device.device import Device
-from rhi.testing.contents import DISPATCHES, bindings_of
+from rhi.testing.contents import bindings_of
 
 CREATIONS: Final = frozenset(op for op in Op if op.method.startswith("create_"))
 BINDS: Final = frozenset({Op.BIND_UNIFORM, Op.BIND_STORAGE, Op.BIND_TEXTURE, Op.BIND_IMAGE})

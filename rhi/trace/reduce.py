@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 from types import FunctionType
 from typing import Final
 
-from rhi.commands.ops import DRAWS, Op
+from rhi.commands.ops import DISPATCHES, DRAWS, Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.descriptors import Stage
 from rhi.errors import RhiError, refuse
@@ -37,7 +37,6 @@ _PAIRS: Final = {
     Op.END_QUERY: Op.BEGIN_QUERY,
     Op.END_CONDITIONAL: Op.BEGIN_CONDITIONAL,
 }
-_DISPATCHES: Final = frozenset({Op.DISPATCH, Op.DISPATCH_INDIRECT})
 
 
 def reduce(trace: Trace, predicate: Callable[[Trace], bool], *, attempts: int = ATTEMPTS) -> Trace:
@@ -124,7 +123,7 @@ class _Parts:
             creates = op.method.startswith("create_")
             if not (ids - {values[0]} if creates else ids) <= alive:
                 continue
-            stage = Stage.VERTEX if op in DRAWS else Stage.COMPUTE if op in _DISPATCHES else None
+            stage = Stage.VERTEX if op in DRAWS else Stage.COMPUTE if op in DISPATCHES else None
             if stage and not (program in alive and stage in stages[program] and in_pass is (op in DRAWS)):
                 continue
             if op is Op.WAIT and values[0] not in signalled:

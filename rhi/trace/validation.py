@@ -20,6 +20,7 @@ from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import (
+    DRAW,
     BufferDescriptor,
     Id,
     PassDescriptor,
@@ -309,8 +310,9 @@ class SequenceValidator:
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
         self._drawable(vertex_array)
-        self._need(draws > 0 and stride >= 20 and stride % 4 == 0 and offset % 4 == 0, f"{draws} draws, {stride} apart")
-        self._range(buffer, offset, (draws - 1) * stride + 20)
+        fits = draws > 0 and stride >= DRAW.itemsize and stride % 4 == 0 and offset % 4 == 0
+        self._need(fits, f"{draws} draws, {stride} apart")
+        self._range(buffer, offset, (draws - 1) * stride + DRAW.itemsize)
         if count_buffer:
             self._range(count_buffer, count_offset, 4)
 
