@@ -16,6 +16,7 @@ import numpy as np
 
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
+from rhi.errors.arguments import Fields
 
 __rhi_internal__ = True
 
@@ -147,6 +148,15 @@ class SamplerDescriptor:
     compare: Comparison | None = None
     max_anisotropy: float = 1.0
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.choices(Filter, "minify", "magnify")
+        fields.choices_or_none(Filter, "mip")
+        fields.choices(Wrap, "wrap_u", "wrap_v", "wrap_w")
+        fields.colors("border")
+        fields.choices_or_none(Comparison, "compare")
+        fields.numbers("max_anisotropy", least=1)
+
 
 @dataclass(frozen=True, slots=True)
 class Region:
@@ -158,6 +168,9 @@ class Region:
     height: int
     layer: int = 0
     layers: int = 1
+
+    def __post_init__(self) -> None:
+        Fields(self).wholes("x", "y", "width", "height", "layer", "layers")
 
 
 # -- vertex arrays ---------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from typing import Generic, TypeVar
 
 from rhi.errors import refuse
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import CONTAINER_CAPACITY, CONTAINER_EMPTY, CONTAINER_FULL
 
 __rhi_internal__ = True
@@ -32,8 +33,7 @@ class FixedStack(Generic[T]):
     __slots__ = ("_data", "_index", "capacity")
 
     def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            refuse(CONTAINER_CAPACITY, "FixedStack(capacity)", capacity, "1 or more")
+        capacity = Arguments("FixedStack(capacity)", rule=CONTAINER_CAPACITY).whole("capacity", capacity, 1)
         self.capacity = capacity
         self._data: list[T | None] = [None] * capacity
         self._index = 0
@@ -88,8 +88,7 @@ class FixedQueue(Generic[T]):
     __slots__ = ("_count", "_data", "_mask", "_read", "capacity")
 
     def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            refuse(CONTAINER_CAPACITY, "FixedQueue(capacity)", capacity, "1 or more")
+        capacity = Arguments("FixedQueue(capacity)", rule=CONTAINER_CAPACITY).whole("capacity", capacity, 1)
         self.capacity = capacity
         size = 1 << (capacity - 1).bit_length()
         self._mask = size - 1

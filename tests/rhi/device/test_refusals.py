@@ -60,7 +60,7 @@ CALLS: dict[str, tuple[Callable[[Kit], object], str]] = {
     "not a program": (lambda kit: kit.device.draw(kit.image, kit.mesh), "device-argument"),  # type: ignore[arg-type]
     "query of another device": (
         lambda kit: kit.device.conditional(rhi.create_device("null").occlusion_query()).__enter__(),
-        "query-state",
+        "resource-foreign",
     ),
 }
 
