@@ -222,9 +222,9 @@ class UniformBuffer(UniformRange[T], Resource):
     owner: Buffer
 
     def __init__(self, core: Core, value: Any, label: str = "") -> None:
-        check = Arguments("device.uniform", core.refuse)
-        check.text("label", label)
-        with core.refusals:  # a struct may have no layout in memory
+        with core.refusals:  # also of structs, which may have no layout in memory
+            check = Arguments("device.uniform")
+            check.text("label", label)
             layout, constants = as_constants(check, value)
             data, dtype = constants.to_bytes(), type(constants).uniform_dtype
         owner = Buffer(core, 1, dtype, label=label or layout.__name__)
@@ -236,7 +236,7 @@ class UniformBuffer(UniformRange[T], Resource):
         """Replace the constants, ordered after the draws before."""
         core, call = self.owner.core, "UniformBuffer.write"
         with core.refusals:
-            layout, constants = as_constants(Arguments(call, core.refuse, LAYOUT_MISMATCH), value)
+            layout, constants = as_constants(Arguments(call, rule=LAYOUT_MISMATCH), value)
             if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct
                 layout, constants = self.type, _wrapper(self.type)(value=value)
         if layout is not self.type:
