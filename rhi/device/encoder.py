@@ -132,7 +132,7 @@ class Encoder:
         raise NotImplementedError
 
     def draw_many(
-        self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
+        self, program: Program[P], mesh: Drawable, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
     ) -> None:
         """Draw parts of `mesh`, given as an array of `rhi.DRAW` (see `mesh.draws`), in one call.
 
@@ -141,7 +141,7 @@ class Encoder:
         """
         call = f"{self.NAME}.draw_many"
         own = self._resolve_program(program, call)
-        check_mesh(self._core, mesh, call)
+        check_drawable(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
         if mesh.primitive is Primitive.QUADS:
             self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
@@ -160,7 +160,7 @@ class Encoder:
     def draw_counted(
         self,
         program: Program[P],
-        mesh: Mesh,
+        mesh: Drawable,
         draws: NDArray[Any],
         queries: QuerySet,
         rows: NDArray[Any] | Sequence[int] | None = None,
@@ -183,7 +183,7 @@ class Encoder:
         """
         call = f"{self.NAME}.draw_counted"
         own = self._resolve_program(program, call)
-        check_mesh(self._core, mesh, call)
+        check_drawable(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
         check = Arguments(call, self._core.refuse)
         check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
@@ -206,7 +206,7 @@ class Encoder:
     def draw_indirect(
         self,
         program: Program[P],
-        mesh: Drawable,
+        mesh: Mesh,
         arguments: IndirectDraws,
         /,
         *args: P.args,
@@ -215,7 +215,7 @@ class Encoder:
         """Draw with arguments that the GPU reads from a buffer when it executes the command."""
         call = f"{self.NAME}.draw_indirect"
         own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
+        check_mesh(self._core, mesh, call)
         core = self._core
         check = Arguments(call, core.refuse)
         check.instance("arguments", arguments, IndirectDraws, "an rhi.IndirectDraws")
@@ -362,6 +362,6 @@ def check_drawable(core: Core, mesh: object, call: str) -> None:
 
 
 def check_mesh(core: Core, mesh: object, call: str) -> None:
-    """Refuse anything but a `Mesh`; a transient mesh has no parts to draw."""
+    """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies."""
     if not isinstance(mesh, Mesh):
         core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")

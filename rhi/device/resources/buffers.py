@@ -19,7 +19,7 @@ from rhi.contract.layout import Layout, accepts, compare_layouts, element_dtype,
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -358,6 +358,20 @@ def storage_dtype(check: Arguments, element: Any) -> np.dtype[Any]:
     except TypeError as error:
         allowed = "float, int, uint, a vector or matrix class, or a Struct class, without bools"
         check.fail("element", element, allowed, str(error))
+
+
+def as_storage(
+    check: Arguments, core: Core, source: int | NDArray[Any], dtype: np.dtype[Any], most: int
+) -> NDArray[Any]:
+    """Return what storage of this dtype, of 1 to `most` bytes, begins with: a number of zeros, or an array."""
+    count = as_whole(source)
+    array = None if count is not None else match_layout(core, check.array("source", source), dtype, check.call)
+    if array is not None and not array.ndim and array.dtype.names is None:
+        check.fail("source", source, "a number of elements, or an array")
+    size = array.nbytes if array is not None else (count or 0) * dtype.itemsize
+    if not 0 < size <= most:
+        core.refuse(BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {most} bytes")
+    return np.zeros(count or 0, dtype) if array is None else np.ascontiguousarray(array)
 
 
 def _is_plain(dtype: np.dtype[Any]) -> bool:

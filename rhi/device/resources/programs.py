@@ -17,6 +17,7 @@ from typing_extensions import ParamSpec
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe_object
+from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
@@ -212,6 +213,9 @@ class Program(Generic[P]):
         uniform = binding.kind is BindingKind.UNIFORM
         most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
         alignment = limits.uniform_alignment if uniform else limits.storage_alignment
+        if binding.writes and not isinstance(value.owner, Buffer):
+            tip = "make it with device.storage(…): shaders can't write transient memory"
+            self.core.refuse(BINDING_TYPE, call, "transient storage, which shaders only read", _wanted(binding), tip)
         if not binding.size <= value.size <= most or value.offset % alignment:
             allowed = f"{binding.size} to {most} bytes at a multiple of {alignment}"
             self.core.refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
@@ -293,6 +297,12 @@ class Program(Generic[P]):
             return instances
         check = Arguments(f"draw of program {self.name!r}", self.core.refuse, DRAW_COUNT)
         return check.whole("instances", instances, 0, MAX_INSTANCES)
+
+
+def check_program(core: Core, program: object, call: str) -> None:
+    """Refuse anything but a usable program."""
+    check = Arguments(call, core.refuse)
+    core.check_usable(check.instance("program", program, Program, "a Program from device.program(…)"), call)
 
 
 def shader_kind(form: Format) -> str:
