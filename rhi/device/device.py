@@ -211,11 +211,17 @@ class Device(Encoder):
             buffer.write(array)
         return buffer
 
-    def uniform(self, value: T, *, label: str = "") -> UniformBuffer[T]:
+    @overload
+    def uniform(self, value: NDArray[Any], *, label: str = "") -> UniformBuffer[Any]: ...
+
+    @overload
+    def uniform(self, value: T, *, label: str = "") -> UniformBuffer[T]: ...
+
+    def uniform(self, value: Any, *, label: str = "") -> UniformBuffer[Any]:
         """Create a buffer of constants, bound as `Uniform[T]`: a struct, or a single number, vector or matrix.
 
-        The value's class is the type of the binding: `uniform(0.5)` is bound as `Uniform[float]`,
-        `uniform(mat4(array))` as `Uniform[mat4]`.
+        The value says what it is bound as: `uniform(0.5)` as `Uniform[float]`, `uniform(1)` as `Uniform[int]`, an array
+        of 4×4 floats as `Uniform[mat4]`, one of 3 floats as `Uniform[vec3]`.
         """
         return UniformBuffer(self._core, value, label)
 

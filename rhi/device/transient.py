@@ -8,7 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,7 +122,13 @@ class TransientMemory:
         }
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
-    def uniform(self, value: T) -> UniformRange[T]:
+    @overload
+    def uniform(self, value: NDArray[Any]) -> UniformRange[Any]: ...
+
+    @overload
+    def uniform(self, value: T) -> UniformRange[T]: ...
+
+    def uniform(self, value: Any) -> UniformRange[Any]:
         """Upload constants for the draws of this frame: a struct, or a single value; see `Device.uniform`."""
         core = self._core
         core.check_open()

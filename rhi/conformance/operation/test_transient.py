@@ -465,14 +465,14 @@ class Values(Shader):
 def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way: str) -> None:
     rng = np.random.default_rng(3)
     turn, view = rng.integers(-4, 5, (3, 3)).astype("f4"), rng.integers(-4, 5, (4, 4)).astype("f4")
-    values = {
-        "scale": 0.5, "number": -3, "bits": uint(7), "offset": vec3(1, 2, 3), "turn": mat3(turn), "view": mat4(view),
+    values: dict[str, Any] = {
+        "scale": 0.5, "number": -3, "bits": np.uint32(7), "offset": np.array([1.0, 2, 3]), "turn": turn, "view": view,
     }  # fmt: skip
     make: Any = device.transient.uniform if way == "transient" else device.uniform
     bound = {name: make(value) for name, value in values.items()}
     if way == "write":
         for name, value in values.items():
-            bound[name].write(type(value)(0))
+            bound[name].write(value * 0)
             bound[name].write(value)
     expected = view @ np.array([*(turn @ [1, 2, 3]), 0.5]) + [-3, 7, 0, 0]
     with device.texture((1, 1), Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:

@@ -9,13 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
-from rhi.contract.layout import Layout, accepts, compare_layouts, element_dtype, is_host_shareable
+from rhi.contract.layout import (
+    FLOAT,
+    INT,
+    UINT,
+    Layout,
+    accepts,
+    compare_layouts,
+    element_dtype,
+    is_host_shareable,
+)
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
@@ -30,15 +39,12 @@ from rhi.errors.rules import (
 )
 from rhi.shading import Struct, uint, value_type_of
 from rhi.shading.language.bindings import StorageRange, UniformRange
-from rhi.shading.language.vectors import Composite
+from rhi.shading.language.vectors import CLASSES, Composite
 
 __rhi_internal__ = True
 
 T = TypeVar("T")
 MAX_BYTES = 1 << 40
-
-_NUMBERS: Final[dict[Any, Any]] = {uint: np.unsignedinteger, int: (int, np.integer), float: (float, np.floating)}
-"""The scalar types of the shading language, with the types of numbers that are bound as such, in order."""
 
 
 class Buffer(Resource):
@@ -410,19 +416,26 @@ def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call:
 def as_constants(check: Arguments, value: Any) -> tuple[Any, Struct]:
     """Return the type as which a value is bound to a `Uniform`, and the value as a struct.
 
-    A single value is laid out like a struct with one field: a number, a vector or a matrix of the shading language. A
-    float is bound as `Uniform[float]`, an int as `Uniform[int]`, anything else as its own class.
+    A single value is laid out like a struct with one field. A number is a float, an int or a uint, an array of 2 to 4
+    numbers a vector, one of 2×2 to 4×4 floats a matrix; vectors and matrices of the shading language are what they are.
     """
     if isinstance(value, Struct):
         return type(value), value
     kind: Any = None
     if isinstance(value, (Composite, uint)):
         kind = type(value)
-    elif isinstance(value, (int, float, np.number)) and not isinstance(value, (bool, np.complexfloating)):
-        kind = next(k for k, types in _NUMBERS.items() if isinstance(value, types))
+    elif isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool):
+        array = np.asarray(value)
+        scalar = {"f": FLOAT, "i": INT, "u": UINT}.get(array.dtype.kind)
+        if not array.ndim:
+            kind = {FLOAT: float, INT: int, UINT: uint}.get(scalar) if scalar is not None else None
+        elif array.ndim == 1:
+            kind = CLASSES.get((scalar, len(array)))
+        elif array.shape == (len(array), len(array)) and scalar is FLOAT:
+            kind = CLASSES.get(len(array))
     if kind is None or not is_host_shareable(value_type_of(kind)):
-        check.fail("value", value, "a struct, e.g. Tint(scale=(1, 1, 1)), a number, a vector or a matrix",
-                   "an array becomes a matrix by mat4(array), a vector by vec4(array)")  # fmt: skip
+        allowed = "a struct, e.g. Tint(scale=(1, 1, 1)), a number, 2 to 4 numbers, or a matrix of 2×2 to 4×4 floats"
+        check.fail("value", value, allowed)
     return kind, _wrapper(kind)(value=value)
 
 
