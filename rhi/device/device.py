@@ -194,8 +194,9 @@ class Device(Encoder):
         check = Arguments("device.buffer", self._core.refuse)
         wanted = None
         if dtype is not None:
-            try:
-                wanted = np.dtype(dtype)
+            try:  # NumPy takes the dtype of any object that has one
+                kinds: Any = (np.dtype, type, str, list, tuple, dict)
+                wanted = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
             except (TypeError, ValueError) as error:
                 self._core.refuse(BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})")
         count = as_whole(source)

@@ -278,7 +278,7 @@ class Encoder:
         x, y, z, *more = sizes
         most_x, most_y, most_z = most = self._core.capabilities.max_dispatch
         if (
-            more or not given or x is None or y is None or z is None
+            more or not len(given) or x is None or y is None or z is None
             or not (0 <= x <= most_x and 0 <= y <= most_y and 0 <= z <= most_z)
         ):  # fmt: skip
             self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 whole numbers from 0 to {most}")

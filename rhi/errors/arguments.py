@@ -114,8 +114,8 @@ class Arguments:
             self.fail(name, value, describe_choices(kind))
         return value
 
-    def instance(self, name: str, value: Any, kind: type[T], allowed: str) -> T:
-        """Return an object of this class; `allowed` says which, and where it comes from."""
+    def instance(self, name: str, value: Any, kind: type[T] | tuple[type[T], ...], allowed: str) -> T:
+        """Return an object of one of these classes; `allowed` says which, and where they come from."""
         if not isinstance(value, kind):
             self.fail(name, value, allowed)
         return value

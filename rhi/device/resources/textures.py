@@ -27,7 +27,7 @@ from rhi.contract.formats import Format
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
-from rhi.errors.arguments import Arguments
+from rhi.errors.arguments import Arguments, Fields
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     TEXTURE_DATA,
@@ -51,6 +51,11 @@ class Sampler:
 
     id: Id
     descriptor: SamplerDescriptor
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.wholes("id", least=1)
+        fields.instance("descriptor", self.descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
 
 
 @dataclass(frozen=True, slots=True)
