@@ -76,7 +76,7 @@ class Immediate(Generic[S]):
         """
         core = self._program.core
         self._check_open("Immediate.vertices")
-        packed = pack_vertices(core, self._attributes, arrays, "Immediate.vertices")
+        packed = pack_vertices(core, self._attributes, self._dtype, arrays, "Immediate.vertices")
         self._arrays += [self._collect(), packed]
 
     def instances(self, arrays: VertexArrays) -> None:
@@ -98,7 +98,7 @@ class Immediate(Generic[S]):
         if not taken:
             need = ", ".join(attribute.name for attribute in self._attributes)
             core.refuse(IMMEDIATE_VERTEX, call, f"fields {', '.join(have)}", f"at least one of {need}")
-        self._instances = pack_vertices(core, taken, array, call)
+        self._instances = pack_vertices(core, taken, vertex_dtype(taken), array, call)
         self._attributes = tuple(a for a in self._attributes if a not in taken)
         self._dtype = vertex_dtype(self._attributes)
 
@@ -117,8 +117,9 @@ class Immediate(Generic[S]):
             array = np.concatenate([*self._arrays, self._collect()])
         finally:
             instances, self._instances = self._instances, None
-            self._attributes = self._program.descriptor.attributes
-            self._dtype = vertex_dtype(self._attributes)
+            if instances is not None:  # the block may be used again
+                self._attributes = self._program.descriptor.attributes
+                self._dtype = vertex_dtype(self._attributes)
             self._rows.clear()
             self._arrays.clear()
         if not len(array):
@@ -137,7 +138,9 @@ class Immediate(Generic[S]):
         core, call = self._program.core, "Immediate.vertex"
         check = Arguments(call, core.refuse, IMMEDIATE_VERTEX)
         array = np.empty(len(self._rows), self._dtype)
-        for number, name in enumerate(self._dtype.names or () if self._rows else ()):
+        if not self._rows:
+            return array
+        for number, name in enumerate(self._dtype.names or ()):
             column = array[name]
             values = check.array(name, [row[number] for row in self._rows])
             if values.shape != column.shape or values.dtype.kind not in ("iu" if column.dtype.kind in "iu" else "iuf"):

@@ -369,17 +369,19 @@ def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
 
 
 def pack_vertices(
-    core: Core, attributes: tuple[Attribute, ...], source: VertexArrays, call: str
+    core: Core, attributes: tuple[Attribute, ...], dtype: np.dtype[Any], source: VertexArrays, call: str
 ) -> NDArray[Any]:
-    """Return arrays as tightly packed vertices with these attributes, converted as a draw would read them.
+    """Return arrays as a copy of tightly packed vertices with these attributes, converted as a draw would read them.
+
+    Args:
+        dtype: the attributes' `vertex_dtype`.
 
     Raises:
         ValidationError: `immediate-vertex` if a field is missing or has a type that the vertex stage can't read.
     """
     given = as_structured(core, source, IMMEDIATE_VERTEX, call, least=0)
-    dtype = vertex_dtype(attributes)
     if given.dtype == dtype:
-        return np.array(given)  # a copy: the caller may change its array
+        return np.array(given)
     describe_streams(core, [StreamSource(0, given.dtype, False)], attributes, IMMEDIATE_VERTEX, call)
     packed = np.empty(len(given), dtype)
     for attribute in attributes:

@@ -16,6 +16,7 @@ from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Tint, Tin
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
 from rhi.shading import (
     Shader,
+    Storage,
     StorageRW,
     Struct,
     Uniform,
@@ -393,6 +394,64 @@ def test_vertices_follow_their_instances(device: Device) -> None:
             block.vertex(position=(0, 0), shift=(0, 0))
             with pytest.raises(ValidationError, match="immediate-vertex"):
                 block.instances(shifts)
+
+
+def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device) -> None:
+    """What the ring has outgrown lives until the end of the frame, also when the GPU has caught up meanwhile."""
+    device = fresh_device
+    program = device.program(Colored)
+    rows = points(4, (4, 1))
+    with device.texture((4, 1), Format.R32F) as image:
+        early = device.transient.mesh(program, rows, np.arange(4), Primitive.POINTS)
+        capacity = device.transient.capacity
+        while device.transient.capacity == capacity:
+            device.transient.mesh(program, points(512, (512, 1)), primitive=Primitive.POINTS)
+        device.transient.mesh(program, rows, np.arange(4))
+        device.finish()
+        device.signal()
+        device.finish()
+        with device.render_pass(image, clear=(9, 0, 0, 0)):
+            device.draw(program, early)
+        assert_same(image.read()[0], np.arange(4))
+
+
+class Weighed(Shader):
+    """Draws instances in colors from storage, scaled by one number."""
+
+    scale: Uniform[float]
+    weights: Storage[vec4]
+
+    def vertex(self, v: Instance) -> FlatShade:
+        place = vec4(v.position + v.shift, 0.5, 1.0)
+        return FlatShade(clip=place, color=self.weights[instance_index()] * self.scale)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> None:
+    """It lives as long as the buffer, so later frames may submit it again."""
+    count, program = 8, device.program(Weighed)
+    shifts = np.zeros(count, [("shift", "<f4", 2)])
+    shifts["shift"][:, 0] = np.arange(count) * 2 / count
+    place = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
+    weights = np.repeat(np.arange(count, dtype="<f4")[:, None], 4, 1)
+    with device.texture((count, 1), Format.R32F) as image:
+        with device.record() as commands, commands.render_pass(image, clear=(99, 0, 0, 0)):
+            memory = commands.transient
+            bound: Any = {"scale": memory.uniform(2.0), "weights": memory.storage(vec4, weights)}
+            mesh = memory.mesh(
+                program, {"position": np.repeat(place, 3, 0)}, primitive=Primitive.POINTS, instances=shifts
+            )
+            commands.draw(program, mesh.view(1, 1), 2, **bound)
+            commands.draw(program, mesh.view(2, 1, base_instance=2), 3, **bound)
+            with commands.immediate(program, Primitive.POINTS, **bound) as block:
+                block.instances(shifts[:1])
+                block.vertex(position=place[0] + (2 * 6 / count, 0))
+        for _ in range(2):
+            device.submit(commands)
+            device.present()
+            assert_same(image.read()[0], [0, 2, 4, 6, 8, 99, 0, 99])
 
 
 # -- storage -----------------------------------------------------------------------------------------------
