@@ -157,6 +157,11 @@ class SamplerDescriptor:
         fields.choices_or_none(Comparison, "compare")
         fields.numbers("max_anisotropy", least=1)
 
+    @property
+    def uses_border(self) -> bool:
+        """Whether any axis wraps to the border color."""
+        return Wrap.BORDER in (self.wrap_u, self.wrap_v, self.wrap_w)
+
 
 @dataclass(frozen=True, slots=True)
 class Region:

@@ -479,6 +479,7 @@ def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
         assert_same(image.read().reshape(-1), np.arange(256))
 
 
+@pytest.mark.needs("compute")
 def test_transient_storage_is_read_only(device: Device) -> None:
     program = device.program(Accumulate)
     with pytest.raises(ValidationError, match="binding-type"):
