@@ -423,6 +423,24 @@ class ProgramDescriptor:
     checked: bool = False
     flushes_denormals: bool = False
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.text("name", self.name)
+        fields.members("stages", self.stages, frozenset, Stage)
+        fields.members("bindings", self.bindings, tuple, Binding)
+        fields.members("attributes", self.attributes, tuple, Attribute)
+        fields.members("outputs", self.outputs, tuple, FragmentOutput)
+        fields.members("varyings", self.varyings, tuple, StageVarying)
+        sizes = fields.members("work_group", self.work_group, tuple, int)
+        if len(sizes) != 3 or min(sizes) < 1:
+            fields.fail("work_group", sizes, "3 whole numbers, 1 or more")
+        if not callable(self.emit):
+            fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
+        fields.flags(
+            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"
+        )  # fmt: skip
+        fields.wholes("shared_bytes", least=0)
+
 
 DRAW: Final = np.dtype(
     [

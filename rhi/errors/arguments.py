@@ -27,6 +27,7 @@ __rhi_internal__ = True
 
 E = TypeVar("E", bound=enum.Enum)
 T = TypeVar("T")
+C = TypeVar("C", tuple[Any, ...], frozenset[Any])
 
 _LARGEST: Final = 3.4028235e38
 """The largest 32-bit float, which bounds every number that a shader or a driver receives."""
@@ -118,6 +119,14 @@ class Arguments:
         """Return an object of one of these classes; `allowed` says which, and where they come from."""
         if not isinstance(value, kind):
             self.fail(name, value, allowed)
+        return value
+
+    def members(self, name: str, value: Any, collection: type[C], kind: type) -> C:
+        """Return a tuple or frozenset of objects of one class; a bool is no int."""
+        if not isinstance(value, collection) or not all(
+            isinstance(each, kind) and not isinstance(each, bool) for each in value
+        ):
+            self.fail(name, value, f"a {collection.__name__} of {kind.__name__}")
         return value
 
     def array(self, name: str, value: Any) -> NDArray[Any]:

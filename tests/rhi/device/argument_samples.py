@@ -568,6 +568,21 @@ SAMPLES: Final[dict[str, Sample]] = {
             "descriptor": (lambda house: house.sampler.descriptor, instance(rhi.SamplerDescriptor)),
         },
     ),
+    "ProgramDescriptor": fields(
+        rhi.ProgramDescriptor,
+        {
+            "name": LABEL,
+            "stages": (frozenset({rhi.Stage.COMPUTE}), nothing),
+            **dict.fromkeys(("bindings", "attributes", "outputs", "varyings"), ((), nothing)),
+            "work_group": ((1, 1, 1), nothing),
+            "emit": (len, lambda house, value: callable(value)),
+            **dict.fromkeys(
+                ("writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"),
+                (False, flag),
+            ),
+            "shared_bytes": (0, natural),
+        },
+    ),
     "FixedStack": fields(rhi.FixedStack, {"capacity": (4, whole(1, 1 << 40))}),
     "FixedQueue": fields(rhi.FixedQueue, {"capacity": (4, whole(1, 1 << 40))}),
     "AlphaReference": fields(rhi.AlphaReference, {"value": (0.5, number(0, 1))}),

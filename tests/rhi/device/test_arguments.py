@@ -28,7 +28,7 @@ CLASSES: list[Any] = [
 ]  # fmt: skip
 VALUES: list[Any] = [
     rhi.Region, rhi.SamplerDescriptor, rhi.IndirectDraws, rhi.TextureTarget, rhi.Sampler, rhi.FixedStack,
-    rhi.FixedQueue, *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
+    rhi.FixedQueue, rhi.ProgramDescriptor, *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
 ]  # fmt: skip
 INTERNAL = {
     "CommandBuffer": {"note_retired"},
@@ -92,7 +92,7 @@ def run(house: House, sample: Sample, arguments: dict[str, Any]) -> None:
 def given_arguments(house: House, sample: Sample) -> dict[str, Any]:
     made = {name: value for name, (value, _) in sample.parameters.items()}
     return {
-        name: value(house) if inspect.isfunction(value) and value is not len else value for name, value in made.items()
+        name: value(house) if inspect.isfunction(value) else value for name, value in made.items()
     }
 
 
