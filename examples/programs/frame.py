@@ -40,7 +40,7 @@ def main(render: Callable[[rhi.Device, tuple[int, int]], rhi.Texture]) -> None:
 def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0, 1, 0)) -> NDArray[np.float64]:
     """Return the (4, 4) view matrix of a camera at `eye` that looks at `target`."""
     back = np.subtract(eye, target) / np.linalg.norm(np.subtract(eye, target))
-    right = np.cross(up, back)
+    right = np.cross(np.asarray(up, float), back)
     right /= np.linalg.norm(right)
     view = np.eye(4)
     view[:3, :3] = right, np.cross(back, right), back
@@ -64,6 +64,6 @@ def make_cube() -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.fl
         normals[rows, axis] = positions[rows, axis] = sign
         positions[rows, (axis + 1) % 3] = corners[:, 0] * sign
         positions[rows, (axis + 2) % 3] = corners[:, 1]
-    uvs = np.tile((corners + 1) / 2, (6, 1))
+    uvs = np.tile((corners + 1) / 2, (6, 1)).astype(np.float32)
     indices = (np.arange(6)[:, None] * 4 + (0, 1, 2, 0, 2, 3)).ravel().astype(np.uint16)
     return positions, normals, uvs, indices
