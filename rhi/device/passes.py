@@ -32,8 +32,8 @@ __rhi_internal__ = True
 
 T = TypeVar("T")
 RenderTarget: TypeAlias = Texture | TextureTarget
-Color: TypeAlias = "Sequence[float] | NDArray[Any]"
-Clear: TypeAlias = "Color | Sequence[Color | None] | None"
+Color: TypeAlias = Sequence[float] | NDArray[Any]
+Clear: TypeAlias = Color | Sequence[Color | None] | None
 
 _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
