@@ -261,6 +261,7 @@ class Encoder:
         """
         call = f"{self.NAME}.dispatch"
         own = self._resolve_program(program, call)
+        self._core.check_ready()
         sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
         sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
         most = self._core.capabilities.max_dispatch
@@ -284,6 +285,7 @@ class Encoder:
         call = f"{self.NAME}.dispatch_indirect"
         own = self._resolve_program(program, call)
         source = underlying_buffer(buffer)
+        self._core.check_ready()
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
             self._core.refuse(

@@ -77,7 +77,7 @@ class Immediate(Generic[S]):
         self._arrays += [self._collect(), matched]
 
     def __enter__(self) -> Self:
-        self._program.core.check_open()
+        self._program.core.check_command()
         self._open = True
         return self
 

@@ -103,7 +103,7 @@ class TransientMemory:
         memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
         if arena is None:
             for label in ("transient constants", "transient vertices", "transient indices", "draw arguments"):
-                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label)
+                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label, check=core.check_ready)
                 core.frame_rings.append(ring)
                 memories.append(ring)
         self._constants, self._vertices, self._indices, self.arguments = memories
@@ -123,7 +123,7 @@ class TransientMemory:
     def uniform(self, value: S) -> UniformRange[S]:
         """Upload constants for the draws of this frame."""
         core = self._core
-        core.check_open()
+        core.check_command()
         try:
             data = value.to_bytes()
         except RhiError as error:  # a struct without a layout in memory
@@ -154,7 +154,7 @@ class TransientMemory:
         Raises:
             ValidationError: `immediate-vertex`, `mesh-index`.
         """
-        self._core.check_open()
+        self._core.check_command()
         array = match_vertices(self._core, program, vertices)
         if indices is not None:
             indices = match_indices(self._core, indices, len(array), "transient.mesh")
@@ -189,6 +189,7 @@ class TransientMemory:
         vertex_array = self._vertex_arrays.get(key)
         if vertex_array is None:
             self._drop_outdated()
+            core.check_ready()
             vertex_array = core.new_id()
             core.backend.create_vertex_array(
                 vertex_array,

@@ -25,7 +25,7 @@ from rhi.backends.gl.errors import NAMES, drain_errors
 from rhi.contract.backend import Backend, PreparedQueries
 from rhi.contract.descriptors import Id, Primitive
 from rhi.errors import DeviceError
-from rhi.errors.rules import DEVICE_DEBUG
+from rhi.errors.rules import DEVICE_CONTEXT, DEVICE_DEBUG
 
 __rhi_internal__ = True
 
@@ -92,8 +92,18 @@ class DebugGlBackend(GlBackend):
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         return _CheckedQueries(super().prepare_queries(queries), self)
 
+    def make_current(self) -> None:
+        super().make_current()
+        self._debug.clear()  # of calls that restore what nobody changed, some are errors
+
     def check(self, call: Callable[..., object], name: str, *arguments: object) -> Any:
-        """Call a function and raise the errors that the driver reports during the call."""
+        """Call a function and raise the errors that the driver reports during the call.
+
+        The call is refused if other code has made another context current: earlier ones may be lost.
+        """
+        if self.resume():
+            given = "another context, made current by other code since the device's last command"
+            raise DeviceError(DEVICE_CONTEXT, f"{name}({', '.join(map(_show, arguments))})", given)
         try:
             result = call(*arguments)
         except Exception:

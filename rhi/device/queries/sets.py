@@ -70,7 +70,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
 
     def __init__(self, core: Core, size: int, emulated: bool) -> None:
         call = "device.query_set"
-        core.check_open()
+        core.check_ready()
         if not isinstance(size, (int, np.integer)) or size < 0:
             core.refuse(DEVICE_ARGUMENT, call, f"{size!r} queries", "a number, 0 or more")
         super().__init__(core, int(size), emulated, call)

@@ -84,6 +84,7 @@ class Buffer(Resource):
     def destroy(self) -> None:
         """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             for invalidate in self.dependents:
@@ -129,7 +130,7 @@ class Buffer(Resource):
 
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
-        core.check_open()
+        core.check_ready()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
             self.core.refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
@@ -138,7 +139,7 @@ class Buffer(Resource):
     def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
         """Send a `copy_to` to `core`."""
         call = "Buffer.copy_to"
-        core.check_open()
+        core.check_ready()
         core.check_usable(self, call)
         core.check_usable(target, call)
         size = self.size - offset if size is None else size
@@ -152,7 +153,7 @@ class Buffer(Resource):
         core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
 
     def _check(self, call: str) -> None:
-        self.core.check_open()
+        self.core.check_ready()
         self.core.check_usable(self, call)
 
     def _match(self, data: NDArray[Any], call: str) -> NDArray[Any]:
