@@ -198,8 +198,11 @@ class Core:
         if self.closed or get_ident() != self.thread:
             self.check_open()
             self.check_thread()
-        if self._context is not None and self.resume() and self.render_pass is not None:
-            self.refusals.fail(lost_pass())
+        context = self._context
+        if context is not None and context.resume():
+            self.program = None
+            if self.render_pass is not None:
+                self.refusals.fail(lost_pass())
 
     def check_thread(self, call: str = "device") -> None:
         """Refuse calls on any thread but the device's own. A closed device has none."""

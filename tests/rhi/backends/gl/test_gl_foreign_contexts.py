@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -284,64 +285,94 @@ def test_labels_stay_paired_after_a_pass_that_was_lost(device: Device, foreign: 
 
 # -- other code changes the state of the device's context ---------------------------------------------------------
 
-DISTURBANCES: dict[str, Callable[[Any], None]] = {
+DISTURBANCES: dict[str, Callable[[Any], object]] = {
     "clip control": lambda gl: gl.ClipControl(0x8CA2, 0x935E),
+    "provoking vertex": lambda gl: gl.ProvokingVertex(0x8E4E),
     "scissor": lambda gl: (gl.Enable(0x0C11), gl.Scissor(0, 0, 3, 3)),
     "viewport": lambda gl: gl.Viewport(0, 0, 5, 5),
     "depth range": lambda gl: gl.DepthRangef(0.9, 1.0),
     "color mask": lambda gl: gl.ColorMask(0, 0, 0, 0),
-    "blending": lambda gl: (gl.Enable(0x0BE2), gl.BlendFuncSeparate(0, 0, 0, 0)),
+    "blending": lambda gl: gl.Enable(0x0BE2),
     "culling": lambda gl: (gl.Enable(0x0B44), gl.CullFace(0x0408)),
-    "winding": lambda gl: (gl.Enable(0x0B44), gl.CullFace(0x0405), gl.FrontFace(0x0900)),
-    "depth": lambda gl: (gl.Enable(0x0B71), gl.DepthFunc(0x0200), gl.DepthMask(0)),
+    "winding": lambda gl: gl.FrontFace(0x0901),
+    "depth": lambda gl: (gl.Disable(0x0B71), gl.DepthMask(0)),
+    "comparison": lambda gl: gl.DepthFunc(0x0200),
     "stencil": lambda gl: (gl.Enable(0x0B90), gl.StencilFuncSeparate(0x0408, 0x0200, 1, 1)),
+    "bias": lambda gl: (gl.Enable(0x8037), gl.PolygonOffset(1.0, 1.0)),
     "rasteriser": lambda gl: gl.Enable(0x8C89),
-    "logic": lambda gl: (gl.Enable(0x0BF2)),
-    "sample mask": lambda gl: (gl.Enable(0x80A0), gl.Enable(0x8E51)),
+    "logic": lambda gl: gl.Enable(0x0BF2),
+    "samples": lambda gl: (gl.Enable(0x80A0), gl.Enable(0x8E51), gl.Enable(0x8C36)),
+    "clamped depth": lambda gl: gl.Enable(0x864F),
+    "clip planes": lambda gl: gl.Enable(0x3007),
+    "sRGB": lambda gl: gl.Disable(0x8DB9),
+    "dither": lambda gl: gl.Enable(0x0BD0),
+    "point size": lambda gl: gl.Disable(0x8642),
     "fill": lambda gl: gl.PolygonMode(0x0408, 0x1B00),
-    "program": lambda gl: gl.UseProgram(0),
-    "vertex array": lambda gl: gl.BindVertexArray(0),
     "framebuffer": lambda gl: gl.BindFramebuffer(0x8D40, 0),
     "primitive restart": lambda gl: (gl.Disable(0x8D69), gl.Enable(0x8F9D)),
-    "rows of pixels": lambda gl: [gl.PixelStorei(name, 1) for name in (0x0CF4, 0x0D04, 0x0D02, 0x0CF2)],
-    "alignment": lambda gl: [gl.PixelStorei(name, 8) for name in (0x0CF5, 0x0D05)],
+    "pixels that are skipped": lambda gl: (gl.PixelStorei(0x0CF4, 1), gl.PixelStorei(0x0D04, 1)),
+    "rows of pixels": lambda gl: (gl.PixelStorei(0x0CF2, 7), gl.PixelStorei(0x0D02, 7)),
+    "alignment": lambda gl: (gl.PixelStorei(0x0CF5, 8), gl.PixelStorei(0x0D05, 8)),
+    "pixel buffer": lambda gl: gl.BindBuffer(0x88EC, gl.create(gl.CreateBuffers)),
+    "label": lambda gl: gl.PushDebugGroup(0x824A, 0, -1, b"foreign"),
+    "query": lambda gl: gl.BeginQuery(0x8914, gl.create(gl.CreateQueries, 0x8914)),
 }
+SWITCHES = (
+    0x0B44, 0x0B71, 0x0B90, 0x0BD0, 0x0BE2, 0x0BF2, 0x0C11, 0x3007, 0x8037, 0x809E, 0x80A0, 0x8642, 0x864F, 0x8C36,
+    0x8C89, 0x8D69, 0x8DB9, 0x8E51, 0x8F9D,
+)  # fmt: skip
+NUMBERS = (
+    0x0B40, 0x0B45, 0x0B46, 0x0B72, 0x0B74, 0x0B92, 0x0B93, 0x0B97, 0x0C23, 0x0CF2, 0x0CF4, 0x0CF5, 0x0D02, 0x0D04,
+    0x0D05, 0x826D, 0x88EF, 0x8CA6, 0x8E4F, 0x935C, 0x935D,
+)  # fmt: skip
+"""Polygon mode, face, winding, depth mask and comparison, stencil, color mask, transfers, labels, framebuffer, …"""
 
 
-def picture(device: Device, resources: dict[str, Any], restored: bool, disturb: Callable[[], object]) -> Any:
-    image, depth = resources["image"], resources["depth"]
-    with device.render_pass(image, depth, clear=(0, 0, 0, 0), clear_depth=0.25, clear_stencil=0):
-        device.draw(resources["program"], resources["mesh"], tint=resources["tint"])
-    disturb()
-    if restored:
-        device.make_current()
-    resources["texels"].write(np.arange(3 * 5, dtype="u1").reshape(3, 5))
-    with device.render_pass(image, depth, clear=(0.5, 0, 0, 0), clear_depth=0.25, clear_stencil=0):
-        device.draw(resources["program"], resources["mesh"], tint=resources["tint"])
-    filled = image.read().astype(int).sum(), depth.read().astype(float).sum()
-    with device.render_pass(image, depth, clear=(0, 0, 0, 0)):
-        device.draw(resources["program"], resources["mesh"], tint=resources["tint"])
-        disturb()
-        if restored:
-            device.make_current()
-        device.draw(resources["program"], resources["mesh"].view(3, 3), tint=resources["tint"])
-    return *filled, image.read().astype(int).sum(), resources["texels"].read().tolist()
+def read_state(gl: Any) -> dict[str, Any]:
+    integers, reals, query = (ctypes.c_int64 * 4)(), (ctypes.c_float * 4)(), ctypes.c_int()
+    state: dict[str, Any] = {}
+    for name in SWITCHES + NUMBERS:
+        gl.GetInteger64v(name, integers)
+        state[hex(name)] = list(integers)
+    for name in (0x0BA2, 0x0B70):  # viewport, depth range
+        gl.GetFloatv(name, reals)
+        state[hex(name)] = list(reals)
+    gl.GetQueryiv(0x8914, 0x8865, ctypes.byref(query))
+    return {**state, "query": query.value}
 
 
+@pytest.mark.parametrize("validation", [False, True])
 @pytest.mark.parametrize("kind", DISTURBANCES)
-def test_make_current_restores_the_state_that_other_code_changed(kind: str) -> None:
-    with rhi.create_device("gl") as device:
-        resources: dict[str, Any] = {
-            "image": device.texture(SIZE, Format.RGBA8),
-            "depth": device.texture(SIZE, Format.D24S8),
-            "texels": device.texture((5, 3), Format.R8),
-            "mesh": device.mesh(rectangle(right=0.5, top=0.5, depth=0.5)),
-            "program": device.program(Tinted),
-            "tint": device.uniform(Tint(color=(1, 1, 1, 1))),
-        }
+def test_make_current_restores_the_state_that_other_code_changed(kind: str, validation: bool) -> None:
+    with rhi.create_device("gl", validation=validation) as device:
+        image, depth = device.texture(SIZE, Format.RGBA8), device.texture(SIZE, Format.D24S8)
+        program, mesh = device.program(Colored), device.mesh(rectangle())
         gl = device.backend_as(GlBackend).gl
-        expected = picture(device, resources, True, lambda: None)
-        assert picture(device, resources, True, lambda: DISTURBANCES[kind](gl)) == expected
+        with device.render_pass(image, depth, clear_depth=0.25):
+            device.draw(program, mesh)
+            before = read_state(gl)
+            DISTURBANCES[kind](gl)
+            assert read_state(gl) != before
+            device.make_current()
+            assert read_state(gl) == before
+            device.draw(program, mesh)
+        assert count_filled(image) == PIXELS
+
+
+def test_make_current_restores_the_bindings_that_other_code_changed(device: Device) -> None:
+    own = device.backend_as(GlBackend)
+    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Tinted)
+    tint, other = device.uniform(Tint(color=(1, 1, 1, 1))), own.context.buffer(reserve=256)
+    counts = []
+    for restored in (False, True):
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(program, mesh, 0, tint=tint)
+            other.bind_to_uniform_block(0)
+            if restored:
+                device.make_current()
+            device.draw(program, mesh, tint=tint)
+        counts.append(count_filled(image))
+    assert counts == [0, PIXELS]
 
 
 def test_a_disturbed_state_shows_without_make_current() -> None:
