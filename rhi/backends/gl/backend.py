@@ -102,7 +102,7 @@ class GlBackend:
         self._textures = Textures(gl)
         self._samplers = Samplers(gl)
         self._framebuffers = Framebuffers(gl, self._textures)
-        self._arrays = VertexArrays(context, gl, self._buffers)
+        self._arrays = VertexArrays(context, gl, self._buffers, self.check_context)
         self._programs = Programs(context, gl, self._arrays)
         self._queries = Queries(gl)
         self._fence = Fence(gl)
@@ -172,6 +172,16 @@ class GlBackend:
             self.make_current()
             return True
         return False
+
+    def check_context(self) -> None:
+        """Refuse to create objects in another context, for those that draws create on first use.
+
+        Raises:
+            DeviceError: `device-context`; the own context is current now.
+        """
+        if self.resume():
+            given = "another context, made current by other code since the device's last check"
+            raise DeviceError(DEVICE_CONTEXT, "draw", given)
 
     def make_current(self) -> None:
         """See `rhi.contract.backend.HoldsContext`."""

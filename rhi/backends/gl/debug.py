@@ -25,7 +25,7 @@ from rhi.backends.gl.errors import NAMES, drain_errors
 from rhi.contract.backend import Backend, PreparedQueries
 from rhi.contract.descriptors import Id, Primitive
 from rhi.errors import DeviceError
-from rhi.errors.rules import DEVICE_CONTEXT, DEVICE_DEBUG
+from rhi.errors.rules import DEVICE_DEBUG
 
 __rhi_internal__ = True
 
@@ -101,9 +101,7 @@ class DebugGlBackend(GlBackend):
 
         The call is refused if other code has made another context current: earlier ones may be lost.
         """
-        if self.resume():
-            given = "another context, made current by other code since the device's last command"
-            raise DeviceError(DEVICE_CONTEXT, f"{name}({', '.join(map(_show, arguments))})", given)
+        self.check_context()
         try:
             result = call(*arguments)
         except Exception:

@@ -280,9 +280,14 @@ class Core:
         """Send changed states to the backend, if any."""
         if self.states.wanted is self.states.hardware:
             return
-        self.backend.set_states(self.states.flush())
-        if self._prepares is not None:
-            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+        try:
+            self.backend.set_states(self.states.flush())
+        except BaseException:
+            self.program = None  # it may lack a variant for these states
+            raise
+        finally:
+            if self._prepares is not None:
+                self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 
     def send_states(self, vector: StateVector) -> None:
         """Send the changes that lead from the hardware's states to a state vector of any cache."""

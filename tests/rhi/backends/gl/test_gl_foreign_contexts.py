@@ -12,7 +12,18 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Access, CullMode, Device, DeviceError, Format, Scissor
+from rhi import (
+    Access,
+    AlphaFunction,
+    AlphaReference,
+    AlphaTest,
+    CullMode,
+    Device,
+    DeviceError,
+    Format,
+    Primitive,
+    Scissor,
+)
 from rhi.backends.gl.backend import GlBackend
 from rhi.conformance.shaders import Colored, Tint, Tinted
 from rhi.conformance.shapes import rectangle
@@ -251,6 +262,47 @@ def test_with_validation_the_draw_itself_is_refused() -> None:
             device.draw(program, mesh)
         context.release()
         assert count_filled(image) == PIXELS
+
+
+def test_what_a_first_draw_creates_is_not_created_in_another_context(
+    device: Device, take_over: Callable[[], None]
+) -> None:
+    """The variant of a program with an alpha test."""
+    image, mesh, program = device.texture(SIZE, Format.RGBA8), device.mesh(rectangle()), device.program(Colored)
+    tested = AlphaTest.ON, AlphaFunction.GREATER, AlphaReference(0.5), Scissor(0, 0, 32, 64)
+    for _ in range(2):
+        with device.render_pass(image, clear=(0, 0, 0, 0)):
+            device.draw(program, mesh, 0)
+            take_over()
+            with device.states(*tested), pytest.raises(DeviceError) as caught:
+                device.draw(program, mesh)
+            assert caught.value.rule.id == "device-context"
+            with device.states(*tested):
+                device.draw(program, mesh)
+        assert count_filled(image) == PIXELS // 2
+        tested = AlphaTest.ON, AlphaFunction.LESS_EQUAL, AlphaReference(1.0), Scissor(0, 0, 32, 64)
+
+
+@pytest.mark.parametrize("indexed", [False, True])
+def test_quads_are_not_expanded_in_another_context(
+    device: Device, take_over: Callable[[], None], indexed: bool
+) -> None:
+    image, program = device.texture(SIZE, Format.RGBA8), device.program(Colored)
+    rows = rectangle()[[0, 1, 2, 5]]
+    mesh = device.mesh(rows, np.arange(4, dtype="u2") if indexed else None, primitive=Primitive.QUADS)
+    with device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw(program, mesh, 0)
+    many = device.mesh(np.tile(rows, 2000), np.arange(8000, dtype="u2") if indexed else None, primitive=Primitive.QUADS)
+    with device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw(program, many.view(0, 4))
+        take_over()
+        with pytest.raises(DeviceError) as caught:
+            device.draw(program, many)
+        assert caught.value.rule.id == "device-context"
+    draw_all(device, image)
+    with device.render_pass(image, clear=(0, 0, 0, 0)):
+        device.draw(program, many)
+    assert count_filled(image) == PIXELS
 
 
 @pytest.mark.parametrize("emulated", [False, True])
