@@ -151,7 +151,7 @@ class GlBackend:
                 "device.make_current",
                 "a context that the driver refuses to make current here",
                 "no context of GLX on this thread, and the device's own on no other thread",
-                "create windows with EGL, or release their context first; release_current() on the other thread",
+                "let toolkits create windows with EGL, or release their context; release_current() on the other thread",
             )
         self._is_current = True
 
