@@ -207,7 +207,7 @@ class Core:
     def check_thread(self, call: str = "device") -> None:
         """Refuse calls on any thread but the device's own. A closed device has none."""
         if get_ident() != self.thread and not self.closed:
-            allowed = name_thread(self.thread) if self.thread != NO_THREAD else "none: make_current() first"
+            allowed = name_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
             self.refuse(DEVICE_THREAD, call, f"a call on {name_thread(get_ident())}", allowed)
 
     def resume(self) -> bool:
@@ -398,7 +398,7 @@ class ValidatingCore(Core):
 def _find_context(backend: Backend) -> HoldsContext | None:
     """Return the backend that holds a context, behind any recorder, or None."""
     inner: object = backend
-    while inner is not None and not hasattr(inner, "resume"):
+    while inner is not None and not hasattr(inner, "release_current"):
         inner = getattr(inner, "backend", None)
     return cast("HoldsContext | None", inner)
 

@@ -17,6 +17,24 @@ from rhi.conformance.shapes import rectangle
 from rhi.shading import Shader, compile_shader, vec4
 
 
+class WithContext(NullBackend):
+    """A null backend that keeps the calls about its context."""
+
+    def __init__(self, calls: list[str]) -> None:
+        super().__init__()
+        self._calls = calls
+
+    def resume(self) -> bool:
+        self._calls.append("resume")
+        return False
+
+    def make_current(self) -> None:
+        self._calls.append("make_current")
+
+    def release_current(self) -> None:
+        self._calls.append("release_current")
+
+
 def on_threads(count: int, work: Callable[[int], object]) -> None:
     """Run `work` on several threads that begin together; raise what any of them raises."""
     start = threading.Barrier(count)
@@ -70,18 +88,8 @@ def test_a_thread_that_has_ended_is_named_as_such() -> None:
 def test_a_context_is_looked_for_behind_recorders_and_wrappers() -> None:
     calls: list[str] = []
 
-    class WithContext(NullBackend):
-        def resume(self) -> bool:
-            calls.append("resume")
-            return False
-
-        def make_current(self) -> None:
-            calls.append("make_current")
-
-        def release_current(self) -> None:
-            calls.append("release_current")
-
-    for backend in (WithContext(), rhi.Recorder(WithContext()), rhi.Recorder(rhi.Recorder(WithContext()))):
+    inner = WithContext(calls)
+    for backend in (inner, rhi.Recorder(inner), rhi.Recorder(rhi.Recorder(inner))):
         calls.clear()
         device = Device(backend)
         device.buffer(4)
@@ -95,12 +103,7 @@ def test_a_context_is_looked_for_behind_recorders_and_wrappers() -> None:
 def test_a_draw_asks_for_no_context_but_a_pass_does() -> None:
     calls: list[str] = []
 
-    class WithContext(NullBackend):
-        def resume(self) -> bool:
-            calls.append("resume")
-            return False
-
-    device = Device(WithContext())
+    device = Device(WithContext(calls))
     program, mesh, image = device.program(White), device.mesh(rectangle()), device.texture((4, 4), Format.R8)
     with device.render_pass(image):
         device.draw(program, mesh)
