@@ -112,6 +112,7 @@ class ClBackend:
         finally:
             for resource in list(self._destroyers):
                 self.destroy(resource)
+            self._rasteriser.close()
 
     # -- resources ---------------------------------------------------------------------------------------
 

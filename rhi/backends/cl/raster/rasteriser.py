@@ -75,6 +75,10 @@ class Rasteriser:
             self._flush_batch, self.change_stored,
         )  # fmt: skip
 
+    def close(self) -> None:
+        """End what is being built in the background."""
+        self._builds.close()
+
     # -- programs and vertex arrays --------------------------------------------------------------------------
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
