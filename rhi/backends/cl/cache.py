@@ -71,7 +71,7 @@ class KernelCache:
         """`folder`: None if the driver has none; nothing is known then. `driver`: what compiled kernels depend on."""
         self._folder = folder
         self._driver = driver
-        self._written: dict[str, float] = {}  # programs by key, and when their first file was written
+        self._written: set[str] = set()
 
     @property
     def works(self) -> bool:
@@ -129,11 +129,11 @@ class KernelCache:
             fcntl.flock(lock, fcntl.LOCK_EX)
             yield
 
-    def record(self, key: str, since: float) -> None:
-        """Record that a program's files are complete; `since`: the time before the first of them was written."""
+    def record(self, key: str) -> None:
+        """Record that a program's files are complete."""
         if self._folder is None:
             return
-        place = self._find(key, since)
+        place = self._find(key)
         if place is None:
             return
         files = {
@@ -146,9 +146,9 @@ class KernelCache:
         with suppress(OSError):
             fresh.write_text(text)
             fresh.replace(record)
-        self._written.setdefault(key, since)
+        self._written.add(key)
 
-    def _find(self, key: str, since: float) -> Path | None:
+    def _find(self, key: str) -> Path | None:
         """Return the folder of a program."""
         assert self._folder is not None
         with suppress(OSError, ValueError, KeyError, TypeError):
@@ -157,13 +157,15 @@ class KernelCache:
             if (place / _PROGRAM).is_file():
                 return place
         name = f"rhi_{key}".encode()
-        with suppress(OSError):
-            for first in self._folder.iterdir():
-                if len(first.name) != 2 or first.stat().st_mtime < since - 2:  # seconds: clocks of files are coarse
-                    continue
-                for place in first.iterdir():
-                    if place.stat().st_mtime >= since - 2 and name in (place / _PROGRAM).read_bytes():
-                        return place
+        places: list[tuple[float, Path]] = []
+        for place in self._folder.glob("[A-Z][A-Z]/*"):
+            with suppress(OSError):
+                places.append((place.stat().st_mtime, place))
+        # Nearly always it was written just now. Older ones were left by a process that ended before it could record them.
+        for _, place in sorted(places, reverse=True):
+            with suppress(OSError):
+                if name in (place / _PROGRAM).read_bytes():
+                    return place
         return None
 
     def finish(self) -> None:
@@ -171,8 +173,8 @@ class KernelCache:
         much."""
         if self._folder is None or not self._written:
             return
-        for key, since in self._written.items():
-            self.record(key, since)
+        for key in list(self._written):
+            self.record(key)
         self._written.clear()
         with suppress(OSError):
             self._trim(self._folder)

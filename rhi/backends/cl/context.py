@@ -11,7 +11,6 @@
 from __future__ import annotations
 
 import os
-import time
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -207,10 +206,9 @@ def compile_cached(context: cl.Context, cache: KernelCache, source: str, options
     text = cache.mark(source, key)
     if cache.knows(key):
         return build(context, text, options)
-    since = time.time()
     with cache.writing(key):
         program = build(context, text, options)
-        cache.record(key, since)
+        cache.record(key)
     return program
 
 

@@ -17,7 +17,6 @@ import logging
 import os
 import queue
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
 from typing import Final, NamedTuple
@@ -252,9 +251,8 @@ class Builds:
         key = cache.identify(text.source, text.options)
         source = cache.mark(text.source, key)
         if not cache.knows(key, text.names):
-            since = time.time()
             compiler.compile(Job(source, text.options, text.names, *_EMPTY_TABLE, cache.find_lock(key)))
-            cache.record(key, since)
+            cache.record(key)
         if cache.knows(key, text.names):
             optimisation.program = build_again(self._context.context, source, text.options)
 

@@ -352,9 +352,9 @@ SINGLE raster(ulong address) {
         global const float *planes = AT(const float, batch->planes) + (long)place * 16;
 #if VARYING_WORDS
         global const uint *varyings = AT(const uint, batch->varyings), *slots = (global const uint *)planes + SLOTS;
-        global const uint *corner0 = varyings + (long)slots[0] * VARYING_WORDS;
-        global const uint *corner1 = varyings + (long)slots[1] * VARYING_WORDS;
-        global const uint *corner2 = varyings + (long)slots[2] * VARYING_WORDS;
+        global const uint *corner0 = varyings + (SHADES ? (long)slots[0] * VARYING_WORDS : 0);
+        global const uint *corner1 = varyings + (SHADES ? (long)slots[1] * VARYING_WORDS : 0);
+        global const uint *corner2 = varyings + (SHADES ? (long)slots[2] * VARYING_WORDS : 0);
 #endif
 #endif
 
