@@ -10,6 +10,7 @@ from rhi.contract.backend import (
     Capabilities,
     PreparedQueries,
     PreparesDraws,
+    PreparesKernels,
     PreparesQueries,
 )
 from rhi.contract.descriptors import (
@@ -170,6 +171,7 @@ __all__ = [
     "PolygonOffset",
     "PreparedQueries",
     "PreparesDraws",
+    "PreparesKernels",
     "PreparesQueries",
     "Primitive",
     "ProgramDescriptor",

@@ -161,7 +161,7 @@ class KernelCache:
         for place in self._folder.glob("[A-Z][A-Z]/*"):
             with suppress(OSError):
                 places.append((place.stat().st_mtime, place))
-        # Nearly always it was written just now. Older ones were left by a process that ended before it could record them.
+        # Nearly always it was written just now. Older ones were left by a process that ended before it recorded them.
         for _, place in sorted(places, reverse=True):
             with suppress(OSError):
                 if name in (place / _PROGRAM).read_bytes():

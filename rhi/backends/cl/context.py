@@ -98,7 +98,8 @@ def open_context() -> ClContext:
         try:
             context = cl.Context([device])
             queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-            cache = KernelCache(folder if caches_kernels(device) else None, f"{describe(device)} {device.driver_version}")
+            driver = f"{describe(device)} {device.driver_version}"
+            cache = KernelCache(folder if caches_kernels(device) else None, driver)
             program, shares_memory = probe(context, queue, cache)
         except (cl.Error, RuntimeError) as error:
             passed_over.append(f"{describe(device)}: {shorten(error)}")

@@ -54,7 +54,7 @@ class BatchState:
 
     @property
     def leaves_bounds(self) -> bool:
-        """Whether the raster kernel that was launched last left bounds of depth in memory. Only kernels for one key do."""
+        """Whether the kernel that was launched last left bounds of depth in memory; general ones don't."""
         return self.bounds_depth and not self.raster.is_quick
 
     def identify_bounds(self) -> tuple[object, ...]:

@@ -4,8 +4,8 @@
   kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When it has been
   given `HOT` work-items, it is optimised in the background and replaced by the result. Both compute the same bits.
 - PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
-  other processes optimise kernels (`compiler.py`), which leaves them in the cache. A thread loads them from there.
-- `wait` optimises kernels before they are hot.
+  other processes optimise kernels (`compiler.py`). They leave them in the cache, where a thread finds them.
+- `Kernel.optimise` begins that before the kernel is hot.
 - `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose cache
   isn't a folder (`rhi.backends.cl.cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
@@ -151,16 +151,16 @@ class Builds:
         if not self.is_quick or self.is_cached(text):
             program = self.compile(text)
             return [Kernel(program, name) for name in text.names]
-        return self.replace_later(self.compile(text, quick=True), text)
+        program, optimisation = self.compile(text, quick=True), self.optimise(text)
+        return [Kernel(program, name, optimisation) for name in text.names]
 
     def is_cached(self, text: Text) -> bool:
         """Return whether optimised machine code of these kernels is in the cache."""
         return self._cache.knows(self._cache.identify(text.source, text.options), text.names)
 
-    def replace_later(self, program: cl.Program, text: Text) -> list[Kernel]:
-        """Return the kernels of a program, which are going to be replaced by optimised ones of another text."""
-        optimisation = Optimisation(text, self._begin)
-        return [Kernel(program, name, optimisation) for name in text.names]
+    def optimise(self, text: Text) -> Optimisation:
+        """Return the optimisation of a text, which hasn't begun."""
+        return Optimisation(text, self._begin)
 
     def compile(self, text: Text, quick: bool = False) -> cl.Program:
         """Compile source code, or take it from the cache.

@@ -57,12 +57,13 @@ class Compiler:
             OSError: it can't be started.
         """
         devices = device.platform.get_devices()
+        place = device.platform.name, device.platform.version, str(devices.index(device))
         environment = os.environ | {
             "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
             "POCL_MAX_PTHREAD_COUNT": "1",
         }
         self._process = subprocess.Popen(
-            [sys.executable, "-W", "ignore", __file__, device.platform.name, device.platform.version, str(devices.index(device))],
+            [sys.executable, "-W", "ignore", __file__, *place],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
         )  # fmt: skip
         self._closed = False

@@ -202,11 +202,13 @@ class MergerKey:
 
 
 def general_defines(output_words: int) -> str:
-    """Return the macros that `kernels/targets.cl` is compiled with for all keys of a program; `output_words`: as in a
-    key."""
+    """Return the macros that `kernels/targets.cl` is compiled with for all keys of a program.
+
+    `output_words`: as in a key.
+    """
     fields = (
-        "SAMPLES", "COLOR_COUNT", "HAS_DEPTH", "DEPTH_BITS", "DEPTH_PASSES", "DEPTH_WRITES", "HAS_STENCIL", "ALPHA_TEST",
-        "ALPHA_TO_COVERAGE", "TEST_ORDER", "SHADES",
+        "SAMPLES", "COLOR_COUNT", "HAS_DEPTH", "DEPTH_BITS", "DEPTH_PASSES", "DEPTH_WRITES", "HAS_STENCIL",
+        "ALPHA_TEST", "ALPHA_TO_COVERAGE", "TEST_ORDER", "SHADES",
     )  # fmt: skip
     numbers: dict[str, object] = {name: f"(targets->merger->{name.lower()})" for name in fields}
     each = ", ".join(f"targets->merger->colors[place][{field}]" for field in range(6))

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -25,13 +26,14 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger, tables
-from rhi.backends.cl.raster.builds import Builds, Kernel, Text, make_text
+from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation, Text, make_text
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
 
 __rhi_internal__ = True
 
 LANGUAGE: Final = "opencl16"
+_RASTER: Final = "raster"
 _BOXED: Final = "#define RHI_BOXED"
 
 StreamLayout: TypeAlias = tuple[tuple[int, bool, tuple[object, ...]], ...]
@@ -96,12 +98,14 @@ class Pipeline:
         self._vertex: dict[StreamLayout, VertexKernels] = {}
         self._raster: dict[merger.MergerKey, Kernel] = {}
         self._general_raster: cl.Program | None = None
+        self._optimisations: dict[merger.MergerKey, Optimisation] = {}  # of kernels that no draw has needed yet
 
     def find_vertex(self, streams: Sequence[VertexStream]) -> VertexKernels:
         """Return the kernels for vertices of this layout, building them on first use."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
-            text, macros = self._vertex_text, tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
+            text, faults = self._vertex_text, self._fault_places[Stage.VERTEX]
+            macros = tables.vertex_macros(self.descriptor, streams, faults)
             source = "\n".join(
                 (tables.common_macros(), read_kernels("common"), text.text, macros, read_kernels("vertex"))
             )
@@ -118,13 +122,30 @@ class Pipeline:
         built for this key replaces it.
         """
         if key not in self._raster:
+            optimisation = self._optimisations.pop(key, None)
             text = self._fragment_text if key.shades else StageText("")
             special = self._assemble_raster(text, key.defines(), key.shades, key.stages_depth, key.bounds_depth)
-            if self._builds.is_quick and not self._builds.is_cached(special):
-                (self._raster[key],) = self._builds.replace_later(self._general(key.output_words), special)
+            if optimisation is not None and optimisation.program is not None:
+                self._raster[key] = Kernel(optimisation.program, _RASTER)
+            elif self._builds.is_quick and not self._builds.is_cached(special):
+                optimisation = optimisation or self._builds.optimise(special)
+                self._raster[key] = Kernel(self._general(key.output_words), _RASTER, optimisation)
             else:
                 (self._raster[key],) = self._build(Stage.FRAGMENT, special, text)
         return self._raster[key]
+
+    def optimise_raster(self, key: merger.MergerKey) -> Future[None] | None:
+        """Begin to build the raster kernel for this key; return the end of that, or None if there is nothing to do."""
+        if key in self._raster:
+            return self._raster[key].optimise()
+        if not self._builds.is_quick:
+            self.find_raster(key)
+            return None
+        if key not in self._optimisations:
+            text = self._fragment_text if key.shades else StageText("")
+            special = self._assemble_raster(text, key.defines(), key.shades, key.stages_depth, key.bounds_depth)
+            self._optimisations[key] = self._builds.optimise(special)
+        return self._optimisations[key].begin()
 
     def _general(self, output_words: int) -> cl.Program:
         """Return the raster kernel for all keys, building it on first use."""
@@ -142,10 +163,10 @@ class Pipeline:
             self.descriptor, fragment, stages_depth, bounds_depth, self._fault_places[Stage.FRAGMENT]
         )
         parts = (
-            tables.common_macros(), read_kernels("common"), read_kernels("polygon"), defines, merger.read_source(), text.text,
-            macros, read_kernels("raster"),
+            tables.common_macros(), read_kernels("common"), read_kernels("polygon"), defines, merger.read_source(),
+            text.text, macros, read_kernels("raster"),
         )  # fmt: skip
-        return make_text("\n".join(parts), ("raster",), self.descriptor.flushes_denormals)
+        return make_text("\n".join(parts), (_RASTER,), self.descriptor.flushes_denormals)
 
     def _build(self, stage: Stage, kernels: Text, text: StageText) -> list[Kernel]:
         """Build kernels that contain the stage's text."""
