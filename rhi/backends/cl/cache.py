@@ -153,7 +153,7 @@ class KernelCache:
         assert self._folder is not None
         with suppress(OSError, ValueError, KeyError, TypeError):
             known = json.loads((self._folder / _RECORDS / key).read_bytes())
-            place = self._folder / known["folder"]
+            place = self._folder / str(known["folder"])
             if (place / _PROGRAM).is_file():
                 return place
         name = f"rhi_{key}".encode()

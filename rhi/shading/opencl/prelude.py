@@ -20,8 +20,11 @@ _LONG: Final = (
     "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "pow",
     "exp", "log", "exp2", "log2",
 )  # fmt: skip
-"""Functions of OpenCL that drivers inline, hundreds of instructions each. A kernel that needs one of them more than
-once calls a function of its own instead: it builds several times as fast, and the call costs little beside what it does."""
+"""Functions of OpenCL that drivers inline, hundreds of instructions each.
+
+A kernel that needs one of them more than once calls a function of its own instead. So it builds several times as fast,
+and the call costs little beside what the function does.
+"""
 
 
 def _estimate_text(width: int) -> str:

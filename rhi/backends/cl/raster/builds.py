@@ -4,10 +4,10 @@
   kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When it has been
   given `HOT` work-items, it is optimised in the background and replaced by the result. Both compute the same bits.
 - PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
-  other processes optimise kernels (`compiler.py`). They leave them in the cache, where a thread finds them.
+  other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
 - `Kernel.optimise` begins that before the kernel is hot.
-- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose cache
-  isn't a folder (`rhi.backends.cl.cache`) always do the latter.
+- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
+  cache isn't a folder (`rhi.backends.cl.cache`) always do the latter.
 - The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
 
@@ -267,9 +267,9 @@ def _describe_empty_table() -> tuple[bytes, tuple[int, ...], int]:
     """Return a batch table without draws, the offsets of its addresses, and the bytes of zeros that these address."""
     table = np.zeros((), BATCH_STRUCT)
     table["tiles"] = table["tiles_x"] = table["bounded"] = 1
-    fields = BATCH_STRUCT.fields or {}
     places: list[int] = []
-    for dtype, offset, *_ in fields.values():
+    for name in BATCH_STRUCT.names or ():
+        dtype, offset, *_ = (BATCH_STRUCT.fields or {})[name]
         if dtype.base == np.uint64:
             places += range(offset, offset + dtype.itemsize, 8)
     return table.tobytes(), tuple(places), 16 * PAGE
