@@ -7,7 +7,7 @@
   they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed.
 - PoCL's names of folders can't be computed. So each program contains a function whose name is its key, by which its
   folder is found (`mark`).
-- When a device is closed, the programs used least recently are removed from a folder beyond `LIMIT` bytes.
+- When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes.
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
 
@@ -37,7 +37,6 @@ LIMIT: Final = 512 << 20
 _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
 _RECORDS: Final = "rhi"
 _PROGRAM: Final = "program.bc"
-_USED: Final = "last_accessed"
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
 
@@ -46,21 +45,18 @@ def choose_folder() -> Path | None:
 
     Return the folder, or None if it can't be written: the driver's own is used then.
     """
-    wanted = os.environ.get(ENVIRONMENT, "")
-    if not wanted:
-        given = os.environ.get(_DRIVER_ENVIRONMENT, "")
-        if given:
-            return Path(given)
+    wanted, given = os.environ.get(ENVIRONMENT, ""), os.environ.get(_DRIVER_ENVIRONMENT, "")
+    if wanted or not given:
         user = os.environ.get("XDG_CACHE_HOME", "") or os.path.expanduser("~/.cache")
-        wanted = os.path.join(user, "rhi")
-    folder = Path(wanted).absolute() / "pocl"
+        given = str(Path(wanted or os.path.join(user, "rhi")).absolute() / "pocl")
+    folder = Path(given)
     try:
         (folder / _RECORDS).mkdir(parents=True, exist_ok=True)
     except OSError:
         return None
     if not os.access(folder, os.W_OK | os.X_OK):
         return None
-    os.environ[_DRIVER_ENVIRONMENT] = str(folder)
+    os.environ[_DRIVER_ENVIRONMENT] = given
     return folder
 
 
@@ -180,28 +176,21 @@ class KernelCache:
             self._trim(self._folder)
 
     def _trim(self, folder: Path) -> None:
-        used: dict[Path, float] = {}
-        records: dict[Path, list[Path]] = {}
+        found: list[tuple[float, int, Path, Path]] = []
         for record in (folder / _RECORDS).iterdir():
             with suppress(OSError, ValueError, KeyError, TypeError):
-                if record.suffix:
-                    if record.stat().st_mtime < time.time() - _OLD:
-                        record.unlink()
-                    continue
-                place = folder / json.loads(record.read_bytes())["folder"]
-                used[place] = record.stat().st_mtime
-                records.setdefault(place, []).append(record)
-        sizes: dict[Path, int] = {}
-        for place in folder.glob("[A-Z][A-Z]/*"):
-            with suppress(OSError):
-                sizes[place] = sum(path.stat().st_size for path in place.rglob("*"))
-                used.setdefault(place, (place / _USED).stat().st_mtime)
-        total = sum(sizes.values())
-        for place in sorted(sizes, key=lambda place: used.get(place, 0.0)):
+                used = record.stat().st_mtime
+                if not record.suffix:
+                    place = folder / json.loads(record.read_bytes())["folder"]
+                    size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+                    found.append((used, size, record, place))
+                elif used < time.time() - _OLD:
+                    record.unlink()
+        total = sum(size for _, size, _, _ in found)
+        for _, size, record, place in sorted(found):
             if total <= LIMIT:
                 break
-            for record in records.get(place, ()):
-                with suppress(OSError):
-                    record.unlink()
+            with suppress(OSError):
+                record.unlink()
             shutil.rmtree(place, ignore_errors=True)
-            total -= sizes[place]
+            total -= size

@@ -269,7 +269,8 @@ def _describe_empty_table() -> tuple[bytes, tuple[int, ...], int]:
     table["tiles"] = table["tiles_x"] = table["bounded"] = 1
     places: list[int] = []
     for name in BATCH_STRUCT.names or ():
-        dtype, offset, *_ = (BATCH_STRUCT.fields or {})[name]
+        assert BATCH_STRUCT.fields is not None
+        dtype, offset, *_ = BATCH_STRUCT.fields[name]
         if dtype.base == np.uint64:
             places += range(offset, offset + dtype.itemsize, 8)
     return table.tobytes(), tuple(places), 16 * PAGE
