@@ -1,4 +1,4 @@
-"""The folder of compiled kernels: chosen, shared by processes, checked for damage, bounded. And no word about it all."""
+"""The folder of compiled kernels: chosen, shared by processes, checked for damage, bounded; and nothing is printed."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_a_damaged_file_is_built_again(
 
 
 def test_a_damaged_record_is_made_again(tmp_path: Path) -> None:
-    picture, made = draw(tmp_path)
+    picture, _ = draw(tmp_path)
     for path, content in zip(records(tmp_path), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
         path.write_bytes(content)
     assert draw(tmp_path)[0] == picture
