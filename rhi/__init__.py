@@ -72,6 +72,7 @@ from rhi.device.device import Device
 from rhi.device.encoder import Encoder, IndirectDraws
 from rhi.device.immediate import Immediate
 from rhi.device.passes import RenderPass
+from rhi.device.preparation import DrawPlan, Preparation
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode
@@ -115,6 +116,7 @@ __all__ = [
     "DepthWrite",
     "Device",
     "DeviceError",
+    "DrawPlan",
     "Drawable",
     "Encoder",
     "Filter",
@@ -129,6 +131,7 @@ __all__ = [
     "OcclusionQuery",
     "Op",
     "PolygonOffset",
+    "Preparation",
     "Primitive",
     "Program",
     "ProgramDescriptor",

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
@@ -48,6 +48,7 @@ from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateScope
 from rhi.device.encoder import Encoder
+from rhi.device.preparation import DrawPlan, Preparation, prepare
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import MAX_ROWS, QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
@@ -432,6 +433,39 @@ class Device(Encoder):
 
     if not TYPE_CHECKING:
         draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
+
+    @overload
+    def prepare(
+        self, program: Program[Any], mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        states: Sequence[State] = (),
+    ) -> Preparation: ...  # fmt: skip
+
+    @overload
+    def prepare(self, program: Sequence[DrawPlan]) -> Preparation: ...
+
+    def prepare(
+        self, program: Any, mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        states: Sequence[State] = (),
+    ) -> Preparation:  # fmt: skip
+        """Begin to build what draws need on this platform, so that no frame has to wait for it or run slower.
+
+        Args:
+            program: the program, or a list of `DrawPlan`, each of which stands for the arguments.
+            mesh: a mesh like those that it will draw.
+            targets: the textures that it will draw into, or their formats.
+            states: the states that it will be drawn with, on top of the scopes that are open now.
+
+        Returns:
+            A future with `progress`; `result()` waits. Draws needn't wait for it.
+
+        Raises:
+            ValidationError: as the draw would; nothing was begun then.
+        """
+        plans = [DrawPlan(program, mesh, targets, states)] if isinstance(program, Program) else program
+        self._core.check_ready()
+        check = Arguments("device.prepare", self._core.refuse)
+        allowed = "a Program from device.program(…), or a list of rhi.DrawPlan"
+        return prepare(self._core, check.instance("program", plans, (list, tuple), allowed))
 
     def record(self, *, label: str = "") -> CommandBuffer:
         """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes them.

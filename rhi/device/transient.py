@@ -39,7 +39,7 @@ __rhi_internal__ = True
 T = TypeVar("T")
 MAX_LAYOUTS: Final = 1024
 
-VertexArrays: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
+VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]]
 """Vertices or instances: a structured array, or arrays by attribute name."""
 
 _VertexArrayKey: TypeAlias = tuple[Id, tuple[StreamSource, ...], Id, IndexFormat]
