@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import shutil
 import time
 import zlib
@@ -36,6 +37,7 @@ LIMIT: Final = 512 << 20
 """Bytes of compiled kernels that are kept."""
 _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
 _RECORDS: Final = "rhi"
+_COMMENT: Final = re.compile("//[^\n]*")  # they name shaders, whose stages may be the same
 _PROGRAM: Final = "program.bc"
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
@@ -76,7 +78,7 @@ class KernelCache:
 
     def identify(self, source: str, options: Sequence[str]) -> str:
         """Return the key of a program."""
-        text = "\0".join((self._driver, *options, source))
+        text = "\0".join((self._driver, *options, _COMMENT.sub("", source)))
         return hashlib.sha256(text.encode()).hexdigest()[:24]
 
     def mark(self, source: str, key: str) -> str:

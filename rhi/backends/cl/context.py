@@ -35,8 +35,8 @@ _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
 _OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
 _UNWRITABLE: Final = "PoCL has none if it can't write its cache: set POCL_CACHE_DIR to a folder that can be written"
 _POCL: Final = "Portable Computing Language"
-QUICK: Final = "-cl-opt-disable"
-"""Build option: compile fast, for kernels that run once or seldom."""
+QUICK: Final = ("-cl-opt-disable", "-Dalways_inline=noinline")
+"""Build options: compile fast, for kernels that run once or seldom."""
 FLUSHES_DENORMALS: Final = "-cl-denorms-are-zero"
 """Build option: numbers below 2^-126 count as 0. CPUs may take a hundred cycles for a product that small, as powers of
 cosines often are."""
@@ -179,7 +179,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
         pyopencl.Error: the kernel can't be built or run.
         RuntimeError: the kernel computes wrong numbers.
     """
-    program = compile_cached(context, cache, _PROBE, [QUICK])
+    program = compile_cached(context, cache, _PROBE, QUICK)
     kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR

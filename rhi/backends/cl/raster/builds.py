@@ -168,7 +168,7 @@ class Builds:
         Raises:
             pyopencl.Error: the driver rejects it.
         """
-        options = (*text.options, QUICK) if quick else text.options
+        options = (*text.options, *QUICK) if quick else text.options
         count = len(text.names)
         known = self._cache.knows(self._cache.identify(text.source, options))
         if not known:
