@@ -23,6 +23,7 @@ from rhi.shading.language.bindings import (
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.function import function, native
 from rhi.shading.language.functions import *  # noqa: F403
+from rhi.shading.language.modules import from_source
 from rhi.shading.language.shader import Shader, shared
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.textures import *  # noqa: F403
@@ -75,6 +76,7 @@ __all__ = [
     "UniformRange",
     "compile_shader",
     "evaluate",
+    "from_source",
     "function",
     "native",
     "opencl_kernel",

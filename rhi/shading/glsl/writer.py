@@ -383,7 +383,7 @@ class Writer:
                     f"{node.name}\n{show(node.file, node.span)}",
                     f"no body for GLSL, only for {', '.join(node.native)}",
                     tip='add @native("glsl", …) or a Python body',
-                    site=CallSite(node.file, node.span.line, node.name),
+                    site=CallSite(str(node.file), node.span.line, node.name),
                 )
             else:
                 self.block(node.body)

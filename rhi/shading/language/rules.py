@@ -11,8 +11,10 @@ __rhi_internal__ = True
 NO_SOURCE: Final = Rule(
     "shading-no-source",
     "the source of a shader can't be read",
-    "shaders are compiled from their Python source: define them in a file or a notebook cell",
+    "shaders are compiled from their Python source: define them in a file or a notebook cell, or make them with "
+    "rhi.shading.from_source(text)",
 )
+TEXT: Final = Rule("shading-text", "a text doesn't define the shader that is wanted from it")
 SYNTAX: Final = Rule("shading-unsupported", "this form of Python is not part of the shading language")
 UNKNOWN_NAME: Final = Rule("shading-unknown-name", "a name is not defined")
 UNKNOWN_MEMBER: Final = Rule("shading-unknown-member", "a value has no such field, component or method")

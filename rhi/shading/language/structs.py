@@ -40,7 +40,7 @@ from rhi.contract.layout import (
 from rhi.errors import RhiError, ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
-from rhi.shading.language.source import locals_of, suggest, suggest_name
+from rhi.shading.language.source import globals_of, locals_of, suggest, suggest_name
 from rhi.shading.language.types import LANGUAGE_NAMES, scalar_of
 from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
@@ -100,7 +100,7 @@ class Struct:
     def __init_subclass__(cls) -> None:
         own = inspect.get_annotations(cls)
         names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
-        module = vars(sys.modules[cls.__module__])
+        module = globals_of(cls, sys._getframe(1))
         fields = {field.name: field for field in cls.shading_type.fields}
         roles, defaults = dict(cls._roles), dict(cls._defaults)
         for name, annotation in own.items():

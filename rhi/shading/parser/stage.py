@@ -144,7 +144,7 @@ def _collect(
                         str(value),
                         "an int of 32 bits",
                         "write uint(…) for numbers above 2147483647",
-                        CallSite(function.file, node.span.line, function.name),
+                        CallSite(str(function.file), node.span.line, function.name),
                     )
     bindings = tuple(d for d in shader._declared.values() if d.name in declared)
     for declaration in bindings:
