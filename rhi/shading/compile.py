@@ -57,6 +57,8 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
             known = _compiled[shader] = _compile(shader)
         except ShaderError as error:  # it shows the line, which the compiler's own traceback would bury
             raise error.with_traceback(None) from error.__cause__
+        except RecursionError:
+            raise _make_depth_error(shader.__qualname__) from None
     return known
 
 
@@ -174,7 +176,10 @@ class _StageEmitter:
         """
         text = self._texts.get((language, stage))
         if text is None:
-            text = self._texts[language, stage] = self._write(language, stage)
+            try:
+                text = self._texts[language, stage] = self._write(language, stage)
+            except RecursionError:
+                raise _make_depth_error(self._options.name) from None
         return text
 
     def lower_compute(self, width: int) -> Code:
@@ -235,6 +240,14 @@ class _StageEmitter:
         )
         bounds = bound_positions(code) if stage is Stage.VERTEX else None
         return write_opencl_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
+
+
+def _make_depth_error(name: str) -> ShaderError:
+    """Return the error for a shader, within the limits of nesting, that is compiled where the stack is deep already."""
+    tip = "compile it where fewer functions have been called, or raise sys.setrecursionlimit(…)"
+    return ShaderError(
+        rules.TOO_DEEP, f"class {name}", "Python's recursion limit was reached", tip=tip, site=find_call_site()
+    )
 
 
 def _entries(shader: type[Shader]) -> dict[Stage, Callee]:

@@ -46,6 +46,12 @@ MISSING_RETURN: Final = Rule(
     "return a value on every path",
 )
 OUT_OF_RANGE: Final = Rule("shading-out-of-range", "a constant is outside the allowed range")
+TOO_LARGE: Final = Rule("shading-too-large", "an array has more elements than a shader can hold")
+TOO_DEEP: Final = Rule(
+    "shading-too-deep",
+    "a shader is nested too deeply",
+    "give parts of it names on lines of their own, or use a loop",
+)
 EVALUATED_TWICE: Final = Rule(
     "shading-evaluated-twice",
     "an operand with a side effect would be evaluated twice",

@@ -25,6 +25,7 @@ from typing import Any, Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.language import rules
+from rhi.shading.language.tips import FOREIGN
 from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
@@ -211,7 +212,7 @@ def locals_of(frame: FrameType | None) -> Mapping[str, Any]:
     return dict(frame.f_locals)
 
 
-def globals_of(cls: type, frame: FrameType) -> Mapping[str, Any]:
+def globals_of(cls: type, frame: FrameType) -> dict[str, Any]:
     """Return the globals of a class's module, or of the frame that makes the class if the module isn't imported."""
     module = sys.modules.get(cls.__module__)
     return vars(module) if module is not None else frame.f_globals
@@ -250,7 +251,10 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return a tip for an undefined name: to import it if it belongs to the language, else a did-you-mean."""
+    """Return a tip for an undefined name: to import it if it belongs to the language, what the language has for a name
+    of another language, or a did-you-mean."""
     if name in LANGUAGE_NAMES:
         return f"import it: from rhi.shading import {name}"
+    if name in FOREIGN:
+        return "; ".join(filter(None, (FOREIGN[name], suggest(name, known))))
     return suggest(name, [*known, *LANGUAGE_NAMES])
