@@ -9,6 +9,7 @@ descriptor of a program. See docs/shading.md.
 from typing import TYPE_CHECKING, Any
 
 from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
+from rhi.shading.emitters import ShaderCode, register_language
 from rhi.shading.language import functions, textures, vectors
 from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
 from rhi.shading.language.bindings import (
@@ -67,6 +68,7 @@ __all__ = [
     "NumpyKernel",
     "Precision",
     "Shader",
+    "ShaderCode",
     "Storage",
     "StorageRW",
     "StorageRange",
@@ -80,6 +82,7 @@ __all__ = [
     "function",
     "native",
     "opencl_kernel",
+    "register_language",
     "run_compute",
     "run_fragment",
     "run_vertex",

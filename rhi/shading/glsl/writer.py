@@ -106,6 +106,8 @@ class Writer:
     def expression(self, node: Expression) -> str:
         """Return an expression as text that needs no parentheses around it."""
         match node:
+            case tree.Read(type=TextureType()) | tree.BindingRead(type=TextureType()):
+                return self.texture(node)
             case tree.Read(local=local):
                 return self.names.get(local, local.name)
             case tree.Constant():
@@ -138,15 +140,34 @@ class Writer:
                 return self.zero(type)
             case tree.Call(function=function, arguments=arguments):
                 name = self.globals.get(function, function.name)
-                return f"{name}({', '.join(map(self.expression, arguments))})"
-            case tree.BuiltinCall(overload=overload, arguments=arguments):
-                texts = [self.expression(argument) for argument in arguments]
-                if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
-                    return self.columns(arguments[0])
-                if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
-                    return overload.glsl.format(*texts)
-                return f"{overload.glsl}({', '.join(texts)})"
+                return f"{name}({', '.join(map(self.argument, arguments))})"
+            case tree.BuiltinCall():
+                return self.builtin(node)
         raise TypeError(f"no GLSL for {node}")
+
+    def builtin(self, node: tree.BuiltinCall) -> str:
+        """Return a call of a built-in."""
+        overload, arguments = node.overload, node.arguments
+        texts = [self.expression(argument) for argument in arguments]
+        if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
+            return self.columns(arguments[0])
+        if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
+            return overload.glsl.format(*texts)
+        return f"{overload.glsl}({', '.join(texts)})"
+
+    def texture(self, node: tree.Read | tree.BindingRead) -> str:
+        """Return a texture where a built-in reads it."""
+        if isinstance(node, tree.Read):
+            return self.names.get(node.local, node.local.name)
+        return self.globals.get(("binding", node.declaration.name), node.declaration.name)
+
+    def argument(self, node: Expression) -> str:
+        """Return an argument of a function of the stage."""
+        return self.expression(node)
+
+    def parameter(self, local: tree.Local) -> str:
+        """Return a parameter's declaration."""
+        return f"{self.type(local.type)} {self.names.get(local, local.name)}"
 
     def constant(self, node: tree.Constant) -> str:
         """Return a scalar literal."""
@@ -425,10 +446,7 @@ class Writer:
         """Write a function's definition."""
         self.file = node.file
         self.names = Names(self.globals)
-        parameters = ", ".join(
-            f"{self.type(parameter.type)} {self.names.get(parameter, parameter.name)}"
-            for parameter in node.parameters
-        )
+        parameters = ", ".join(map(self.parameter, node.parameters))
         name = self.globals.get(node, node.name)
         header = f"{self.type(node.result)} {name}({parameters})"
         with self.lines.braces(header, node.file, node.span.line):

@@ -92,6 +92,8 @@ RACE: Final = Rule(
     "use an atomic, or let a single invocation store",
 )
 NATIVE: Final = Rule("shading-native", "a native function can't be used here")
+LANGUAGE: Final = Rule("shading-language", "the name of a device language is taken")
+SPIRV: Final = Rule("shading-spirv", "a stage can't be compiled to SPIR-V")
 STRUCT: Final = Rule("shading-struct", "a struct is not valid here")
 STRUCT_VALUE: Final = Rule("shading-struct-value", "a value doesn't match the field of a struct")
 DEVICE_ONLY: Final = Rule(

@@ -488,7 +488,7 @@ def test_a_shader_without_source_is_refused():
 
 
 TESTED_ELSEWHERE = {
-    "shading-text",
+    *("shading-text", "shading-spirv", "shading-language"),
     *("shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"),
     *("shading-index", "shading-different"),  # checked shaders
 }
