@@ -385,11 +385,13 @@ class StageText:
     """The source text of one stage, and where each of its lines came from.
 
     `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where no
-    Python line stands behind it. Lines without an entry have no known origin.
+    Python line stands behind it. Lines without an entry have no known origin. `binary` is what the text was compiled
+    to, in a language that isn't text ("spirv").
     """
 
     text: str
     origins: tuple[tuple[str, int], ...] = ()
+    binary: bytes = b""
 
 
 @dataclass(frozen=True, eq=False)
@@ -399,7 +401,8 @@ class ProgramDescriptor:
     Attributes:
         emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
             "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
-            "opencl4" and "opencl8"; and for compute stages "numpy", a Python module.
+            "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for Vulkan) and
+            "spirv", its `binary`; and those of `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
         varyings: the varyings that the fragment stage reads, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.

@@ -2,6 +2,7 @@
 
 - `Device` creates resources, opens passes and scopes, draws, and synchronises. It is the only module with policy:
   when resources are destroyed, how many frames the CPU may be ahead, how large rings are.
+- A device belongs to one thread, and on some platforms to the context that is current there (`Core.check_ready`).
 - The other half is a `Backend`; commands are calls of its methods. All checks are made here, before a call reaches
   the backend.
 """
@@ -9,7 +10,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
@@ -36,16 +37,18 @@ from rhi.contract.states import (
     AlphaToCoverage,
     BlendFunction,
     PolygonOffset,
+    State,
     StencilReadMask,
     StencilReference,
     StencilTest,
     StencilWriteMask,
 )
 from rhi.device.command_buffer import CommandBuffer, check_submissions
-from rhi.device.core.core import Core, Statistics
+from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
-from rhi.device.core.state_cache import StateCache
+from rhi.device.core.state_cache import StateCache, StateScope
 from rhi.device.encoder import Encoder
+from rhi.device.preparation import DrawPlan, Preparation, prepare
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import MAX_ROWS, QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
@@ -86,21 +89,30 @@ B = TypeVar("B")
 class Device(Encoder):
     """A device, created by `rhi.create_device`. Use it in a `with` block, or call `close`."""
 
-    def __init__(self, backend: Backend, *, timing: bool = False, frames_in_flight: int = 2) -> None:
-        """Create a device on `backend`, which may be a `Recorder` in front of another backend."""
+    def __init__(
+        self, backend: Backend, *, validation: bool = False, timing: bool = False, frames_in_flight: int = 2
+    ) -> None:
+        """Create a device on `backend`, which may be a `Recorder` in front of another backend.
+
+        It belongs to the calling thread. With `validation` each draw checks this, too.
+        """
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
         states = StateCache(_unsupported_states(capabilities), refusals=refusals)
-        core = Core(backend, states, refusals)
+        core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs: dict[object, Program[Any]] = {}
         self._frames: deque[int] = deque()
         self._frames_in_flight = frames_in_flight
+        if validation:
+            self._scope = self._validated_scope
 
     # -- life --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
+        """Call `make_current`; the device is closed at the end of the block."""
+        self.make_current()
         return self
 
     def __exit__(
@@ -113,18 +125,50 @@ class Device(Encoder):
 
         Raises:
             ValidationError: `lock-open` if a lock was never released (unless `quiet`); the device is
-                closed nevertheless.
+                closed nevertheless. `device-thread` on another thread; the device stays open.
         """
         core = self._core
         quiet = Arguments("device.close", core.refuse).flag("quiet", quiet)
         if core.closed:
             return
+        if core.thread == NO_THREAD:
+            core.make_current()
+        core.check_thread("device.close")
+        core.resume()
         core.closed = True
         core.program = None
         self._backend.close()
         if core.locked and not quiet:
             shown = ", ".join(repr(owner) for owner in core.locked)
             core.refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
+
+    def make_current(self) -> None:
+        """Make the device ready for calls on this thread, after other code may have used the platform.
+
+        - On OpenGL: makes the device's context current and sets all of its states anew, whatever other code did to
+          them. Between passes the device finds out by itself that another context is current; inside a pass, call
+          this after such code. See docs/threads.md.
+        - A device that no thread owns (`release_current`) belongs to the calling thread from now on.
+
+        Raises:
+            ValidationError: `device-thread` if the device belongs to another thread.
+            DeviceError: `device-context` if the platform refuses, as OpenGL does while a context of GLX is current.
+        """
+        self._core.check_open()
+        self._core.make_current()
+
+    def release_current(self) -> None:
+        """Detach the device from its thread, so that another thread can call `make_current`. Until then every call of
+        the device is refused. On OpenGL no context is current on this thread afterwards, unless it was another's.
+
+        Raises:
+            ValidationError: `device-thread` on another thread than the device's, `pass-open` inside a render pass.
+        """
+        core = self._core
+        core.check_open()
+        if core.render_pass is not None:
+            core.refuse(PASS_OPEN, "device.release_current", "an open render pass")
+        core.release_current()
 
     @property
     def closed(self) -> bool:
@@ -390,6 +434,39 @@ class Device(Encoder):
     if not TYPE_CHECKING:
         draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
 
+    @overload
+    def prepare(
+        self, program: Program[Any], mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        states: Sequence[State] = (),
+    ) -> Preparation: ...  # fmt: skip
+
+    @overload
+    def prepare(self, program: Sequence[DrawPlan]) -> Preparation: ...
+
+    def prepare(
+        self, program: Any, mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        states: Sequence[State] = (),
+    ) -> Preparation:  # fmt: skip
+        """Begin to build what draws need on this platform, so that no frame has to wait for it or run slower.
+
+        Args:
+            program: the program, or a list of `DrawPlan`, each of which stands for the arguments.
+            mesh: a mesh like those that it will draw.
+            targets: the textures that it will draw into, or their formats.
+            states: the states that it will be drawn with, on top of the scopes that are open now.
+
+        Returns:
+            A future with `progress`; `result()` waits. Draws needn't wait for it.
+
+        Raises:
+            ValidationError: as the draw would; nothing was begun then.
+        """
+        plans = [DrawPlan(program, mesh, targets, states)] if isinstance(program, Program) else program
+        self._core.check_ready()
+        check = Arguments("device.prepare", self._core.refuse)
+        allowed = "a Program from device.program(…), or a list of rhi.DrawPlan"
+        return prepare(self._core, check.instance("program", plans, (list, tuple), allowed))
+
     def record(self, *, label: str = "") -> CommandBuffer:
         """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes them.
 
@@ -412,29 +489,34 @@ class Device(Encoder):
                 for a condition inside another; nothing was executed then.
         """
         core = self._core
-        core.check_open()
+        core.check_ready()
         if core.render_pass is not None:
             core.refuse(PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
             buffer.execute()
 
+    def _validated_scope(self, states: tuple[State, ...]) -> StateScope:
+        """Create a scope of states, with validation."""
+        self._core.check_ready()
+        return self._core.states.scope(states)
+
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self) -> int:
         """Signal the fence at this point of the command stream; return the value to `wait` for."""
-        self._core.check_open()
+        self._core.check_ready()
         return self._core.signal()
 
     @property
     def completed(self) -> int:
         """The last signalled value that the GPU has reached; never blocks."""
-        self._core.check_open()
+        self._core.check_ready()
         return self._core.timeline.completed
 
     def wait(self, value: int, seconds: float | None = None) -> bool:
         """Block until the GPU has reached `value`, for at most `seconds`; return whether it has."""
-        self._core.check_open()
+        self._core.check_ready()
         check = Arguments("device.wait", self._core.refuse)
         value = check.whole("value", value)
         if seconds is not None:
@@ -474,6 +556,7 @@ class Device(Encoder):
     def timers(self) -> list[TimerNode]:
         """The event tree of the latest frame whose timestamps are available."""
         if not self._core.closed:
+            self._core.check_ready()
             self._timers.collect()
         return self._timers.latest
 
@@ -484,7 +567,7 @@ class Device(Encoder):
         is reused once the GPU has executed the frame.
         """
         core = self._core
-        core.check_open()
+        core.check_ready()
         if core.render_pass is not None:
             core.refuse(PASS_OPEN, "device.present", "an open render pass")
         if image is not None:

@@ -272,6 +272,7 @@ class Encoder:
         """
         call = f"{self.NAME}.dispatch"
         own = self._resolve_program(program, call)
+        self._core.check_ready()
         several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
         given: Any = groups if several else (groups,)
         sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
@@ -302,6 +303,7 @@ class Encoder:
         check = Arguments(call, self._core.refuse)
         source = check_buffer(check, "buffer", buffer)
         offset = check.whole("offset", offset)
+        self._core.check_ready()
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
             self._core.refuse(

@@ -103,7 +103,7 @@ class Immediate(Generic[S]):
         self._dtype = vertex_dtype(self._attributes)
 
     def __enter__(self) -> Self:
-        self._program.core.check_open()
+        self._program.core.check_command()
         self._open = True
         return self
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
-from rhi.device.core.core import Core, describe_object
+from rhi.device.core.core import Core, describe_object, lost_pass
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
 from rhi.errors.arguments import Arguments
@@ -33,8 +33,8 @@ __rhi_internal__ = True
 
 T = TypeVar("T")
 RenderTarget: TypeAlias = Texture | TextureTarget
-Color: TypeAlias = "Sequence[float] | NDArray[Any]"
-Clear: TypeAlias = "Color | Sequence[Color | None] | None"
+Color: TypeAlias = Sequence[float] | NDArray[Any]
+Clear: TypeAlias = Color | Sequence[Color | None] | None
 
 _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
@@ -92,7 +92,7 @@ class RenderPass:
 
     def __enter__(self) -> None:
         core = self._core
-        core.check_open()
+        core.check_ready()
         if core.render_pass is not None:
             core.refuse(PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
@@ -107,13 +107,17 @@ class RenderPass:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         core = self._core
+        core.check_thread("the end of a render pass")
         core.render_pass = None
         core.targets = frozenset()
         core.target_kinds = ()
         core.program = None
+        lost = core.resume_pass()
         abandoned = core.abandon_query()
         if not core.closed:
             core.backend.end_pass()
+        if lost and kind is None:
+            core.refusals.fail(lost_pass())
         if abandoned and kind is None:
             core.refuse(
                 QUERY_STATE,

@@ -60,7 +60,8 @@ def create_device(
     Args:
         name: a backend's name, or `module:function` for one that is not installed; None uses `RHI_BACKEND`
             from the environment, or else the first backend that works.
-        validation: also turn the driver's own error messages into exceptions (slower).
+        validation: also turn the driver's own error messages into exceptions, and check thread and context at each
+            draw (slower).
         record: keep every command with the line it came from (`device.stream`); None: only on the null device.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
@@ -82,7 +83,12 @@ def create_device(
     backend = _create_named(name, validation, options) if name else _create_first(validation, options)
     if record is None:
         record = backend.capabilities.backend == "null"
-    return Device(Recorder(backend) if record else backend, timing=timing, frames_in_flight=frames_in_flight)
+    return Device(
+        Recorder(backend) if record else backend,
+        validation=validation,
+        timing=timing,
+        frames_in_flight=frames_in_flight,
+    )
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:

@@ -40,7 +40,7 @@ T = TypeVar("T")
 MAX_LAYOUTS: Final = 1024
 """Pairs of a program and a layout of vertices that are kept from frame to frame."""
 
-VertexArrays: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]]"
+VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]]
 """Vertices or instances: a structured array, or arrays by attribute name."""
 
 _VertexArrayKey: TypeAlias = tuple[Id, tuple[StreamSource, ...], Id, IndexFormat]
@@ -104,7 +104,7 @@ class TransientMemory:
         memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
         if arena is None:
             for label in ("transient constants", "transient vertices", "transient indices", "draw arguments"):
-                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label)
+                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label, check=core.check_ready)
                 core.frame_rings.append(ring)
                 memories.append(ring)
             core.frame_rings.append(self)
@@ -132,7 +132,7 @@ class TransientMemory:
     def uniform(self, value: Any) -> UniformRange[Any]:
         """Upload constants for the draws of this frame: a struct, or a single value; see `Device.uniform`."""
         core = self._core
-        core.check_open()
+        core.check_command()
         kind: Any = type(value)
         try:
             if isinstance(value, Struct):
@@ -161,7 +161,7 @@ class TransientMemory:
             ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
         """
         core = self._core
-        core.check_open()
+        core.check_command()
         check = Arguments("transient.storage", core.refuse)
         dtype = storage_dtype(check, element)
         data = as_storage(check, core, source, dtype, core.capabilities.max_storage_bytes)
@@ -194,7 +194,7 @@ class TransientMemory:
         """
         call = "transient.mesh"
         core = self._core
-        core.check_open()
+        core.check_command()
         check = Arguments(call, core.refuse)
         check_program(core, program, call)
         check.choice("primitive", primitive, Primitive)
@@ -257,6 +257,7 @@ class TransientMemory:
         core, key = self._core, (program.id, sources, index_buffer, index_format)
         vertex_array = self._vertex_arrays.get(key)
         if vertex_array is None:
+            core.check_ready()
             streams = describe_streams(core, sources, program.descriptor.attributes, IMMEDIATE_VERTEX, "transient.mesh")
             vertex_array = core.new_id()
             core.backend.create_vertex_array(

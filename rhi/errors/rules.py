@@ -52,6 +52,16 @@ DEVICE_CLOSED: Final = Rule("device-closed", "the device was closed", "use it in
 DEVICE_DEBUG: Final = Rule(
     "device-debug", "the driver reported an error", "such errors are reported with validation=True only"
 )
+DEVICE_THREAD: Final = Rule(
+    "device-thread",
+    "the device belongs to another thread",
+    "let that thread do it, or move the device: release_current() there, then make_current() here",
+)
+DEVICE_CONTEXT: Final = Rule(
+    "device-context",
+    "the device's context is not current on this thread",
+    "call device.make_current() after code that makes another context current",
+)
 SHADER_DRIVER: Final = Rule("shader-driver", "the driver refused a program's source")
 
 # -- device: calls ---------------------------------------------------------------------------------------

@@ -126,6 +126,13 @@ class StateCache:
             self._scopes[states] = scope
         return scope
 
+    def derive(self, states: tuple[State, ...]) -> StateVector:
+        """Return the vector that a scope of these states would set, after the same checks."""
+        if not states:
+            return self.wanted
+        scope = self.scope(states)
+        return self.wanted.after.get(scope) or self._derive(scope)
+
     def flush(self) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to the wanted ones, which then count as sent."""
         return self._change(self.wanted)

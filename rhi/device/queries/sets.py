@@ -74,7 +74,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
 
     def __init__(self, core: Core, size: int, emulated: bool) -> None:
         call = "device.query_set"
-        core.check_open()
+        core.check_ready()
         super().__init__(core, size, emulated, call)
         self._size = size
         self._rows = np.zeros(0, np.int64)

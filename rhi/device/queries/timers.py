@@ -152,12 +152,13 @@ class EventScope:
         self._events: list[_PendingEvent] = []
 
     def __enter__(self) -> None:
-        self._core.check_open()
+        self._core.check_scope()
         self._events.append(self._timers.begin(self._label))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._core.closed:
+            self._core.resume_scope()
             self._timers.end(self._events[-1])
             self._events.pop()

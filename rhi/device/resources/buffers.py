@@ -100,6 +100,7 @@ class Buffer(Resource):
     def destroy(self) -> None:
         """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             for invalidate in self.dependents:
@@ -147,7 +148,7 @@ class Buffer(Resource):
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
         value = Arguments("Buffer.clear", self.core.refuse).whole("value", value, -(1 << 31), (1 << 32) - 1)
-        core.check_open()
+        core.check_ready()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
             self.core.refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
@@ -163,7 +164,7 @@ class Buffer(Resource):
         offset = check.whole("offset", offset)
         target_offset = check.whole("target_offset", target_offset)
         size = self.size - offset if size is None else check.whole("size", size)
-        core.check_open()
+        core.check_ready()
         core.check_usable(self, call)
         core.check_usable(other, call)
         for buffer, start in ((self, offset), (other, target_offset)):
@@ -181,7 +182,7 @@ class Buffer(Resource):
         core.backend.copy_buffer(self.id, offset, other.id, target_offset, size)
 
     def _check(self, call: str) -> None:
-        self.core.check_open()
+        self.core.check_ready()
         self.core.check_usable(self, call)
 
     def _match(self, data: NDArray[Any], call: str) -> NDArray[Any]:

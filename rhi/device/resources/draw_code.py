@@ -57,9 +57,12 @@ class DrawCode(NamedTuple):
     collect_draw_count: Callable[[], int]
 
 
-def compile_draw_code(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
-    """Compile the functions of a program; `recorded`: those that a command buffer uses."""
-    return compile("\n".join(_write_source(bindings, recorded)), f"<draw of {name}>", "exec")
+def compile_draw_code(
+    name: str, bindings: tuple[Binding, ...], *, recorded: bool = False, validates: bool = False
+) -> CodeType:
+    """Compile the functions of a program; `recorded`: those that a command buffer uses; `validates`: those of a device
+    with validation, where each draw checks its thread."""
+    return compile("\n".join(_write_source(bindings, recorded, validates)), f"<draw of {name}>", "exec")
 
 
 def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
@@ -73,7 +76,7 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     )
 
 
-def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
+def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool) -> Iterator[str]:
     """Yield the source of a function `make` that returns the fields of `DrawCode`.
 
     Its own names start with an underscore and a letter, those of bindings with a letter.
@@ -88,9 +91,9 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str
         yield f"    _type_{i} = _types[{i}]"
 
     yield f"    def draw(_mesh, _instances=1, /{', *' if bindings else ''}{keywords}):"
-    yield from _write_draw(bindings, cells, unpack=False, recorded=recorded)
+    yield from _write_draw(bindings, cells, unpack=False, recorded=recorded, validates=validates)
     yield "    def draw_with(_mesh, _instances, _given):"
-    yield from _write_draw(bindings, cells, unpack=True, recorded=recorded)
+    yield from _write_draw(bindings, cells, unpack=True, recorded=recorded, validates=validates)
     yield "    def bind(_check, _mesh, _given):"
     yield from _write_nonlocal(cells)
     find = tuple(_write_unpack(bindings))
@@ -103,9 +106,11 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str
 
 
 def _write_draw(
-    bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool
+    bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool, validates: bool
 ) -> Iterator[str]:
     yield from _write_nonlocal([*cells, "_draws"])
+    if validates:
+        yield "        _core.check_ready()"
     find = (
         *(_write_unpack(bindings) if unpack else ()),
         "try:",

@@ -38,7 +38,7 @@ from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, 
 
 __rhi_internal__ = True
 
-VertexSource: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer"
+VertexSource: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
 (`device.mesh` also accepts a number of vertices without attributes.)"""
 
@@ -56,7 +56,7 @@ class MeshData:
         instances: VertexSource | None, label: str,
     ) -> None:  # fmt: skip
         call = "device.mesh"
-        core.check_open()
+        core.check_ready()
         # Everything is checked before the first buffer is created, so that a refused call leaves nothing behind.
         count = as_whole(vertices)
         vertex_array = None if count is not None else _source(core, cast("VertexSource", vertices), call)
@@ -111,6 +111,7 @@ class MeshData:
             ValidationError: `mesh-attribute` if a field is missing or has a type that the stage can't read.
         """
         descriptor = self.describe_vertex_array(program, name, attributes)
+        self.core.check_ready()
         vertex_array = self.core.new_id()
         self.core.backend.create_vertex_array(vertex_array, descriptor)
         self.vertex_arrays[key] = vertex_array
@@ -140,6 +141,7 @@ class MeshData:
 
     def destroy(self) -> None:
         """Destroy the buffers that were created for this mesh."""
+        self.core.check_thread("destroy")
         self._forget()
         for buffer in self.owned:
             buffer.destroy()

@@ -90,7 +90,7 @@ class Program(Generic[P]):
         self.recorded_code: CodeType | None = None
         self.id = core.create_id()
         core.backend.create_program(self.id, descriptor)
-        self._install_code(compile_draw_code(self.name, descriptor.bindings))
+        self._install_code(compile_draw_code(self.name, descriptor.bindings, validates=core.validates))
 
     def _install_code(self, code: CodeType) -> None:
         made = make_draw_code(code, self, self.descriptor.bindings)
@@ -110,6 +110,7 @@ class Program(Generic[P]):
     def destroy(self) -> None:
         """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             self.core.timeline.retire(self.id)
@@ -120,7 +121,7 @@ class Program(Generic[P]):
         """Refuse a draw of `mesh` that is not possible now, whatever its bindings."""
         core = self.core
         call = f"draw of program {self.name!r}"
-        core.check_open()
+        core.check_command()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
             core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
@@ -339,7 +340,7 @@ def _stages(descriptor: ProgramDescriptor) -> str:
 
 def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     call = f"device.program({descriptor.name})"
-    core.check_open()
+    core.check_ready()
     limits = core.capabilities
     room = {
         BindingKind.UNIFORM: limits.max_uniform_slots,

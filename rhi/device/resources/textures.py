@@ -135,6 +135,7 @@ class Texture(TextureBinding, Resource):
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             self.core.timeline.retire(self.id)
@@ -208,6 +209,7 @@ class Texture(TextureBinding, Resource):
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
             )
         self._check_single_sample(call)
+        self.core.check_ready()
         array = check.array("texels", texels)
         channels = self.format.channels
         if array.ndim == 2 and channels == 1:
@@ -236,6 +238,7 @@ class Texture(TextureBinding, Resource):
         if self.format.is_depth or self.format.is_integer:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
+            core.check_ready()
             core.backend.generate_mipmaps(self.id)
 
     def copy_to(
@@ -276,6 +279,7 @@ class Texture(TextureBinding, Resource):
         target._check_region(call, target_level, end, core)
         if target is self and level == target_level and _overlap(source_region, end):
             self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+        core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def resolve_to(self, target: Texture) -> None:
@@ -296,6 +300,7 @@ class Texture(TextureBinding, Resource):
         if self.format is not target.format or self.size != target.size or not has_average:
             allowed = "equal sizes and equal color formats, not of integers"
             self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+        core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
@@ -383,6 +388,7 @@ class Texture(TextureBinding, Resource):
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check_region(call, level, region)
         self._check_single_sample(call)
+        self.core.check_ready()
         return self.core.backend.read_texture(self.id, level, region, stencil)
 
 
@@ -404,7 +410,7 @@ def _overlap(a: Region, b: Region) -> bool:
 
 def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     call = "device.texture"
-    core.check_open()
+    core.check_ready()
     limits = core.capabilities
     width, height = descriptor.size
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):

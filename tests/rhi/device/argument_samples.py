@@ -110,6 +110,11 @@ def optional(takes: Takes) -> Takes:
     return lambda house, value: value is None or takes(house, value)
 
 
+def empty(house: House, value: Any) -> bool:
+    """A list or tuple without elements."""
+    return isinstance(value, (list, tuple)) and not value
+
+
 def either(*takes: Takes) -> Takes:
     """What one of several takes."""
     return lambda house, value: any(each(house, value) for each in takes)
@@ -387,6 +392,15 @@ SAMPLES: Final[dict[str, Sample]] = {
         },
     ),
     "Device.occlusion_query": Sample(method("device", "occlusion_query"), {"emulated": (False, flag)}),
+    "Device.prepare": Sample(
+        method("device", "prepare"),
+        {
+            "program": (of("plain"), either(own(rhi.Program), empty)),
+            "mesh": (of("mesh"), optional(own(rhi.Mesh))),
+            "targets": ((Format.RGBA8,), empty),
+            "states": ((rhi.CullMode.NONE,), empty),
+        },
+    ),
     "Device.present": Sample(method("device", "present"), {"image": (of("target"), optional(own(rhi.Texture)))}),
     "Device.program": Sample(
         lambda house, shader: bool(house.device.program(shader)), {"shader": (Colored, nothing)}

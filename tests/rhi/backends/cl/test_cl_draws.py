@@ -83,7 +83,7 @@ def device() -> Iterator[Device]:
 def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
     """A device that the backend treats as one that doesn't read host memory in place."""
     probe = context.probe
-    monkeypatch.setattr(context, "probe", lambda made, queue: (probe(made, queue)[0], False))
+    monkeypatch.setattr(context, "probe", lambda *given: (probe(*given)[0], False))
     with rhi.create_device("cl") as made:
         yield made
 
@@ -593,6 +593,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     assert survivors[0] > 0
 
 
+@pytest.mark.usefixtures("optimised_kernels")
 def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -644,6 +645,7 @@ def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> N
         device.draw(device.program(Colored), mesh)
 
 
+@pytest.mark.usefixtures("optimised_kernels")
 @pytest.mark.parametrize(
     ("change", "hides", "samples"),
     [
