@@ -16,6 +16,7 @@ Drivers are loaded when a device is created, not when this package is imported.
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import Command, CommandStream, Op, Refusal
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.clip_space import convert_projection
 from rhi.contract.descriptors import (
     DRAW,
     DRAW_UNINDEXED,
@@ -173,6 +174,7 @@ __all__ = [
     "Viewport",
     "Wrap",
     "backend_names",
+    "convert_projection",
     "create_device",
     "refuse",
     "report",

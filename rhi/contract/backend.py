@@ -144,6 +144,28 @@ class PreparesDraws(Protocol):
         context of the process becoming current."""
 
 
+class HoldsContext(Protocol):
+    """Optional part of the contract, for platforms whose calls go to a context that is current on the calling thread,
+    and that any other code of the process may replace (OpenGL). These calls aren't commands; no recorder keeps them.
+    """
+
+    def resume(self) -> bool:
+        """Find out whether other code has made another context current (or none) since this backend was last used. If
+        so, do what `make_current` does and return True. The device calls this wherever the cost doesn't matter, never
+        for a draw.
+
+        Raises:
+            DeviceError: `device-context` if the platform refuses to make the context current.
+        """
+
+    def make_current(self) -> None:
+        """Make the context current on the calling thread, and set all of its state anew, whatever other code did to
+        it. Bindings may be lost, since the device binds everything again. Raises what `resume` raises."""
+
+    def release_current(self) -> None:
+        """Make the context current on no thread, so that another thread can call `make_current`."""
+
+
 class PreparesKernels(Protocol):
     """Optional part of the contract: code for draws that is built before the first of them.
 

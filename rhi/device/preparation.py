@@ -22,6 +22,7 @@ from rhi.device.core.state_cache import StateVector
 from rhi.device.resources.meshes import Mesh
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, TEXTURE_SIZE
 
 __rhi_internal__ = True
@@ -78,7 +79,7 @@ class Preparation(Future[None]):
 
 def prepare(core: Core, plans: Sequence[DrawPlan]) -> Preparation:
     """Begin to build what these draws need."""
-    core.check_open()
+    core.check_ready()
     checked = [(plan, *_check_plan(core, plan)) for plan in plans]
     parts: dict[Future[None], None] = {}  # several plans may share some
     for plan, colors, depth, samples, vector in checked:
@@ -96,14 +97,14 @@ def prepare(core: Core, plans: Sequence[DrawPlan]) -> Preparation:
 
 def _check_plan(core: Core, plan: DrawPlan) -> tuple[list[Format], Format | None, int, StateVector]:
     """Refuse a plan that no draw can follow; return the formats of its targets, their samples, and the states."""
-    if not isinstance(plan, DrawPlan):
-        core.refuse(DEVICE_ARGUMENT, _CALL, repr(plan), "a program, or a list of rhi.DrawPlan")
-    if not isinstance(plan.program, Program):
-        core.refuse(DEVICE_ARGUMENT, _CALL, repr(plan.program), "a program from device.program(…)")
+    check = Arguments(_CALL, core.refuse)
+    check.instance("program", plan, DrawPlan, "a program, or a list of rhi.DrawPlan")
+    check.instance("program", plan.program, Program, "a Program from device.program(…)")
+    check.instance("targets", plan.targets, (list, tuple), "a list of textures and formats")
+    check.instance("states", plan.states, (list, tuple), "a list of states")
     core.check_usable(plan.program, _CALL)
     if plan.mesh is not None:
-        if not isinstance(plan.mesh, Mesh):
-            core.refuse(DEVICE_ARGUMENT, _CALL, f"mesh={plan.mesh!r}", "a Mesh from device.mesh(…)")
+        check.instance("mesh", plan.mesh, Mesh, "a Mesh from device.mesh(…), or None")
         for buffer in plan.mesh.buffers:
             core.check_usable(buffer, _CALL)
     colors: list[Format] = []
@@ -114,10 +115,8 @@ def _check_plan(core: Core, plan: DrawPlan) -> tuple[list[Format], Format | None
             core.check_usable(target, _CALL)
             counts.add(target.samples)
             format = target.format
-        elif isinstance(target, Format):
-            format = target
         else:
-            core.refuse(DEVICE_ARGUMENT, _CALL, f"targets with {target!r}", "textures and formats")
+            format = check.instance("targets", target, Format, "textures and formats")
         (depths if format.is_depth else colors).append(format)
     most = core.capabilities.max_color_targets
     if len(colors) > most or len(depths) > 1:
