@@ -11,6 +11,7 @@ from rhi.contract.backend import (
     HoldsContext,
     PreparedQueries,
     PreparesDraws,
+    PreparesKernels,
     PreparesQueries,
 )
 from rhi.contract.descriptors import (
@@ -172,6 +173,7 @@ __all__ = [
     "PolygonOffset",
     "PreparedQueries",
     "PreparesDraws",
+    "PreparesKernels",
     "PreparesQueries",
     "Primitive",
     "ProgramDescriptor",

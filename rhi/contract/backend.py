@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -163,6 +164,25 @@ class HoldsContext(Protocol):
 
     def release_current(self) -> None:
         """Make the context current on no thread, so that another thread can call `make_current`."""
+
+
+class PreparesKernels(Protocol):
+    """Optional part of the contract: code for draws that is built before the first of them.
+
+    Platforms that build it with the program, or can't without a draw, leave it out.
+    """
+
+    def prepare_kernels(
+        self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
+        states: Sequence[StateChange],
+    ) -> Sequence[Future[None]]:  # fmt: skip
+        """Begin to build what draws of `program` need; return the ends of the builds, which never fail.
+
+        Args:
+            vertex_array: a vertex array of the program; 0 for none.
+            colors, depth, samples: the formats and samples of the targets; without any, they aren't known yet.
+            states: the value of every state type.
+        """
 
 
 class PreparedQueries(Protocol):

@@ -24,6 +24,7 @@ from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Backend, Capabilities
 from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_UNKNOWN
 
 __rhi_internal__ = True
@@ -71,6 +72,13 @@ def create_device(
         DeviceError: `device-unknown` if no backend has this name, `device-driver` if its driver
             can't be used, with a tip about what to install.
     """
+    check = Arguments("rhi.create_device")
+    if name is not None:
+        check.text("name", name)
+    validation, timing = check.flag("validation", validation), check.flag("timing", timing)
+    if record is not None:
+        record = check.flag("record", record)
+    frames_in_flight = check.whole("frames_in_flight", frames_in_flight, 1)
     name = name or os.environ.get("RHI_BACKEND") or None
     backend = _create_named(name, validation, options) if name else _create_first(validation, options)
     if record is None:

@@ -26,7 +26,6 @@ STATE_VALUE: Final = Rule("state-value", "the value of a state is out of range")
 STATE_TYPE: Final = Rule(
     "state-type", "not a render state", "states are values such as CullMode.NONE or Viewport(…)"
 )
-STATE_NOTHING: Final = Rule("state-nothing", "a scope needs at least one state")
 STATE_DUPLICATE: Final = Rule(
     "state-duplicate", "a scope sets the same state twice", "nest two scopes to set it twice"
 )

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import get_ident
-from typing import TYPE_CHECKING, ClassVar, Final, NoReturn, Protocol, cast
+from typing import ClassVar, Final, NoReturn, Protocol, cast
 
 from rhi.contract.backend import Backend, HoldsContext, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
@@ -31,9 +31,6 @@ from rhi.errors.rules import (
     RESOURCE_DESTROYED,
     RESOURCE_FOREIGN,
 )
-
-if TYPE_CHECKING:
-    from rhi.device.core.ring import Ring
 
 __rhi_internal__ = True
 
@@ -67,6 +64,13 @@ class Owner(Protocol):
     def destroyed(self) -> bool: ...
     @property
     def label(self) -> str: ...
+
+
+class FrameMemory(Protocol):
+    """Memory of which each frame takes some."""
+
+    def mark(self, fence: int) -> None:
+        """End the frame: what it took is free once `fence` has passed."""
 
 
 class OpenQuery(Protocol):
@@ -155,7 +159,7 @@ class Core:
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
         self.draw_counters: list[Callable[[], int]] = []
-        self.frame_rings: list[Ring] = []
+        self.frame_rings: list[FrameMemory] = []
         self.tests_alpha = False
         self._prepares: PreparesDraws | None = None
         if hasattr(backend, "prepare_draw"):

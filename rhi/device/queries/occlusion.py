@@ -16,6 +16,7 @@ from typing import Final, Generic, Self, TypeVar
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core, describe_object
 from rhi.errors import DeviceError
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ANSWER,
@@ -276,6 +277,9 @@ class Conditional:
             core.refuse(
                 DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
             )
+        check = Arguments(call, core.refuse)
+        check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
+        inverted = check.flag("inverted", inverted)
         if query.emulated:
             core.refuse(
                 DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
@@ -285,6 +289,7 @@ class Conditional:
         self._inverted = inverted
 
     def _check(self) -> None:
+        self._query.check_usable(self._core, "device.conditional")
         self._query.check_ended(self._core, "device.conditional")
 
     def __enter__(self) -> None:

@@ -14,6 +14,7 @@ from typing import Final
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import SCOPE_ORDER
 
 __rhi_internal__ = True
@@ -143,6 +144,8 @@ class EventScope:
     __slots__ = ("_core", "_events", "_label", "_timers")
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
+        if label.__class__ is not str:
+            Arguments("device.event", core.refuse).text("label", label)
         self._core = core
         self._timers = timers
         self._label = label
