@@ -16,6 +16,7 @@ import numpy as np
 
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
+from rhi.errors.arguments import Fields
 
 __rhi_internal__ = True
 
@@ -147,6 +148,15 @@ class SamplerDescriptor:
     compare: Comparison | None = None
     max_anisotropy: float = 1.0
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.choices(Filter, "minify", "magnify")
+        fields.choices_or_none(Filter, "mip")
+        fields.choices(Wrap, "wrap_u", "wrap_v", "wrap_w")
+        fields.colors("border")
+        fields.choices_or_none(Comparison, "compare")
+        fields.numbers("max_anisotropy", least=1)
+
     @property
     def uses_border(self) -> bool:
         """Whether any axis wraps to the border color."""
@@ -163,6 +173,9 @@ class Region:
     height: int
     layer: int = 0
     layers: int = 1
+
+    def __post_init__(self) -> None:
+        Fields(self).wholes("x", "y", "width", "height", "layer", "layers")
 
 
 # -- vertex arrays ---------------------------------------------------------------------------------------
@@ -412,6 +425,24 @@ class ProgramDescriptor:
     shared_bytes: int = 0
     checked: bool = False
     flushes_denormals: bool = False
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.text("name", self.name)
+        fields.members("stages", self.stages, frozenset, Stage)
+        fields.members("bindings", self.bindings, tuple, Binding)
+        fields.members("attributes", self.attributes, tuple, Attribute)
+        fields.members("outputs", self.outputs, tuple, FragmentOutput)
+        fields.members("varyings", self.varyings, tuple, StageVarying)
+        sizes = fields.members("work_group", self.work_group, tuple, int)
+        if len(sizes) != 3 or min(sizes) < 1:
+            fields.fail("work_group", sizes, "3 whole numbers, 1 or more")
+        if not callable(self.emit):
+            fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
+        fields.flags(
+            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"
+        )  # fmt: skip
+        fields.wholes("shared_bytes", least=0)
 
 
 DRAW: Final = np.dtype(
