@@ -78,6 +78,7 @@ from rhi.device.registry import backend_names, create_device, report
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
 from rhi.device.resources.meshes import Drawable, Mesh
 from rhi.device.resources.programs import Program
+from rhi.device.resources.readbacks import Readback
 from rhi.device.resources.textures import Sampler, Texture, TextureTarget
 from rhi.device.transient import TransientMemory, TransientMesh
 from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
@@ -132,6 +133,7 @@ __all__ = [
     "Program",
     "ProgramDescriptor",
     "QuerySet",
+    "Readback",
     "Recorder",
     "Refusal",
     "Region",

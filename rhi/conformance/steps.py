@@ -35,8 +35,8 @@ STEPS: Final = (
     ),
     Step(
         "textures and passes",
-        ("create_texture", "create_sampler", "write_texture", "read_texture", "copy_texture", "generate_mipmaps",
-         "begin_pass", "end_pass"),
+        ("create_texture", "create_sampler", "write_texture", "read_texture", "copy_texture", "copy_texture_to_buffer",
+         "copy_buffer_to_texture", "generate_mipmaps", "begin_pass", "end_pass"),
         ("operation · textures",),
     ),
     Step(

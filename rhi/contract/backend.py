@@ -70,6 +70,10 @@ class Capabilities:
     max_anisotropy: float = 1.0
     uniform_alignment: int = 256
     storage_alignment: int = 256
+    copy_offset_alignment: int = 4
+    """Alignment in bytes of a buffer's offset in copies between textures and buffers, besides that to whole texels."""
+    copy_row_alignment: int = 1
+    """Alignment in bytes of the distance between rows in such copies, besides that to whole texels."""
 
     compute: bool = True
     draws: bool = True
@@ -89,6 +93,8 @@ class Capabilities:
     alpha_to_coverage: bool = True
     depth_bias_clamp: bool = True
     blend_per_target: bool = True
+    texture_buffer_copies: bool = False
+    """Whether textures are copied to and from buffers. Without it, `Texture.read_async` waits for the device."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
@@ -192,7 +198,8 @@ class Backend(Protocol):
         """Write bytes, in order with other commands. Writes to a `BufferUsage.STREAM` buffer may be unordered."""
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        """Wait for all earlier commands, then return the bytes."""
+        """Wait for all earlier commands, then return the bytes. A `BufferUsage.READBACK` buffer is read only when the
+        fence has passed all commands that write it, so it needs no wait."""
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         """Copy bytes between buffers, or within one. The two ranges don't overlap."""
@@ -212,6 +219,19 @@ class Backend(Protocol):
         layer: int,
     ) -> None:  # fmt: skip
         """Copy texels between textures of equal format, or within one. The regions don't overlap."""
+
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        """Copy texels to a buffer, as `read_texture` returns them, without stencil. Rows begin `row_bytes` apart,
+        layers follow each other with `region.height` rows each. Bytes between the rows are left as they are. Not for
+        multi-sampled textures."""
+
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        """Copy texels from a buffer, laid out as by `copy_texture_to_buffer`. Not for depth formats and multi-sampled
+        textures."""
 
     def resolve_texture(self, source: Id, target: Id) -> None:
         """Resolve a multi-sampled color texture: average its samples into a single-sampled one of equal size."""

@@ -62,11 +62,14 @@ class BufferUsage(enum.Enum):
     """How a buffer's contents change.
 
     STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that the GPU
-    has finished reading, so a backend may map it and write without synchronisation.
+    has finished reading, so a backend may map it and write without synchronisation. READBACK: the target of copies,
+    which the CPU reads only where a fence guarantees that the GPU has finished writing. A backend may treat both like
+    STATIC.
     """
 
     STATIC = "static"
     STREAM = "stream"
+    READBACK = "readback"
 
 
 @dataclass(frozen=True, slots=True)

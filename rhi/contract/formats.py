@@ -89,6 +89,11 @@ class Format(enum.Enum):
         return member
 
     @property
+    def transfer_bytes(self) -> int:
+        """The bytes of a texel in arrays and in copies to and from buffers."""
+        return self.channels * self.dtype.itemsize
+
+    @property
     def is_depth(self) -> bool:
         """Whether this is a depth format, with or without stencil."""
         return self.kind in (ChannelKind.DEPTH, ChannelKind.DEPTH_STENCIL)

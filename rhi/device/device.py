@@ -182,6 +182,10 @@ class Device(Encoder):
         label: str = "",
     ) -> Buffer:
         """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
+        if usage is BufferUsage.READBACK:
+            self._core.refuse(
+                DEVICE_ARGUMENT, "device.buffer", "BufferUsage.READBACK", "STATIC or STREAM", "use read_async"
+            )
         if isinstance(source, (int, np.integer)):
             return Buffer(self._core, int(source), np.dtype(dtype or np.uint8), usage, label)
         array = np.asarray(source)

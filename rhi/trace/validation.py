@@ -240,6 +240,28 @@ class SequenceValidator:
         given = self._region(target, target_level, target_region)
         self._need(taken.format is given.format and taken.samples == given.samples, "different formats")
 
+    def _copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        self._rows(self._region(source, level, region), region, target, offset, row_bytes)
+
+    def _copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        descriptor = self._region(target, level, region)
+        self._need(not descriptor.format.is_depth, descriptor.format.name)
+        self._rows(descriptor, region, source, offset, row_bytes)
+
+    def _rows(
+        self, texture: TextureDescriptor, region: Region, buffer: Id, offset: int, row_bytes: int
+    ) -> None:
+        texel = texture.format.transfer_bytes
+        self._need(texture.samples == 1, "several samples")
+        fits = row_bytes >= region.width * texel and row_bytes % texel == 0 and offset % texel == 0
+        self._need(fits, f"rows of {row_bytes} bytes at {offset}")
+        rows = region.height * region.layers
+        self._range(buffer, offset, (rows - 1) * row_bytes + region.width * texel)
+
     def _resolve_texture(self, source: Id, target: Id) -> None:
         taken, given = self._find(source, TextureDescriptor), self._find(target, TextureDescriptor)
         fits = taken.size == given.size and taken.format is given.format and given.samples == 1
@@ -383,6 +405,8 @@ def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
     checks: dict[Op, Callable[[Capabilities, Any], Iterator[str]]] = {
         Op.CREATE_TEXTURE: _limit_texture,
         Op.CREATE_SAMPLER: _limit_sampler,
+        Op.COPY_TEXTURE_TO_BUFFER: _limit_copy_to_buffer,
+        Op.COPY_BUFFER_TO_TEXTURE: _limit_copy_to_texture,
         Op.CREATE_QUERY: _limit_query,
         Op.CREATE_PROGRAM: _limit_program,
         Op.BEGIN_PASS: _limit_pass,
@@ -425,6 +449,21 @@ def _limit_texture(limits: Capabilities, values: Any) -> Iterator[str]:
 def _limit_sampler(limits: Capabilities, values: Any) -> Iterator[str]:
     if values[1].max_anisotropy > limits.max_anisotropy:
         yield f"anisotropy up to {limits.max_anisotropy:g}"
+
+
+def _limit_copy_to_buffer(limits: Capabilities, values: Any) -> Iterator[str]:
+    return _limit_copy(limits, values[4], values[5])
+
+
+def _limit_copy_to_texture(limits: Capabilities, values: Any) -> Iterator[str]:
+    return _limit_copy(limits, values[1], values[2])
+
+
+def _limit_copy(limits: Capabilities, offset: int, row_bytes: int) -> Iterator[str]:
+    if not limits.texture_buffer_copies:
+        yield "needs capabilities.texture_buffer_copies"
+    if offset % limits.copy_offset_alignment or row_bytes % limits.copy_row_alignment:
+        yield f"offsets at {limits.copy_offset_alignment}, rows at multiples of {limits.copy_row_alignment} bytes"
 
 
 def _limit_query(limits: Capabilities, values: Any) -> Iterator[str]:

@@ -79,6 +79,19 @@ class Memory:
         if self.textures[source].stencil:
             self.box(target, target_level, target_region, True)[:] = self.box(source, level, region, True)
 
+    def texture_rows(self, texture: Id, level: int, region: Region) -> NDArray[np.uint8]:
+        """Return a copy of a region's rows as bytes: (rows of all layers, bytes of a row)."""
+        texels = np.ascontiguousarray(self.box(texture, level, region))
+        return texels.view(np.uint8).reshape(region.layers * region.height, -1)
+
+    def buffer_rows(
+        self, buffer: Id, offset: int, row_bytes: int, like: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Return a view of rows of a buffer that begin `row_bytes` apart, in the shape of `like`."""
+        count, size = like.shape
+        memory = self.buffers[buffer][offset : offset + (count - 1) * row_bytes + size]
+        return np.lib.stride_tricks.as_strided(memory, (count, size), (row_bytes, 1))
+
     def generate_mipmaps(self, texture: Id) -> None:
         stored = self.textures[texture]
         for above, below in zip(stored.levels, stored.levels[1:], strict=False):

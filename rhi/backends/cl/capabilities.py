@@ -33,6 +33,7 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         storage_alignment=grain,
         max_texture_size=_MAX_TEXTURE_SIZE,
         draws=draws,
+        texture_buffer_copies=True,
         indirect_count=draws,
         occlusion_queries=draws,
         sample_counter=draws,

@@ -119,6 +119,19 @@ class Textures:
         if old.stencil:
             old.stencil[source_level].copy(self._queue, source_region, new.stencil[target_level], x, y, layer)
 
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, target: cl.Buffer, offset: int, row_bytes: int
+    ) -> None:
+        plane = self._textures[source].levels[level]
+        plane.copy_to_buffer(self._queue, region, target, offset, row_bytes)
+
+    def copy_from_buffer(
+        self, source: cl.Buffer, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        made = self._textures[target]
+        made.changes += 1
+        made.levels[level].copy_from_buffer(self._queue, source, offset, row_bytes, region)
+
     def resolve(self, source: Id, target: Id) -> None:
         old, new = self._textures[source], self._textures[target]
         new.changes += 1

@@ -67,6 +67,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         storage_alignment=gl.get_integer(enums.SHADER_STORAGE_BUFFER_OFFSET_ALIGNMENT),
         indirect_count="GL_ARB_indirect_parameters" in extensions,
         sample_counter=True,
+        texture_buffer_copies=True,
         timestamps=timestamp_bits.value > 0,
         alpha_test=True,
         depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),

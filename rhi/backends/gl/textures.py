@@ -21,6 +21,7 @@ from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
 
 __rhi_internal__ = True
 
+_ANY_SIZE: Final = (1 << 31) - 1
 _TARGETS: Final = {
     TextureKind.D2: enums.TEXTURE_2D,
     TextureKind.D2_ARRAY: enums.TEXTURE_2D_ARRAY,
@@ -90,9 +91,12 @@ class Textures:
         self._gl.delete(self._gl.DeleteTextures, self.names.pop(texture))
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        gl_texture, r = self._textures[texture], region
-        pixels = np.frombuffer(memoryview(data), np.uint8).ctypes.data
-        _, texel, kind = gl_texture.pixel
+        pixels = np.frombuffer(memoryview(data), np.uint8)
+        self._upload(self._textures[texture], level, region, pixels.ctypes.data)
+
+    def _upload(self, gl_texture: GlTexture, level: int, region: Region, pixels: int) -> None:
+        """Write texels from an address, or from an offset in the buffer that is bound for unpacking."""
+        r, (_, texel, kind) = region, gl_texture.pixel
         if gl_texture.target == enums.TEXTURE_2D:
             self._gl.TextureSubImage2D(
                 gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels
@@ -115,6 +119,31 @@ class Textures:
             pixels.ctypes.data,
         )  # fmt: skip
         return pixels
+
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, buffer: int, offset: int, row_bytes: int
+    ) -> None:
+        """Copy texels to GL's buffer `buffer`."""
+        gl, gl_texture, r = self._gl, self._textures[source], region
+        _, texel, kind = gl_texture.pixel
+        gl.PixelStorei(enums.PACK_ROW_LENGTH, row_bytes // gl_texture.descriptor.format.transfer_bytes)
+        gl.BindBuffer(enums.PIXEL_PACK_BUFFER, buffer)
+        gl.GetTextureSubImage(
+            gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, _ANY_SIZE, offset
+        )
+        gl.BindBuffer(enums.PIXEL_PACK_BUFFER, 0)
+        gl.PixelStorei(enums.PACK_ROW_LENGTH, 0)
+
+    def copy_from_buffer(
+        self, buffer: int, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        """Copy texels from GL's buffer `buffer`."""
+        gl, gl_texture = self._gl, self._textures[target]
+        gl.PixelStorei(enums.UNPACK_ROW_LENGTH, row_bytes // gl_texture.descriptor.format.transfer_bytes)
+        gl.BindBuffer(enums.PIXEL_UNPACK_BUFFER, buffer)
+        self._upload(gl_texture, level, region, offset)
+        gl.BindBuffer(enums.PIXEL_UNPACK_BUFFER, 0)
+        gl.PixelStorei(enums.UNPACK_ROW_LENGTH, 0)
 
     def copy(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,

@@ -87,6 +87,11 @@ class Textures:
             return source.stencil[level][_box(region)].copy()
         return source.levels[level][_box(region)].copy()
 
+    def copy_rows(self, texture: Id, level: int, region: Region) -> NDArray[np.uint8]:
+        """Return a copy of a region's rows as bytes: (rows of all layers, bytes of a row)."""
+        texels = np.ascontiguousarray(self.textures[texture].levels[level][_box(region)])
+        return texels.view(np.uint8).reshape(region.layers * region.height, -1)
+
     # -- commands ----------------------------------------------------------------------------------------
 
     def destroy(self, resource: Id) -> None:

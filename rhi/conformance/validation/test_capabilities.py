@@ -66,6 +66,23 @@ def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: Device
     recording.sampler(SamplerDescriptor(max_anisotropy=most))
 
 
+def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(recording: Device) -> None:
+    limits = recording.capabilities
+    offset, row = max(4, limits.copy_offset_alignment), max(4, limits.copy_row_alignment)
+    with recording.texture((1, 3), Format.RGBA8) as texture, recording.buffer(8 * (offset + row)) as buffer:
+        if not limits.texture_buffer_copies:
+            with refuses(rules.DEVICE_CAPABILITY, recording):
+                texture.copy_to_buffer(buffer)
+            return
+        for bad in ({"offset": offset + offset // 2}, {"row_bytes": row + row // 2}):
+            with refuses(rules.BUFFER_ALIGNMENT, recording):
+                texture.copy_to_buffer(buffer, **bad)
+            with refuses(rules.BUFFER_ALIGNMENT, recording):
+                buffer.copy_to_texture(texture, **bad)
+        texture.copy_to_buffer(buffer, offset=offset, row_bytes=row)
+        buffer.copy_to_texture(texture, offset=offset, row_bytes=row)
+
+
 def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:
     for format in recording.capabilities.unsupported_formats:
         with refuses(rules.DEVICE_CAPABILITY, recording):

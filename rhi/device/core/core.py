@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, ClassVar, NoReturn, Protocol, cast
 from rhi.contract.backend import Backend, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.contract.states import AlphaTest
+from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
@@ -80,6 +81,7 @@ class Core:
         condition_open: whether draws depend on a query's answer now.
         condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
+        readbacks: the memory of asynchronous reads.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
         draw_counters: one function per program that returns its number of draws since the last call.
@@ -103,6 +105,7 @@ class Core:
         "locked",
         "open_query",
         "program",
+        "readbacks",
         "refusals",
         "render_pass",
         "sampler_descriptors",
@@ -138,6 +141,7 @@ class Core:
         self.locked: list[Owner] = []
         self.draw_counters: list[Callable[[], int]] = []
         self.frame_rings: list[Ring] = []
+        self.readbacks = ReadbackPool(backend, self.timeline, self.new_id)
         self.tests_alpha = False
         self._prepares: PreparesDraws | None = None
         if hasattr(backend, "prepare_draw"):

@@ -8,16 +8,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
+from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage, Region
 from rhi.contract.layout import accepts, compare_layouts
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
+from rhi.device.resources.readbacks import Readback
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -27,6 +28,9 @@ from rhi.errors.rules import (
     LAYOUT_MISMATCH,
 )
 from rhi.shading.language.bindings import StorageRange, UniformRange
+
+if TYPE_CHECKING:
+    from rhi.device.resources.textures import Texture
 
 __rhi_internal__ = True
 
@@ -96,6 +100,20 @@ class Buffer(Resource):
         first, count = self._range("Buffer.read", first, count)
         return self._download(first, count)
 
+    def read_async(self, first: int = 0, count: int | None = None) -> Readback:
+        """Begin to read `count` elements from `first` on, as `read` does, and return their future at once."""
+        first, count = self._range("Buffer.read_async", first, count)
+        base, shape = self.dtype.subdtype or (self.dtype, ())
+        size = self.dtype.itemsize
+        readback = Readback(self.core, base, (count, *shape), 1, count * size)
+        if count:
+            memory = readback.take_memory()
+            self.core.backend.copy_buffer(self.id, first * size, memory, 0, count * size)
+            readback.begin()
+        else:
+            readback.complete(np.zeros(0, base))
+        return readback
+
     def write(self, data: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on, ordered after the work submitted before.
 
@@ -126,6 +144,21 @@ class Buffer(Resource):
     ) -> None:
         """Copy `size` bytes (None: all from `offset` on) on the device; offsets in bytes."""
         self._copy(self.core, target, size, offset, target_offset)
+
+    def copy_to_texture(
+        self,
+        target: Texture,
+        *,
+        offset: int = 0,
+        row_bytes: int | None = None,
+        level: int = 0,
+        region: Region | None = None,
+    ) -> None:
+        """Copy bytes from `offset` on to a region of a texture (None: the whole level), on the device.
+
+        The layout is that of `Texture.copy_to_buffer`. Not for depth formats.
+        """
+        target._copy_from_buffer(self.core, self, level, region, offset, row_bytes)
 
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
@@ -283,6 +316,10 @@ class StorageBuffer(StorageRange[T], Resource):
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of elements; waits for work that may write them."""
         return self._typed().read(first, count)
+
+    def read_async(self, first: int = 0, count: int | None = None) -> Readback:
+        """Begin to read elements, as `read` does, and return their future at once."""
+        return self._typed().read_async(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`."""

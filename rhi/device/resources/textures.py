@@ -25,9 +25,13 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import Format
 from rhi.device.core.core import Core
+from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
+from rhi.device.resources.readbacks import Readback
 from rhi.errors.rules import (
+    BUFFER_ALIGNMENT,
+    BUFFER_RANGE,
     DEVICE_CAPABILITY,
     TEXTURE_DATA,
     TEXTURE_FORMAT,
@@ -175,6 +179,26 @@ class Texture(TextureBinding, Resource):
         stencil: NDArray[np.uint8] = self._read(call, level, self._region(call, level, layer, region), True)
         return stencil[0, :, :, 0]
 
+    def read_async(self, level: int = 0, layer: int = 0, region: Region | None = None) -> Readback:
+        """Begin to read one layer, as `read` does, and return its future at once.
+
+        Without `capabilities.texture_buffer_copies` the texels are read now, and the future is done.
+        """
+        call, core = "Texture.read_async", self.core
+        where = self._region(call, level, layer, region)
+        self._check_single_sample(call)
+        shape: tuple[int, ...] = (where.height, where.width)
+        if self.format.channels > 1:
+            shape = (*shape, self.format.channels)
+        row_bytes = self._tight_row(where)
+        readback = Readback(core, self.format.dtype, shape, where.height, row_bytes)
+        if core.capabilities.texture_buffer_copies:
+            core.backend.copy_texture_to_buffer(self.id, level, where, readback.take_memory(), 0, row_bytes)
+            readback.begin()
+        else:
+            readback.complete(self._read(call, level, where, False))
+        return readback
+
     def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
         """Replace texels from (x, y) on.
 
@@ -258,6 +282,80 @@ class Texture(TextureBinding, Resource):
         if target is self and level == target_level and _overlap(source_region, end):
             self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
+
+    def copy_to_buffer(
+        self,
+        target: Buffer,
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        offset: int = 0,
+        row_bytes: int | None = None,
+    ) -> None:
+        """Copy a region (None: the whole level) to bytes of a buffer from `offset` on, on the device.
+
+        The texels are those that `read` returns, depth as float32. Rows begin `row_bytes` apart (None: as tightly as
+        the device can), and the rows of a layer follow those of the layer before.
+
+        Raises:
+            ValidationError: `buffer-alignment` for an offset that isn't a multiple of
+                `capabilities.copy_offset_alignment`, or rows that aren't of `copy_row_alignment`, or either that
+                aren't whole texels; `buffer-range` beyond the end; `device-capability` without
+                `capabilities.texture_buffer_copies`.
+        """
+        self._copy_to_buffer(self.core, target, level, region, offset, row_bytes)
+
+    def _copy_to_buffer(
+        self, core: Core, target: Buffer, level: int, region: Region | None, offset: int, row_bytes: int | None
+    ) -> None:
+        """Send a `copy_to_buffer` to `core`."""
+        call = "Texture.copy_to_buffer"
+        region = region or self._whole(level, core)
+        row_bytes = self._check_rows(call, target, level, region, offset, row_bytes, core)
+        core.backend.copy_texture_to_buffer(self.id, level, region, target.id, offset, row_bytes)
+
+    def _copy_from_buffer(
+        self, core: Core, source: Buffer, level: int, region: Region | None, offset: int, row_bytes: int | None
+    ) -> None:
+        """Send a `Buffer.copy_to_texture` to `core`."""
+        call = "Buffer.copy_to_texture"
+        if self.format.is_depth:
+            self.core.refuse(
+                TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
+            )
+        region = region or self._whole(level, core)
+        row_bytes = self._check_rows(call, source, level, region, offset, row_bytes, core)
+        core.backend.copy_buffer_to_texture(source.id, offset, row_bytes, self.id, level, region)
+
+    def _check_rows(
+        self, call: str, buffer: Buffer, level: int, region: Region, offset: int, row_bytes: int | None, core: Core
+    ) -> int:
+        """Check the place of a region's rows in a buffer, and return the distance between them."""
+        limits, texel = core.capabilities, self.format.transfer_bytes
+        if not limits.texture_buffer_copies:
+            core.refuse(DEVICE_CAPABILITY, call, self.format.name, "needs capabilities.texture_buffer_copies")
+        self._check_region(call, level, region, core)
+        self._check_single_sample(call)
+        core.check_usable(buffer, call)
+        least, row_step = region.width * texel, max(texel, limits.copy_row_alignment)
+        row_bytes = self._tight_row(region) if row_bytes is None else row_bytes
+        if row_bytes < least or row_bytes % row_step:
+            core.refuse(
+                BUFFER_ALIGNMENT, call, f"row_bytes={row_bytes}", f"a multiple of {row_step}, {least} or more"
+            )
+        offset_step = max(texel, limits.copy_offset_alignment)
+        if offset % offset_step:
+            core.refuse(BUFFER_ALIGNMENT, call, f"offset={offset}", f"a multiple of {offset_step}")
+        size = (region.height * region.layers - 1) * row_bytes + least
+        if offset < 0 or offset + size > buffer.size:
+            core.refuse(BUFFER_RANGE, call, f"{size} bytes at {offset}", f"within {buffer.size} bytes")
+        return row_bytes
+
+    def _tight_row(self, region: Region) -> int:
+        """Return the smallest distance in bytes between a region's rows in a buffer."""
+        texel = self.format.transfer_bytes
+        step = max(texel, self.core.capabilities.copy_row_alignment)
+        return -(-region.width * texel // step) * step
 
     def resolve_to(self, target: Texture) -> None:
         """Resolve this multi-sampled texture to `target`: average the samples; size and format must be equal."""

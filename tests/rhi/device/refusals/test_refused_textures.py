@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, Device, Format, Op, Region, TextureKind
+from rhi import Access, BufferUsage, Device, Format, Op, Region, TextureKind
 from rhi.conformance.compare import assert_same
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.formats import DEPTH_FORMATS
@@ -329,3 +329,76 @@ def test_a_format_is_no_text(recording: Device) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
         recording.texture((4, 4), "R8")  # type: ignore[arg-type]
     recording.texture((4, 4), Format.R8).destroy()
+
+
+# -- copies to and from buffers ----------------------------------------------------------------------------
+
+
+def test_a_copy_to_a_buffer_stays_inside_it(recording: Device) -> None:
+    with recording.texture((4, 3), Format.RGBA8) as texture, recording.buffer(64) as buffer:
+        for bad in ({"offset": 20}, {"offset": -16}, {"row_bytes": 28}):
+            with refuses(rules.BUFFER_RANGE, recording):
+                texture.copy_to_buffer(buffer, **bad)
+            with refuses(rules.BUFFER_RANGE, recording):
+                buffer.copy_to_texture(texture, **bad)
+        texture.copy_to_buffer(buffer, offset=16)
+        buffer.copy_to_texture(texture, row_bytes=24)
+
+
+@pytest.mark.parametrize(
+    ("format", "bad", "good"),
+    [
+        (Format.R8, {"offset": 2}, {"offset": 4}),
+        (Format.RGBA32F, {"offset": 8}, {"offset": 16}),
+        (Format.RGBA8, {"row_bytes": 15}, {"row_bytes": 16}),
+        (Format.RGBA8, {"row_bytes": 12}, {"row_bytes": 20}),
+        (Format.RG16F, {"row_bytes": 18}, {"row_bytes": 20}),
+    ],
+)
+def test_rows_and_offsets_are_whole_texels(
+    recording: Device, format: Format, bad: dict[str, int], good: dict[str, int]
+) -> None:
+    with recording.texture((4, 3), format) as texture, recording.buffer(512) as buffer:
+        with refuses(rules.BUFFER_ALIGNMENT, recording):
+            texture.copy_to_buffer(buffer, **bad)
+        with refuses(rules.BUFFER_ALIGNMENT, recording):
+            buffer.copy_to_texture(texture, **bad)
+        texture.copy_to_buffer(buffer, **good)
+        buffer.copy_to_texture(texture, **good)
+
+
+def test_depth_is_not_copied_from_a_buffer(recording: Device) -> None:
+    with recording.texture((4, 4), Format.D32F) as texture, recording.buffer(64) as buffer:
+        with refuses(rules.TEXTURE_FORMAT, recording):
+            buffer.copy_to_texture(texture)
+        texture.copy_to_buffer(buffer)
+
+
+def test_samples_are_not_copied_to_a_buffer(recording: Device) -> None:
+    with recording.texture((4, 4), Format.RGBA8, samples=4) as texture, recording.buffer(256) as buffer:
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            texture.copy_to_buffer(buffer)
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            buffer.copy_to_texture(texture)
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            texture.read_async()
+
+
+def test_both_ends_of_a_copy_must_be_usable(recording: Device) -> None:
+    texture, buffer = recording.texture((4, 4), Format.RGBA8), recording.buffer(64)
+    with buffer.lock(Access.READ), refuses(rules.LOCK_OPEN, recording):
+        texture.copy_to_buffer(buffer)
+    buffer.destroy()
+    with refuses(rules.RESOURCE_DESTROYED, recording):
+        texture.copy_to_buffer(buffer)
+    other = recording.buffer(64)
+    texture.destroy()
+    for call in (lambda: other.copy_to_texture(texture), lambda: texture.read_async()):
+        with refuses(rules.RESOURCE_DESTROYED, recording):
+            call()
+
+
+def test_memory_for_reads_is_made_by_reads_only(recording: Device) -> None:
+    with refuses(rules.DEVICE_ARGUMENT, recording):
+        recording.buffer(64, usage=BufferUsage.READBACK)
+    recording.buffer(64, usage=BufferUsage.STREAM).destroy()
