@@ -107,7 +107,7 @@ from rhi.contract.states import (
     Viewport,
     default_values,
 )
-from rhi.contract.texels import decode, encode, from_srgb, halve
+from rhi.contract.texels import decode, encode, from_srgb, halve, pack, unpack
 from rhi.errors import DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse, rules
 
 __all__ = [
@@ -217,9 +217,11 @@ __all__ = [
     "list_draws",
     "make_driver_error",
     "place",
+    "pack",
     "refuse",
     "rules",
     "scalar_places",
     "shape_of",
     "stride_of",
+    "unpack",
 ]

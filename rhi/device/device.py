@@ -250,7 +250,7 @@ class Device(Encoder):
         """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype. `levels` None means all mip levels down to 1×1; they are
+        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means all mip levels down to 1×1; they are
         generated from an array's texels if the format can be filtered.
         """
         if not isinstance(format, Format):
@@ -260,7 +260,7 @@ class Device(Encoder):
         data = None
         if isinstance(source, np.ndarray):
             data = source
-            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.channels == 1):
+            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.components == 1):
                 allowed = "(height, width, channels), or with layers in front"
                 self._core.refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]

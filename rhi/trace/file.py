@@ -172,12 +172,11 @@ def _write_array(writer: ArchiveWriter, numbers: dict[bytes, int], command: Comm
 
 
 def _texel_shape(texture: TextureDescriptor, region: Region) -> tuple[int, int, int, int]:
-    return region.layers, region.height, region.width, texture.format.channels
+    return region.layers, region.height, region.width, texture.format.components
 
 
 def _texel_bytes(texture: TextureDescriptor, region: Region) -> int:
-    layers, height, width, channels = _texel_shape(texture, region)
-    return layers * height * width * channels * texture.format.dtype.itemsize
+    return region.layers * region.height * region.width * texture.format.transfer_bytes
 
 
 # -- reading -------------------------------------------------------------------------------------------------

@@ -172,7 +172,7 @@ class SequenceValidator:
             self._need(layers == 1, f"{layers} layers of a 2D texture")
         if descriptor.kind is TextureKind.CUBE:
             self._need(layers == 6 and width == height, f"a cube of {width}×{height}, {layers} layers")
-        texels = max(descriptor.format.texel_bytes, descriptor.format.dtype.itemsize * descriptor.format.channels)
+        texels = max(descriptor.format.texel_bytes, descriptor.format.transfer_bytes)
         self._create(texture, 2 * width * height * layers * samples * texels)  # twice: levels
 
     def _create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
@@ -221,8 +221,7 @@ class SequenceValidator:
     def _write_texture(self, texture: Id, level: int, region: Region, data: bytes) -> None:
         descriptor = self._region(texture, level, region)
         self._need(not descriptor.format.is_depth and descriptor.samples == 1, f"{descriptor.format.name}")
-        texel = descriptor.format.channels * descriptor.format.dtype.itemsize
-        wanted = region.width * region.height * region.layers * texel
+        wanted = region.width * region.height * region.layers * descriptor.format.transfer_bytes
         self._need(len(data) == wanted, f"{len(data)} bytes instead of {wanted}")
 
     def _read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> None:

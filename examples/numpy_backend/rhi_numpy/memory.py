@@ -54,7 +54,7 @@ class Memory:
         for level in range(descriptor.levels):
             width, height = descriptor.level_size(level)
             box = descriptor.level_layers(level), height, width
-            created.levels.append(_zeros((*box, format.channels), format.dtype, "device.texture"))
+            created.levels.append(_zeros((*box, format.components), format.dtype, "device.texture"))
             if format.has_stencil:
                 created.stencil.append(_zeros((*box, 1), np.dtype(np.uint8), "device.texture"))
         self.textures[texture] = created

@@ -43,7 +43,7 @@ class ClTexture:
         self.words: dict[Id | tuple[int, int], cl.Buffer] = {}
         self.stencil: list[TexelPlane] = []
         format = descriptor.format
-        self.levels = self._allocate(context, format.channels * format.dtype.itemsize)
+        self.levels = self._allocate(context, format.transfer_bytes)
         if format.has_stencil:
             try:
                 self.stencil = self._allocate(context, 1)
@@ -105,7 +105,7 @@ class Textures:
         format = source.descriptor.format
         plane = (source.stencil if stencil else source.levels)[level]
         dtype = np.dtype(np.uint8) if stencil else format.dtype
-        texels = np.empty((region.layers, region.height, region.width, format.channels), dtype)
+        texels = np.empty((region.layers, region.height, region.width, format.components), dtype)
         plane.read(self._queue, region, texels)
         return texels
 

@@ -48,6 +48,9 @@ _INTERNAL: Final = {
     Format.R32I: enums.R32I,
     Format.RG32I: enums.RG32I,
     Format.RGBA32I: enums.RGBA32I,
+    Format.RGB10A2: enums.RGB10_A2,
+    Format.RGB10A2UI: enums.RGB10_A2UI,
+    Format.R11G11B10F: enums.R11F_G11F_B10F,
     Format.D16: enums.DEPTH_COMPONENT16,
     Format.D24: enums.DEPTH_COMPONENT24,
     Format.D32F: enums.DEPTH_COMPONENT32F,
@@ -66,7 +69,12 @@ _TYPES: Final = {
     "f4": enums.FLOAT,
 }
 
-_CHANNELS: Final = {1: enums.RED, 2: enums.RG, 4: enums.RGBA}
+_PACKED_TYPES: Final = {
+    (10, 10, 10, 2): enums.UNSIGNED_INT_2_10_10_10_REV,
+    (11, 11, 10): enums.UNSIGNED_INT_10F_11F_11F_REV,
+}
+
+_CHANNELS: Final = {1: enums.RED, 2: enums.RG, 3: enums.RGB, 4: enums.RGBA}
 _INTEGER_CHANNELS: Final = {1: enums.RED_INTEGER, 2: enums.RG_INTEGER, 4: enums.RGBA_INTEGER}
 
 
@@ -74,7 +82,8 @@ def _describe(texel: Format) -> PixelFormat:
     if texel.is_depth:
         return PixelFormat(_INTERNAL[texel], enums.DEPTH_COMPONENT, enums.FLOAT)
     channels = _INTEGER_CHANNELS if texel.is_integer else _CHANNELS
-    return PixelFormat(_INTERNAL[texel], channels[texel.channels], _TYPES[texel.dtype.str[1:]])
+    kind = _PACKED_TYPES[texel.channel_bits] if texel.is_packed else _TYPES[texel.dtype.str[1:]]
+    return PixelFormat(_INTERNAL[texel], channels[texel.channels], kind)
 
 
 PIXEL_FORMATS: Final = {texel: _describe(texel) for texel in Format}

@@ -112,8 +112,8 @@ class Textures:
         dtype = gl_texture.descriptor.format.dtype
         if stencil:
             texel, kind, dtype = enums.STENCIL_INDEX, enums.UNSIGNED_BYTE, np.dtype(np.uint8)
-        channels = gl_texture.descriptor.format.channels
-        pixels = np.empty((r.layers, r.height, r.width, channels), dtype)
+        components = gl_texture.descriptor.format.components
+        pixels = np.empty((r.layers, r.height, r.width, components), dtype)
         self._gl.GetTextureSubImage(
             gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels.nbytes,
             pixels.ctypes.data,

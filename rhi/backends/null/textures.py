@@ -45,7 +45,7 @@ class TextureMemory:
         for level in range(descriptor.levels):
             width, height = descriptor.level_size(level)
             texels = descriptor.level_layers(level), height, width
-            self.levels.append(np.zeros((*texels, format.channels), format.dtype))
+            self.levels.append(np.zeros((*texels, format.components), format.dtype))
             if format.has_stencil:
                 self.stencil.append(np.zeros((*texels, 1), np.uint8))
 

@@ -74,7 +74,8 @@ def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(rec
             with refuses(rules.DEVICE_CAPABILITY, recording):
                 texture.copy_to_buffer(buffer)
             return
-        for bad in ({"offset": offset + offset // 2}, {"row_bytes": row + row // 2}):
+        wrong: list[dict[str, Any]] = [{"offset": offset + offset // 2}, {"row_bytes": row + row // 2}]
+        for bad in wrong:
             with refuses(rules.BUFFER_ALIGNMENT, recording):
                 texture.copy_to_buffer(buffer, **bad)
             with refuses(rules.BUFFER_ALIGNMENT, recording):

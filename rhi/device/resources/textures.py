@@ -160,10 +160,10 @@ class Texture(TextureBinding, Resource):
     def read(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[Any]:
         """Return one layer: (height, width, channels), or (height, width) for one channel; top row first.
 
-        Waits for the device. Depth is read as float32.
+        Waits for the device. Depth is read as float32. A packed format has one number per texel.
         """
         texels = self._read("Texture.read", level, self._region("Texture.read", level, layer, region), False)
-        return texels[0, :, :, 0] if self.format.channels == 1 else texels[0]
+        return texels[0, :, :, 0] if self.format.components == 1 else texels[0]
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
         """Return all layers: (layers, height, width, channels). Waits for the device."""
@@ -188,8 +188,8 @@ class Texture(TextureBinding, Resource):
         where = self._region(call, level, layer, region)
         self._check_single_sample(call)
         shape: tuple[int, ...] = (where.height, where.width)
-        if self.format.channels > 1:
-            shape = (*shape, self.format.channels)
+        if self.format.components > 1:
+            shape = (*shape, self.format.components)
         row_bytes = self._tight_row(where)
         readback = Readback(core, self.format.dtype, shape, where.height, row_bytes)
         if core.capabilities.texture_buffer_copies:
@@ -203,7 +203,8 @@ class Texture(TextureBinding, Resource):
         """Replace texels from (x, y) on.
 
         `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width, channels)
-        for several layers from `layer` on.
+        for several layers from `layer` on. For a format of red, green, blue and alpha it may lack alpha, which becomes
+        1; that copies the array.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -217,13 +218,15 @@ class Texture(TextureBinding, Resource):
             )
         self._check_single_sample(call)
         array = np.asarray(texels)
-        channels = self.format.channels
-        if array.ndim == 2 and channels == 1:
+        components = self.format.components
+        if array.ndim == 2 and components == 1:
             array = array[None, :, :, None]
         elif array.ndim == 3:
             array = array[None]
-        if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != channels:
-            allowed = f"(height, width, {channels}) of {self.format.dtype}"
+        if array.ndim == 4 and array.shape[3] == 3 and components == 4 and not self.format.is_integer:
+            array = _add_alpha(array, self.format)
+        if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != components:
+            allowed = f"(height, width, {components}) of {self.format.dtype}"
             self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
         region = Region(x, y, width, height, layer, layers)
@@ -387,7 +390,7 @@ class Texture(TextureBinding, Resource):
             self,
             access,
             read=lambda: self._read(call, level, where, False)[0].copy(),
-            make=lambda: np.zeros((where.height, where.width, self.format.channels), self.format.dtype),
+            make=lambda: np.zeros((where.height, where.width, self.format.components), self.format.dtype),
             write=lambda texels: self.write(texels, level, where.layer, where.x, where.y),
         )
 
@@ -444,6 +447,14 @@ class Texture(TextureBinding, Resource):
         self._check_region(call, level, region)
         self._check_single_sample(call)
         return self.core.backend.read_texture(self.id, level, region, stencil)
+
+
+def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:
+    """Return (…, 3) texels with an alpha of 1."""
+    padded = np.empty((*texels.shape[:3], 4), texels.dtype)
+    padded[..., :3] = texels
+    padded[..., 3] = 1 if format.dtype.kind == "f" else np.iinfo(format.dtype).max  # type: ignore[type-var]
+    return padded
 
 
 def full_levels(width: int, height: int, depth: int = 1) -> int:

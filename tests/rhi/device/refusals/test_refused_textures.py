@@ -402,3 +402,13 @@ def test_memory_for_reads_is_made_by_reads_only(recording: Device) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
         recording.buffer(64, usage=BufferUsage.READBACK)
     recording.buffer(64, usage=BufferUsage.STREAM).destroy()
+
+
+@pytest.mark.parametrize(
+    ("format", "shape", "dtype"),
+    [(Format.RGBA8UI, (4, 4, 3), "u1"), (Format.RG8, (4, 4, 3), "u1"), (Format.RGBA8, (4, 4, 2), "u1"),
+     (Format.RGBA8, (4, 4, 3), "f4"), (Format.RGBA16F, (4, 4, 3), "f4"), (Format.R11G11B10F, (4, 4, 3), "u4")],
+)  # fmt: skip
+def test_only_colors_may_lack_alpha(recording: Device, format: Format, shape: tuple[int, ...], dtype: str) -> None:
+    with recording.texture((4, 4), format) as texture, refuses(rules.TEXTURE_DATA, recording):
+        texture.write(np.zeros(shape, dtype))
