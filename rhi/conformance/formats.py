@@ -33,7 +33,8 @@ def require_samples(device: Device, samples: int) -> None:
 
 
 def random_texels(format: Format, *shape: int, seed: int = 0) -> NDArray[Any]:
-    """Return (*shape, components) random texels over the format's whole range, both ends included. Floats are finite."""
+    """Return (*shape, components) random texels over the format's whole range, both ends included; floats are
+    finite."""
     rng = np.random.default_rng([seed, *shape])
     full = (*shape, format.components)
     if format is Format.R11G11B10F:  # each exponent below that of infinity, each fraction

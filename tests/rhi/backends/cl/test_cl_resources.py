@@ -271,7 +271,10 @@ def test_mip_levels_of_odd_sizes_keep_the_mean(cl_kit: ClKit, size: tuple[int, i
     assert last[0, 0, 0] == pytest.approx(texels.mean(dtype=np.float64), rel=1e-6)
 
 
-@pytest.mark.parametrize("format", [f for f in RESOLVED if f.dtype.kind in "ui" and not f.is_packed], ids=lambda f: f.name)
+AVERAGED = [f for f in RESOLVED if f.dtype.kind in "ui" and not f.is_packed]
+
+
+@pytest.mark.parametrize("format", AVERAGED, ids=lambda f: f.name)
 def test_the_mean_of_equal_texels_is_the_same_stored_number(cl_kit: ClKit, format: Format) -> None:
     limits = np.iinfo(format.dtype)  # type: ignore[type-var]
     low = -limits.max if limits.min < 0 else 0  # of the two numbers that mean -1, either may come

@@ -107,7 +107,7 @@ def test_texels_must_have_the_format_s_shape_and_dtype(recording: Device, array:
 def test_a_texture_made_from_wrong_texels_leaves_nothing_behind(recording: Device) -> None:
     creations = recording.statistics.creations
     with refuses(rules.TEXTURE_DATA):
-        recording.texture(np.zeros((4, 4, 3), "u1"), Format.RGBA8)
+        recording.texture(np.zeros((4, 4, 2), "u1"), Format.RGBA8)
     with refuses(rules.TEXTURE_DATA):
         recording.texture(np.zeros((4, 4, 4), "f4"), Format.RGBA8)
     recording.finish()
