@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar, NoReturn, Protocol, cast
 
 from rhi.contract.backend import Backend, PreparesDraws
-from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
+from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
 from rhi.contract.states import AlphaTest
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
@@ -245,12 +245,17 @@ class Core:
         """Return the id of a sampler; equal descriptors share one.
 
         Raises:
-            ValidationError: `device-capability` for more anisotropy than the device supports.
+            ValidationError: `device-capability` for more anisotropy than the device supports, or for a border that it
+                lacks.
         """
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
             self.refuse(
                 DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}"
+            )
+        if descriptor.uses_border and not self.capabilities.border_colors:
+            self.refuse(
+                DEVICE_CAPABILITY, "device.sampler", str(Wrap.BORDER), "needs capabilities.border_colors"
             )
         sampler = self._samplers.get(descriptor)
         if sampler is None:

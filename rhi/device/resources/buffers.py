@@ -101,12 +101,17 @@ class Buffer(Resource):
         return self._download(first, count)
 
     def read_async(self, first: int = 0, count: int | None = None) -> Readback:
-        """Begin to read `count` elements from `first` on, as `read` does, and return their future at once."""
+        """Begin to read `count` elements from `first` on, as `read` does, and return their future at once.
+
+        Elements that aren't aligned to `capabilities.copy_alignment` are read now, and the future is done.
+        """
         first, count = self._range("Buffer.read_async", first, count)
         base, shape = self.dtype.subdtype or (self.dtype, ())
-        size = self.dtype.itemsize
+        size, alignment = self.dtype.itemsize, self.core.capabilities.copy_alignment
         readback = Readback(self.core, base, (count, *shape), 1, count * size)
-        if count:
+        if first * size % alignment or count * size % alignment:
+            readback.complete(self._download(first, count))
+        elif count:
             memory = readback.take_memory()
             self.core.backend.copy_buffer(self.id, first * size, memory, 0, count * size)
             readback.begin()
@@ -179,6 +184,11 @@ class Buffer(Resource):
             if start < 0 or size <= 0 or start + size > buffer.size:
                 self.core.refuse(
                     BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
+                )
+            alignment = core.capabilities.copy_alignment
+            if start % alignment or size % alignment:
+                self.core.refuse(
+                    BUFFER_ALIGNMENT, call, f"{size} bytes at {start}", f"multiples of {alignment} bytes"
                 )
         if target is self and abs(offset - target_offset) < size:
             self.core.refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")

@@ -153,6 +153,19 @@ def test_without_copies_a_texture_is_read_at_once() -> None:
             texture.copy_to_buffer(buffer)
 
 
+def test_elements_that_the_device_cannot_copy_are_read_at_once() -> None:
+    profile = rhi.Capabilities("null", "words", "1", shading=False, copy_alignment=4)
+    with rhi.create_device("null", profile=profile) as device:
+        buffer = device.buffer(np.arange(16, dtype=np.uint8))
+        assert_same(buffer.read_async(4, 8).result(), np.arange(4, 12))
+        assert len(device.stream.filter(Op.COPY_BUFFER)) == 1
+        for first, count in ((1, 4), (4, 3)):
+            read = buffer.read_async(first, count)
+            assert read.done
+            assert_same(read.result(), np.arange(first, first + count))
+        assert len(device.stream.filter(Op.COPY_BUFFER)) == 1
+
+
 def test_rows_are_as_far_apart_as_the_device_needs() -> None:
     profile = rhi.Capabilities(
         "null", "rows", "1", shading=False, texture_buffer_copies=True, copy_row_alignment=256

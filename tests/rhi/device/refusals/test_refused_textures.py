@@ -91,7 +91,7 @@ def test_depth_is_not_3d(recording: Device) -> None:
 @pytest.mark.parametrize(
     "array",
     [
-        np.zeros((4, 4, 3), "u1"), np.zeros((4, 4, 4), "f4"), np.zeros((4, 4), "u1"), np.zeros(4, "u1"),
+        np.zeros((4, 4, 2), "u1"), np.zeros((4, 4, 4), "f4"), np.zeros((4, 4), "u1"), np.zeros(4, "u1"),
         np.zeros((1, 1, 4, 4, 4), "u1"), np.zeros((4, 4, 4), "i1"),
     ],
     ids=lambda a: f"{a.shape}{a.dtype}",
