@@ -55,7 +55,8 @@ STEPS: Final = (
         "draws",
         ("create_vertex_array", "set_states", "draw", "draw_indirect"),
         ("operation · orientation", "operation · rasterisation", "operation · topology", "operation · meshes",
-         "operation · transient", "operation · scopes", "operation · recording", "operation · draw times"),
+         "operation · points", "operation · transient", "operation · scopes", "operation · recording",
+         "operation · draw times"),
     ),
     Step(
         "depth, stencil, blending and targets",

@@ -73,6 +73,9 @@ class Capabilities:
     max_dispatch: tuple[int, int, int] = (65535, 65535, 65535)
     max_shared_bytes: int = 32768
     max_anisotropy: float = 1.0
+    max_point_size: float = 1.0
+    """The largest side of a point's square in texels, to which sizes are clamped. With 1.0, programs can't write point
+    sizes or read point coordinates."""
     uniform_alignment: int = 256
     storage_alignment: int = 256
     copy_alignment: int = 1

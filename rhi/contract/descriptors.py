@@ -391,10 +391,12 @@ class ProgramDescriptor:
             "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
             "opencl4" and "opencl8"; and for compute stages "numpy", a Python module.
         work_group: size of a work-group in invocations.
-        varyings: the varyings that the fragment stage reads, in the order of their words.
+        varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.
         checked: whether the stages report faults on OpenCL and NumPy (`rhi.shading.ir.faults`).
         flushes_denormals: whether numbers below 2^-126 may be treated as 0, which OpenGL may always do.
+        point_size: the name of the varying that is the size of points, "" if there is none.
+        reads_point_coordinates: whether the fragment stage reads its place inside a point.
     """
 
     name: str
@@ -412,6 +414,8 @@ class ProgramDescriptor:
     shared_bytes: int = 0
     checked: bool = False
     flushes_denormals: bool = False
+    point_size: str = ""
+    reads_point_coordinates: bool = False
 
 
 DRAW: Final = np.dtype(

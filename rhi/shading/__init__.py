@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
 from rhi.shading.language import functions, textures, vectors
-from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
+from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, PointSize, value_type_of
 from rhi.shading.language.bindings import (
     ImageBinding,
     Storage,
@@ -65,6 +65,7 @@ __all__ = [
     "NoPerspective",
     "NumpyKernel",
     "Precision",
+    "PointSize",
     "Shader",
     "Storage",
     "StorageRW",

@@ -481,6 +481,8 @@ def _limit_program(limits: Capabilities, values: Any) -> Iterator[str]:
             yield f"work-groups up to {limits.max_work_group}, {limits.max_work_group_invocations} in all"
         if descriptor.shared_bytes > limits.max_shared_bytes:
             yield f"up to {limits.max_shared_bytes} bytes of shared memory"
+    if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
+        yield "points of one texel, without sizes and coordinates"
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         yield f"up to {limits.max_vertex_attributes} attributes"
 

@@ -69,12 +69,19 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         indirect_count="GL_ARB_indirect_parameters" in extensions,
         sample_counter=True,
         texture_buffer_copies=True,
+        max_point_size=_largest_point(gl),
         timestamps=timestamp_bits.value > 0,
         alpha_test=True,
         depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),
         unsupported_formats=unsupported,
         unrenderable_formats=unrenderable,
     )  # fmt: skip
+
+
+def _largest_point(gl: EntryPoints) -> float:
+    sizes = (ctypes.c_float * 2)()
+    gl.GetFloatv(enums.POINT_SIZE_RANGE, sizes)
+    return max(1.0, sizes[1])
 
 
 def _probe_formats(gl: EntryPoints) -> tuple[frozenset[Format], frozenset[Format]]:

@@ -26,7 +26,19 @@ from rhi.conformance.shaders import Colored
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import rules
-from rhi.shading import Shader, StorageRW, atomic_add, compile_shader, shared, uint
+from rhi.shading import (
+    PointSize,
+    Shader,
+    StorageRW,
+    Struct,
+    atomic_add,
+    compile_shader,
+    point_coordinate,
+    shared,
+    uint,
+    vec2,
+    vec4,
+)
 
 SIZE = (4, 4)
 
@@ -177,6 +189,43 @@ def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
                 pass
     with recording.states(AlphaTest.OFF):
         pass
+
+
+class Dot(Struct):
+    """A position and a point size."""
+
+    clip: vec4
+    size: PointSize
+
+
+class Dots(Shader):
+    """Draws points of two texels."""
+
+    def vertex(self) -> Dot:
+        return Dot(clip=vec4(0.0, 0.0, 0.0, 1.0), size=2.0)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0)
+
+
+class Inside(Shader):
+    """Writes the place inside a point."""
+
+    def vertex(self) -> vec4:
+        return vec4(0.0, 0.0, 0.0, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(point_coordinate(), vec2(0.0))
+
+
+@pytest.mark.needs("draws")
+@pytest.mark.parametrize("shader", [Dots, Inside])
+def test_sizes_of_points_need_a_device_that_has_them(recording: Device, shader: type[Shader]) -> None:
+    if recording.capabilities.max_point_size > 1.0:
+        recording.program(shader).destroy()
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.program(shader)
 
 
 @pytest.mark.needs("compute")

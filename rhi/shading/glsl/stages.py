@@ -232,6 +232,8 @@ class _StageWriter:
             )
             if self.stage.stage is Stage.VERTEX:
                 self.lines.add(f"gl_Position = {result}{field(interface.position)};")
+                if interface.point_size:
+                    self.lines.add(f"gl_PointSize = max(1.0, {result}{field(interface.point_size)});")
             elif interface.depth:
                 self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
             for name, output in outputs.items():
