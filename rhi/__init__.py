@@ -16,6 +16,7 @@ Drivers are loaded when a device is created, not when this package is imported.
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import Command, CommandStream, Op, Refusal
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
     DRAW,
     DRAW_UNINDEXED,
@@ -108,6 +109,7 @@ __all__ = [
     "CommandBuffer",
     "CommandStream",
     "Comparison",
+    "CompressedFormat",
     "CullMode",
     "DepthBias",
     "DepthFunction",

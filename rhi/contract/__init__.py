@@ -12,6 +12,7 @@ from rhi.contract.backend import (
     PreparesDraws,
     PreparesQueries,
 )
+from rhi.contract.blocks import CompressedFormat, decode_blocks
 from rhi.contract.descriptors import (
     DRAW,
     DRAW_UNINDEXED,
@@ -146,6 +147,7 @@ __all__ = [
     "ChannelKind",
     "ColorWrite",
     "Comparison",
+    "CompressedFormat",
     "CullMode",
     "DepthAttachment",
     "DepthBias",
@@ -206,6 +208,7 @@ __all__ = [
     "Viewport",
     "Wrap",
     "decode",
+    "decode_blocks",
     "default_values",
     "describe_layout",
     "dtype_of",

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
     BufferDescriptor,
     Id,
@@ -111,6 +112,8 @@ class Capabilities:
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
     texture_buffer_copies: bool = False
     """Whether textures are copied to and from buffers. Without it, `Texture.read_async` waits for the device."""
+    compressed_formats: frozenset[CompressedFormat] = frozenset()
+    """Block-compressed formats that textures can be stored in. The front end decodes the others."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
@@ -229,7 +232,9 @@ class Backend(Protocol):
         """Fill a range with a 32-bit pattern. Offset and size are multiples of 4."""
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats."""
+        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats. To a
+        compressed texture, write tightly packed blocks; the region begins at a block and ends with one, or at the edge
+        of the level."""
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         """Wait for all earlier commands, then return (layers, height, width, channels) of the format's `dtype`. Depth

@@ -14,6 +14,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
 
@@ -95,7 +96,8 @@ class TextureKind(enum.Enum):
 @dataclass(frozen=True, slots=True)
 class TextureDescriptor:
     """The shape and format of a texture. `size` is (width, height); `layers` are array layers, cube faces (6) or the
-    depth of a 3D texture."""
+    depth of a 3D texture. A texture that is stored as blocks names their format as `compressed`; then `format` is that
+    of its texels, and it is only written and sampled."""
 
     size: tuple[int, int]
     format: Format
@@ -104,6 +106,7 @@ class TextureDescriptor:
     levels: int = 1
     samples: int = 1
     label: str = ""
+    compressed: CompressedFormat | None = None
 
     def level_size(self, level: int) -> tuple[int, int]:
         """Return the (width, height) of a mip level."""

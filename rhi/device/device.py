@@ -20,6 +20,7 @@ from typing_extensions import ParamSpec
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.blocks import BLOCK, CompressedFormat
 from rhi.contract.descriptors import (
     BufferUsage,
     Primitive,
@@ -242,7 +243,7 @@ class Device(Encoder):
     def texture(
         self,
         source: tuple[int, int] | NDArray[Any],
-        format: Format,
+        format: Format | CompressedFormat,
         *,
         kind: TextureKind = TextureKind.D2,
         layers: int | None = None,
@@ -255,7 +256,13 @@ class Device(Encoder):
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
         channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means
         all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered.
+
+        An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4 texels. A
+        device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to 8 times the memory.
         """
+        compressed = format if isinstance(format, CompressedFormat) else None
+        if compressed is not None:
+            format = compressed.decoded
         if not isinstance(format, Format):
             self._core.refuse(
                 DEVICE_ARGUMENT, "device.texture", f"format={format!r}", "an rhi.Format, such as Format.RGBA8"
@@ -263,10 +270,13 @@ class Device(Encoder):
         data = None
         if isinstance(source, np.ndarray):
             data = source
-            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.components == 1):
+            plain = compressed is None and format.components == 1
+            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > plain:
                 allowed = "(height, width, channels), or with layers in front"
                 self._core.refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
+            if compressed is not None:
+                height, width = BLOCK * height, BLOCK * width
             layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
         else:
             if len(source) != 2 or not all(isinstance(n, (int, np.integer)) for n in source):
@@ -281,11 +291,11 @@ class Device(Encoder):
         descriptor = TextureDescriptor(
             (int(width), int(height)), format, kind, layers, levels, samples, label
         )
-        texture = Texture(self._core, descriptor)
+        texture = Texture(self._core, descriptor, compressed)
         if data is not None:
             with destroy_on_error(texture):
                 texture.write(data)
-                if levels > 1 and not format.is_integer:
+                if levels > 1 and not format.is_integer and compressed is None:
                     texture.generate_mipmaps()
         return texture
 

@@ -162,7 +162,8 @@ def _write_array(writer: ArchiveWriter, numbers: dict[bytes, int], command: Comm
     array: NDArray[Any] = np.frombuffer(data, np.uint8)
     if command.op is Op.WRITE_TEXTURE:
         texture, region = command.resource(command["texture"]), command["region"]
-        if isinstance(texture, TextureDescriptor) and len(data) == _texel_bytes(texture, region):
+        plain = isinstance(texture, TextureDescriptor) and texture.compressed is None
+        if isinstance(texture, TextureDescriptor) and plain and len(data) == _texel_bytes(texture, region):
             array = array.view(texture.format.dtype).reshape(_texel_shape(texture, region))
     digest = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode() + data).digest()
     if digest not in numbers:

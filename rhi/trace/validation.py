@@ -19,6 +19,7 @@ from rhi.commands.context import StreamContext
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Capabilities
+from rhi.contract.blocks import BLOCK
 from rhi.contract.descriptors import (
     DRAW,
     BufferDescriptor,
@@ -222,6 +223,10 @@ class SequenceValidator:
         descriptor = self._region(texture, level, region)
         self._need(not descriptor.format.is_depth and descriptor.samples == 1, f"{descriptor.format.name}")
         wanted = region.width * region.height * region.layers * descriptor.format.transfer_bytes
+        if descriptor.compressed is not None:
+            columns, rows = -(-region.width // BLOCK), -(-region.height // BLOCK)
+            wanted = columns * rows * region.layers * descriptor.compressed.block_bytes
+            self._need(region.x % BLOCK == 0 and region.y % BLOCK == 0, f"{region} of blocks")
         self._need(len(data) == wanted, f"{len(data)} bytes instead of {wanted}")
 
     def _read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> None:
@@ -441,6 +446,8 @@ def _limit_texture(limits: Capabilities, values: Any) -> Iterator[str]:
         yield f"up to {limits.max_texture_layers} layers"
     if descriptor.samples not in limits.sample_counts:
         yield f"{', '.join(map(str, limits.sample_counts))} samples"
+    if descriptor.compressed is not None and descriptor.compressed not in limits.compressed_formats:
+        yield f"formats other than {descriptor.compressed.name}"
     if descriptor.format in limits.unsupported_formats:
         yield f"formats other than {descriptor.format.name}"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from rhi.backends.gl import enums
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import VertexFormat
 from rhi.contract.formats import Format, IndexFormat
 
@@ -96,6 +97,24 @@ CLEAR_FORMATS: Final = PIXEL_FORMATS | {
     ),
 }
 """Formats for clears, which include the stencil part."""
+
+COMPRESSED: Final = {
+    CompressedFormat.BC1: enums.COMPRESSED_RGBA_S3TC_DXT1,
+    CompressedFormat.BC1_SRGB: enums.COMPRESSED_SRGB_ALPHA_S3TC_DXT1,
+    CompressedFormat.BC2: enums.COMPRESSED_RGBA_S3TC_DXT3,
+    CompressedFormat.BC2_SRGB: enums.COMPRESSED_SRGB_ALPHA_S3TC_DXT3,
+    CompressedFormat.BC3: enums.COMPRESSED_RGBA_S3TC_DXT5,
+    CompressedFormat.BC3_SRGB: enums.COMPRESSED_SRGB_ALPHA_S3TC_DXT5,
+    CompressedFormat.BC4: enums.COMPRESSED_RED_RGTC1,
+    CompressedFormat.BC4_SNORM: enums.COMPRESSED_SIGNED_RED_RGTC1,
+    CompressedFormat.BC5: enums.COMPRESSED_RG_RGTC2,
+    CompressedFormat.BC5_SNORM: enums.COMPRESSED_SIGNED_RG_RGTC2,
+    CompressedFormat.BC6H: enums.COMPRESSED_RGB_BPTC_UNSIGNED_FLOAT,
+    CompressedFormat.BC6H_SIGNED: enums.COMPRESSED_RGB_BPTC_SIGNED_FLOAT,
+    CompressedFormat.BC7: enums.COMPRESSED_RGBA_BPTC_UNORM,
+    CompressedFormat.BC7_SRGB: enums.COMPRESSED_SRGB_ALPHA_BPTC_UNORM,
+}
+"""Internal formats of block-compressed textures."""
 
 VERTEX_TYPES: Final = {vertex: _TYPES[vertex.code] for vertex in VertexFormat}
 

@@ -16,7 +16,7 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors, find_error
-from rhi.backends.gl.formats import CLEAR_FORMATS, PIXEL_FORMATS, PixelFormat
+from rhi.backends.gl.formats import CLEAR_FORMATS, COMPRESSED, PIXEL_FORMATS, PixelFormat
 from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
 
 __rhi_internal__ = True
@@ -63,6 +63,8 @@ class Textures:
         target = enums.TEXTURE_2D_MULTISAMPLE if descriptor.samples > 1 else _TARGETS[descriptor.kind]
         name = gl.create(gl.CreateTextures, target)
         pixel = PIXEL_FORMATS[descriptor.format]
+        if descriptor.compressed is not None:
+            pixel = pixel._replace(internal=COMPRESSED[descriptor.compressed])
         width, height = descriptor.size
         if descriptor.samples > 1:
             gl.TextureStorage2DMultisample(name, descriptor.samples, pixel.internal, width, height, True)
@@ -76,7 +78,7 @@ class Textures:
             gl.delete(gl.DeleteTextures, name)
             raise error
         clear = CLEAR_FORMATS[descriptor.format]
-        for level in range(descriptor.levels):
+        for level in range(descriptor.levels if descriptor.compressed is None else 0):
             gl.ClearTexImage(name, level, clear.format, clear.type, None)
         if descriptor.samples == 1:  # so that texel fetches without a sampler work, for integers too
             gl.TextureParameteri(name, enums.TEXTURE_MIN_FILTER, enums.NEAREST_MIPMAP_NEAREST)
@@ -91,8 +93,20 @@ class Textures:
         self._gl.delete(self._gl.DeleteTextures, self.names.pop(texture))
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        pixels = np.frombuffer(memoryview(data), np.uint8)
-        self._upload(self._textures[texture], level, region, pixels.ctypes.data)
+        pixels, gl_texture = np.frombuffer(memoryview(data), np.uint8), self._textures[texture]
+        if gl_texture.descriptor.compressed is None:
+            self._upload(gl_texture, level, region, pixels.ctypes.data)
+            return
+        r, internal, target = region, gl_texture.pixel.internal, gl_texture.target
+        if target == enums.TEXTURE_2D:
+            self._gl.CompressedTextureSubImage2D(
+                gl_texture.name, level, r.x, r.y, r.width, r.height, internal, len(pixels), pixels.ctypes.data
+            )
+        else:
+            self._gl.CompressedTextureSubImage3D(
+                gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, internal, len(pixels),
+                pixels.ctypes.data,
+            )  # fmt: skip
 
     def _upload(self, gl_texture: GlTexture, level: int, region: Region, pixels: int) -> None:
         """Write texels from an address, or from an offset in the buffer that is bound for unpacking."""

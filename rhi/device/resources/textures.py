@@ -8,12 +8,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.contract.blocks import BLOCK, CompressedFormat, decode_level
 from rhi.contract.descriptors import (
     Access,
     Filter,
@@ -76,12 +77,21 @@ class Texture(TextureBinding, Resource):
     Attributes:
         id: the texture's id in the command stream.
         descriptor: size, format, kind, layers, levels and samples; these are also attributes of the texture.
+        compressed: the format of the blocks that are written, or None. They are stored as they are if the device can,
+            else as decoded texels.
     """
 
-    __slots__ = ("core", "descriptor", "destroyed", "id")
+    __slots__ = ("compressed", "core", "descriptor", "destroyed", "id")
 
-    def __init__(self, core: Core, descriptor: TextureDescriptor) -> None:
+    def __init__(
+        self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None
+    ) -> None:
         _check_descriptor(core, descriptor)
+        if compressed is not None:
+            _check_compressed(core, descriptor, compressed)
+            if compressed in core.capabilities.compressed_formats:
+                descriptor = replace(descriptor, compressed=compressed)
+        self.compressed = compressed
         self.core = core
         self.descriptor = descriptor
         self.destroyed = False
@@ -128,7 +138,7 @@ class Texture(TextureBinding, Resource):
 
     def __repr__(self) -> str:
         width, height = self.size
-        return f"Texture({self.label!r}, {width}×{height}, {self.format.name})"
+        return f"Texture({self.label!r}, {width}×{height}, {(self.compressed or self.format).name})"
 
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
@@ -142,6 +152,7 @@ class Texture(TextureBinding, Resource):
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
         """Return one level and layer as a render target."""
         self._check("Texture.at", level, layer)
+        self._check_plain("Texture.at")
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
@@ -153,6 +164,7 @@ class Texture(TextureBinding, Resource):
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
         """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
         self._check("Texture.image", level, layer or 0)
+        self._check_plain("Texture.image")
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
@@ -185,6 +197,7 @@ class Texture(TextureBinding, Resource):
         Without `capabilities.texture_buffer_copies` the texels are read now, and the future is done.
         """
         call, core = "Texture.read_async", self.core
+        self._check_plain(call)
         where = self._region(call, level, layer, region)
         self._check_single_sample(call)
         shape: tuple[int, ...] = (where.height, where.width)
@@ -204,7 +217,8 @@ class Texture(TextureBinding, Resource):
 
         `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width, channels)
         for several layers from `layer` on. For a format of red, green, blue and alpha it may lack alpha, which becomes
-        1; that copies the array.
+        1; that copies the array. To a compressed texture, write blocks: (rows, columns, bytes) of uint8, with or
+        without layers in front, from multiples of 4 texels on.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -212,6 +226,9 @@ class Texture(TextureBinding, Resource):
         """
         call = "Texture.write"
         self._check(call, level, layer)
+        if self.compressed is not None:
+            self._write_blocks(call, self.compressed, np.asarray(texels), level, layer, x, y)
+            return
         if self.format.is_depth:
             self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
@@ -236,6 +253,38 @@ class Texture(TextureBinding, Resource):
             self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data
         )
 
+    def _write_blocks(
+        self, call: str, compressed: CompressedFormat, blocks: NDArray[Any], level: int, layer: int, x: int, y: int
+    ) -> None:
+        """Write blocks as they are, or decode them if the device doesn't store them."""
+        if blocks.ndim == 3:
+            blocks = blocks[None]
+        if blocks.dtype != np.uint8 or blocks.ndim != 4 or blocks.shape[3] != compressed.block_bytes:
+            allowed = f"(rows, columns, {compressed.block_bytes}) of uint8"
+            self.core.refuse(TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
+        layers, rows, columns = blocks.shape[:3]
+        right, bottom = (size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True))
+        region = Region(
+            x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers
+        )
+        whole = columns * BLOCK - region.width < BLOCK and rows * BLOCK - region.height < BLOCK
+        if x % BLOCK or y % BLOCK or not whole:
+            allowed = f"blocks inside {self.descriptor.level_size(level)}, from multiples of {BLOCK} on"
+            self.core.refuse(TEXTURE_REGION, call, f"{columns}×{rows} blocks at {x}, {y}", allowed)
+        self._check_region(call, level, region)
+        data: NDArray[Any] = np.ascontiguousarray(blocks)
+        if self.descriptor.compressed is None:
+            data = decode_level(compressed, data, region.width, region.height)
+        self.core.upload_bytes += data.nbytes
+        self.core.backend.write_texture(self.id, level, region, data.reshape(-1).view(np.uint8).data)
+
+    def _check_plain(self, call: str) -> None:
+        """Refuse a compressed texture, which is only written and sampled."""
+        if self.compressed is not None:
+            self.core.refuse(
+                TEXTURE_FORMAT, call, self.compressed.name, "a format without compression", "sample it in a shader"
+            )
+
     def generate_mipmaps(self) -> None:
         """Generate mip levels 1… from level 0 (2×2 box filter, sRGB in linear light)."""
         self._generate_mipmaps(self.core)
@@ -244,6 +293,7 @@ class Texture(TextureBinding, Resource):
         """Send a `generate_mipmaps` to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
+        self._check_plain(call)
         if self.format.is_depth or self.format.is_integer:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
@@ -269,6 +319,8 @@ class Texture(TextureBinding, Resource):
     ) -> None:  # fmt: skip
         """Send a `copy_to` to `core`."""
         call = "Texture.copy_to"
+        self._check_plain(call)
+        target._check_plain(call)
         source_region = region or self._whole(level, core)
         self._check_region(call, level, source_region, core)
         target._check(call, target_level, layer, core)
@@ -335,6 +387,7 @@ class Texture(TextureBinding, Resource):
     ) -> int:
         """Check the place of a region's rows in a buffer, and return the distance between them."""
         limits, texel = core.capabilities, self.format.transfer_bytes
+        self._check_plain(call)
         if not limits.texture_buffer_copies:
             core.refuse(DEVICE_CAPABILITY, call, self.format.name, "needs capabilities.texture_buffer_copies")
         self._check_region(call, level, region, core)
@@ -382,6 +435,7 @@ class Texture(TextureBinding, Resource):
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
+        self._check_plain(call)
         if self.format.is_depth and access.writes:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self._check_single_sample(call)
@@ -445,6 +499,7 @@ class Texture(TextureBinding, Resource):
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check_region(call, level, region)
+        self._check_plain(call)
         self._check_single_sample(call)
         return self.core.backend.read_texture(self.id, level, region, stencil)
 
@@ -515,3 +570,11 @@ def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
         )
     if descriptor.format.is_depth and kind is TextureKind.D3:
         core.refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")
+
+
+def _check_compressed(core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat) -> None:
+    call = "device.texture"
+    if descriptor.kind is TextureKind.D3:
+        core.refuse(TEXTURE_FORMAT, call, f"a 3D texture of {compressed.name}", "2D, 2D array or cube")
+    if descriptor.samples != 1:
+        core.refuse(TEXTURE_SAMPLES, call, f"{descriptor.samples} samples of {compressed.name}", "1")

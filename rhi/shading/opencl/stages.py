@@ -18,8 +18,8 @@
   its slacks (`rhi.shading.lowering.bounds`). `reaches` are floats, the largest magnitudes of the inputs.
 - The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It gets smooth and linear varyings for all lanes,
   including those outside the mask, since differences need them; flat varyings of the first vertex; and the pixels'
-  centres, window depth and 1 / clip w, and the place inside a point. `front` is 1 or 0. It writes component c of location l to word 4 l + c and the
-  depth if the stage has one, and returns the lanes that remain.
+  centres, window depth and 1 / clip w, and the place inside a point. `front` is 1 or 0. It writes component c of
+  location l to word 4 l + c and the depth if the stage has one, and returns the lanes that remain.
 - Arrays are indexed by constants, so that they live in registers once a function is inlined.
 - Contraction is off in a vertex stage, so that two programs compute the same position to the bit.
 """

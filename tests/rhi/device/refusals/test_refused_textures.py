@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, BufferUsage, Device, Format, Op, Region, TextureKind
+import rhi
+from rhi import Access, BufferUsage, CompressedFormat, Device, Format, Op, Region, TextureKind
 from rhi.conformance.compare import assert_same
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.formats import DEPTH_FORMATS
@@ -412,3 +413,75 @@ def test_memory_for_reads_is_made_by_reads_only(recording: Device) -> None:
 def test_only_colors_may_lack_alpha(recording: Device, format: Format, shape: tuple[int, ...], dtype: str) -> None:
     with recording.texture((4, 4), format) as texture, refuses(rules.TEXTURE_DATA, recording):
         texture.write(np.zeros(shape, dtype))
+
+
+# -- compressed textures -----------------------------------------------------------------------------------
+
+
+def test_a_compressed_texture_is_only_written_and_sampled(recording: Device) -> None:
+    with (
+        recording.texture((8, 8), CompressedFormat.BC1, levels=2) as texture,
+        recording.texture((8, 8), Format.RGBA8) as other,
+        recording.buffer(1024) as buffer,
+    ):
+        calls: list[Callable[[], object]] = [
+            texture.read, texture.read_layers, texture.read_async, texture.generate_mipmaps, texture.at, texture.image,
+            lambda: texture.lock(Access.READ), lambda: texture.copy_to(other), lambda: other.copy_to(texture),
+            lambda: texture.copy_to_buffer(buffer), lambda: buffer.copy_to_texture(texture),
+        ]  # fmt: skip
+        for call in calls:
+            with refuses(rules.TEXTURE_FORMAT, recording):
+                call()
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(texture)
+        texture.write(np.zeros((2, 2, 8), "u1"))
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((2, 2, 16), "u1"), ((2, 2, 8), "i1"), ((8, 8, 4), "u1"), ((4, 8), "u1"), ((1, 1, 2, 2, 8), "u1")],
+)
+def test_blocks_are_bytes_of_their_format(recording: Device, shape: tuple[int, ...], dtype: str) -> None:
+    with recording.texture((8, 8), CompressedFormat.BC1) as texture, refuses(rules.TEXTURE_DATA, recording):
+        texture.write(np.zeros(shape, dtype))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "columns", "rows", "fits"),
+    [(0, 0, 3, 2, True), (4, 4, 2, 1, True), (8, 4, 1, 1, True), (2, 0, 1, 1, False), (0, 2, 1, 1, False),
+     (0, 0, 4, 2, False), (0, 0, 3, 3, False), (12, 0, 1, 1, False), (-4, 0, 1, 1, False)],
+)  # fmt: skip
+def test_blocks_lie_inside_the_level(
+    recording: Device, x: int, y: int, columns: int, rows: int, fits: bool
+) -> None:
+    """A level of 10×7 texels has 3×2 blocks."""
+    blocks = np.zeros((rows, columns, 8), "u1")
+    with recording.texture((10, 7), CompressedFormat.BC1) as texture:
+        if fits:
+            texture.write(blocks, x=x, y=y)
+        else:
+            with refuses(rules.TEXTURE_REGION, recording):
+                texture.write(blocks, x=x, y=y)
+
+
+def test_volumes_and_samples_are_not_compressed(recording: Device) -> None:
+    with refuses(rules.TEXTURE_FORMAT, recording):
+        recording.texture((8, 8), CompressedFormat.BC7, kind=TextureKind.D3, layers=4)
+    with refuses(rules.TEXTURE_SAMPLES, recording):
+        recording.texture((8, 8), CompressedFormat.BC7, samples=4)
+    recording.texture((8, 8), CompressedFormat.BC7, kind=TextureKind.CUBE).destroy()
+
+
+def test_a_device_that_stores_blocks_gets_them_as_they_are() -> None:
+    blocks = np.random.default_rng(0).integers(0, 256, (2, 3, 8), np.uint8)
+    stores = rhi.Capabilities(
+        "null", "blocks", "1", shading=False, compressed_formats=frozenset({CompressedFormat.BC1})
+    )
+    for profile, native in ((stores, True), ("everything", False)):
+        with rhi.create_device("null", profile=profile) as device:
+            device.texture(blocks, CompressedFormat.BC1)
+            (created,), (written,) = (device.stream.filter(op) for op in (Op.CREATE_TEXTURE, Op.WRITE_TEXTURE))
+            assert created["descriptor"].compressed is (CompressedFormat.BC1 if native else None)
+            assert created["descriptor"].format is Format.RGBA8
+            assert written["region"] == Region(0, 0, 12, 8)
+            assert len(written["data"]) == (48 if native else 12 * 8 * 4)

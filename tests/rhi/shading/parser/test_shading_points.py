@@ -7,7 +7,17 @@ import pytest
 
 import rhi
 from rhi.contract.descriptors import Interpolation, Stage
-from rhi.shading import PointSize, Shader, Struct, compile_shader, point_coordinate, run_fragment, run_vertex, vec2, vec4
+from rhi.shading import (
+    PointSize,
+    Shader,
+    Struct,
+    compile_shader,
+    point_coordinate,
+    run_fragment,
+    run_vertex,
+    vec2,
+    vec4,
+)
 
 
 class Place(Struct):
@@ -66,7 +76,7 @@ def test_glsl_writes_the_built_in_variables() -> None:
 
 def test_numpy_runs_both() -> None:
     run = run_vertex(Dots, {"position": np.zeros((3, 4), "f4"), "size": np.array([1, 2, 3], "f4")})
-    assert run.outputs["size"].tolist() == [2, 4, 6]
+    assert run.varyings["size"].tolist() == [2, 4, 6]
     given = np.array([(0.25, 0.5), (0.75, 0.125)], "f4").reshape(1, 2, 2)
     color = run_fragment(Dots, {"color": np.ones(4, "f4")}, point_coordinate=given).outputs["color"]
     assert color[..., :2].tolist() == [[[0.25, 5.0], [0.75, 1.25]]]
