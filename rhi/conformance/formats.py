@@ -26,6 +26,12 @@ def require_renderable(device: Device, format: Format) -> None:
         pytest.skip(f"{device.backend_name} declares {format.name} unrenderable")
 
 
+def require_point_sizes(device: Device) -> None:
+    """Skip the test if the device's points are one texel."""
+    if device.capabilities.max_point_size <= 1.0:
+        pytest.skip(f"{device.backend_name} declares max_point_size 1")
+
+
 def require_samples(device: Device, samples: int) -> None:
     """Skip the test if the device's textures can't have this many samples."""
     if samples not in device.capabilities.sample_counts:

@@ -133,7 +133,7 @@ def smallest(format: Format) -> int:
 def channels_of(format: Format, texels: Array) -> Array:
     """Return the numbers of each channel, (…, channels), of texels as `Texture.read` returns them."""
     if not format.is_packed:
-        return texels if format.components > 1 else texels[..., None]
+        return texels if format.components > 1 else np.asarray(texels[..., None])
     starts = np.cumsum((0, *format.channel_bits[:-1]))
     numbers = texels[..., None].astype(np.int64) >> starts & (1 << np.array(format.channel_bits)) - 1
     if format.kind is not ChannelKind.FLOAT:
@@ -141,7 +141,7 @@ def channels_of(format: Format, texels: Array) -> Array:
     fraction = np.array(format.channel_bits) - 5
     exponent, rest = numbers >> fraction, numbers & (1 << fraction) - 1
     normal = (1 + rest / 2.0**fraction) * 2.0 ** (exponent - 15)
-    return np.where(exponent == 0, rest * 2.0 ** (-14 - fraction), normal)
+    return np.asarray(np.where(exponent == 0, rest * 2.0 ** (-14 - fraction), normal))
 
 
 def _scale(format: Format) -> Any:

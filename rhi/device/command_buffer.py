@@ -222,7 +222,7 @@ class CommandBuffer(Encoder):
         self, source: Buffer | StorageBuffer[Any], target: Texture, *, offset: int = 0, row_bytes: int | None = None,
         level: int = 0, region: Region | None = None,
     ) -> None:  # fmt: skip
-        """Record a `Buffer.copy_to_texture`."""
+        """Record a `Texture.copy_from_buffer`."""
         buffer = underlying_buffer(source)
         target._copy_from_buffer(self._recorder, buffer, level, region, offset, row_bytes)
 

@@ -215,7 +215,7 @@ class ClBackend:
         self._vertex_arrays.change(target)
         self._textures.copy_to_buffer(source, level, region, self._buffers[target].cl, offset, row_bytes)
 
-    @_reports_errors_as("Buffer.copy_to_texture")
+    @_reports_errors_as("Texture.copy_from_buffer")
     def copy_buffer_to_texture(
         self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
     ) -> None:

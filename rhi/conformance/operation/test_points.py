@@ -10,39 +10,14 @@ from numpy.typing import NDArray
 
 from rhi import CullMode, DepthFunction, DepthTest, Device, Format, Primitive, Scissor
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.formats import require_samples
-from rhi.conformance.shapes import window_to_clip
-from rhi.shading import PointSize, Shader, Struct, point_coordinate, vec2, vec4
+from rhi.conformance.formats import require_point_sizes
+from rhi.conformance.shaders import Dot, Sized, SizedShade
+from rhi.conformance.shapes import point_rows, point_square
+from rhi.shading import Shader, Struct, point_coordinate, vec2, vec4
 
 pytestmark = pytest.mark.needs("draws", "shading")
 
 SIZE = (32, 24)
-
-
-class Dot(Struct):
-    """A vertex in clip space, with a color and a size."""
-
-    position: vec4
-    color: vec4
-    size: float
-
-
-class SizedShade(Struct):
-    """A position, a color and a size."""
-
-    clip: vec4
-    color: vec4
-    size: PointSize
-
-
-class Sized(Shader):
-    """Draws points in their color."""
-
-    def vertex(self, v: Dot) -> SizedShade:
-        return SizedShade(clip=v.position, color=v.color, size=v.size)
-
-    def fragment(self, v: SizedShade) -> vec4:
-        return v.color
 
 
 class Located(Shader):
@@ -73,38 +48,25 @@ class Unsized(Shader):
 
 @pytest.fixture(autouse=True)
 def with_sizes(device: Device) -> None:
-    """Skip the test on a device whose points are one texel."""
-    if device.capabilities.max_point_size <= 1.0:
-        pytest.skip(f"{device.backend_name} declares max_point_size 1")
+    require_point_sizes(device)
 
 
 def dots(places: Any, sizes: Any, colors: Any = (1, 1, 1, 1), depth: float = 0.5, w: float = 1.0) -> NDArray[Any]:
     """Return vertices at window positions, in texels."""
-    plane = window_to_clip(places, SIZE)
-    clip = np.concatenate([plane, np.full((len(plane), 1), depth), np.ones((len(plane), 1))], axis=1)
-    rows = np.zeros(len(clip), [("position", "f4", 4), ("color", "f4", 4), ("size", "f4")])
-    rows["position"], rows["color"], rows["size"] = clip * w, colors, sizes
-    return rows
-
-
-def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any, samples: int = 1) -> NDArray[Any]:
-    """Return the image of these points."""
-    with device.texture(SIZE, Format.RGBA32F if samples == 1 else Format.RGBA8) as image:
-        target = image if samples == 1 else device.texture(SIZE, Format.RGBA8, samples=samples)
-        with device.mesh(rows, primitive=Primitive.POINTS) as mesh:
-            with device.render_pass(target, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
-                device.draw(device.program(shader), mesh)
-        if samples > 1:
-            target.resolve_to(image)
-            target.destroy()
-        return image.read()
+    return point_rows(places, SIZE, sizes, colors, depth, w)
 
 
 def square(x: float, y: float, size: float) -> NDArray[np.bool_]:
-    """Return the texels whose centres lie in a square; its left and top edges belong to it."""
-    columns, rows = np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1])[:, None] + 0.5
-    half = size / 2
-    return (columns >= x - half) & (columns < x + half) & (rows >= y - half) & (rows < y + half)
+    """Return the texels that a point covers."""
+    return point_square(x, y, size, SIZE)
+
+
+def drawn(device: Device, rows: NDArray[Any], shader: Any = Sized, *states: Any) -> NDArray[Any]:
+    """Return the image of these points."""
+    with device.texture(SIZE, Format.RGBA32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), device.states(*states or [CullMode.NONE]):
+            device.draw(device.program(shader), mesh)
+        return image.read()
 
 
 @pytest.mark.parametrize("size", [1.0, 2.0, 3.0, 4.5, 7.0, 12.0])
@@ -201,28 +163,6 @@ def test_a_point_is_cut_by_the_scissor(device: Device) -> None:
 def test_a_point_is_never_culled(device: Device) -> None:
     for mode in CullMode:
         assert_mask(drawn(device, dots([(9.5, 9.5)], 3.0), Sized, mode)[..., 0] > 0, square(9.5, 9.5, 3.0))
-
-
-def test_a_point_covers_samples(device: Device) -> None:
-    require_samples(device, 4)
-    image = drawn(device, dots([(12.0, 10.0)], 5.0), samples=4)[..., 0]
-    whole = square(12.0, 10.0, 4.0)
-    assert_same(image[whole], 255)
-    edge = square(12.0, 10.0, 6.0) & ~whole
-    assert ((image[edge] > 0) & (image[edge] < 255)).all()
-    assert_same(image[~square(12.0, 10.0, 6.0)], 0)
-
-
-@pytest.mark.needs("occlusion_queries")
-def test_the_samples_of_points_are_counted(device: Device) -> None:
-    with (
-        device.texture(SIZE, Format.R8) as image,
-        device.mesh(dots([(8.5, 8.5), (20.5, 8.5)], [5.0, 3.0]), primitive=Primitive.POINTS) as mesh,
-    ):
-        query = device.occlusion_query()
-        with device.render_pass(image, clear=(0, 0, 0, 0)), query:
-            device.draw(device.program(Sized), mesh)
-        assert query.wait() == 25 + 9
 
 
 def test_triangles_ignore_the_size(device: Device) -> None:

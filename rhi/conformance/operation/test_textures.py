@@ -304,7 +304,7 @@ def test_a_copy_from_a_buffer_replaces_its_region_only(device: Device, format: F
     for y in range(3):
         memory[start + y * row :][: taken.shape[1]] = taken[y]
     with device.texture(old, format) as texture, device.buffer(memory) as buffer:
-        buffer.copy_to_texture(texture, offset=start, row_bytes=row, region=Region(3, 2, 4, 3))
+        texture.copy_from_buffer(buffer, offset=start, row_bytes=row, region=Region(3, 2, 4, 3))
         back = texture.read()
     expected = old.copy()
     expected[2:5, 3:7] = new[:3, :4]
@@ -342,7 +342,7 @@ def test_layers_of_a_level_follow_each_other_in_a_buffer(
         box = Region(0, 0, 4, 4, 1, 3)
         source.copy_to_buffer(buffer, level=1, region=box, row_bytes=row)
         assert_same(buffer.read().reshape(3, 4, row)[:, :, :16], data.reshape(3, 4, 16))
-        buffer.copy_to_texture(target, row_bytes=row, level=1, region=box)
+        target.copy_from_buffer(buffer, row_bytes=row, level=1, region=box)
         assert_same(target.read_layers(1)[1:4], data)
         assert_same(target.read_layers(1)[0], 0)
         assert_same(target.read_layers(0), 0)
@@ -360,7 +360,7 @@ def test_copies_through_a_buffer_keep_the_order_of_the_commands(device: Device) 
             source.write(np.full((2, 2, 4), value, np.uint8))
             source.copy_to_buffer(buffer, row_bytes=row)
             source.write(np.full((2, 2, 4), 99, np.uint8))
-            buffer.copy_to_texture(target, row_bytes=row)
+            target.copy_from_buffer(buffer, row_bytes=row)
             buffer.clear(0)
             assert_same(target.read(), value)
 
@@ -374,7 +374,7 @@ def test_a_copy_to_a_buffer_may_end_with_its_last_byte(device: Device) -> None:
         texture.copy_to_buffer(buffer, row_bytes=row)
         assert_same(buffer.read()[row:], data[1].reshape(-1))
         texture.write(np.zeros_like(data))
-        buffer.copy_to_texture(texture, row_bytes=row)
+        texture.copy_from_buffer(buffer, row_bytes=row)
         assert_same(texture.read(), data)
 
 
@@ -516,10 +516,11 @@ def test_mipmaps_are_boxes_of_two_by_two(device: Device, format: Format) -> None
     for level in levels:
         # Each level is compared with one computed from the level above, so that rounding errors don't accumulate.
         expected = halve(format, above)
+        slack: Any
         if format.is_packed and format.kind is ChannelKind.FLOAT:
             slack = np.abs(above).max() * 2.0 ** -np.array([5, 5, 4])
         elif format.dtype.kind == "f":
-            slack: Any = np.abs(above.astype(np.float64)).max() * (
+            slack = np.abs(above.astype(np.float64)).max() * (
                 2.0**-10 if format.dtype.itemsize == 2 else 2.0**-22
             )
         elif format.kind is ChannelKind.SRGB:

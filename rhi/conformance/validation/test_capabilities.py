@@ -147,9 +147,9 @@ def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(rec
             with refuses(rules.BUFFER_ALIGNMENT, recording):
                 texture.copy_to_buffer(buffer, **bad)
             with refuses(rules.BUFFER_ALIGNMENT, recording):
-                buffer.copy_to_texture(texture, **bad)
+                texture.copy_from_buffer(buffer, **bad)
         texture.copy_to_buffer(buffer, offset=offset, row_bytes=row)
-        buffer.copy_to_texture(texture, offset=offset, row_bytes=row)
+        texture.copy_from_buffer(buffer, offset=offset, row_bytes=row)
 
 
 def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:

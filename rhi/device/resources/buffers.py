@@ -8,12 +8,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage, Region
+from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import accepts, compare_layouts
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, destroy_on_error
@@ -28,9 +28,6 @@ from rhi.errors.rules import (
     LAYOUT_MISMATCH,
 )
 from rhi.shading.language.bindings import StorageRange, UniformRange
-
-if TYPE_CHECKING:
-    from rhi.device.resources.textures import Texture
 
 __rhi_internal__ = True
 
@@ -149,21 +146,6 @@ class Buffer(Resource):
     ) -> None:
         """Copy `size` bytes (None: all from `offset` on) on the device; offsets in bytes."""
         self._copy(self.core, target, size, offset, target_offset)
-
-    def copy_to_texture(
-        self,
-        target: Texture,
-        *,
-        offset: int = 0,
-        row_bytes: int | None = None,
-        level: int = 0,
-        region: Region | None = None,
-    ) -> None:
-        """Copy bytes from `offset` on to a region of a texture (None: the whole level), on the device.
-
-        The layout is that of `Texture.copy_to_buffer`. Not for depth formats.
-        """
-        target._copy_from_buffer(self.core, self, level, region, offset, row_bytes)
 
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""

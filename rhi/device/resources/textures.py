@@ -369,11 +369,26 @@ class Texture(TextureBinding, Resource):
         row_bytes = self._check_rows(call, target, level, region, offset, row_bytes, core)
         core.backend.copy_texture_to_buffer(self.id, level, region, target.id, offset, row_bytes)
 
+    def copy_from_buffer(
+        self,
+        source: Buffer,
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        offset: int = 0,
+        row_bytes: int | None = None,
+    ) -> None:
+        """Copy bytes of a buffer from `offset` on to a region (None: the whole level), on the device.
+
+        The layout and the errors are those of `copy_to_buffer`. Not for depth formats.
+        """
+        self._copy_from_buffer(self.core, source, level, region, offset, row_bytes)
+
     def _copy_from_buffer(
         self, core: Core, source: Buffer, level: int, region: Region | None, offset: int, row_bytes: int | None
     ) -> None:
-        """Send a `Buffer.copy_to_texture` to `core`."""
-        call = "Buffer.copy_to_texture"
+        """Send a `copy_from_buffer` to `core`."""
+        call = "Texture.copy_from_buffer"
         if self.format.is_depth:
             self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"

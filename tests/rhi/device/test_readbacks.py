@@ -204,7 +204,7 @@ def test_a_trace_with_reads_is_replayed(tmp_path: Path) -> None:
         texture.read_async().result()
         buffer, copy = device.buffer(256), device.texture((7, 5), Format.RGBA8)
         texture.copy_to_buffer(buffer)
-        buffer.copy_to_texture(copy)
+        copy.copy_from_buffer(buffer)
         device.present(copy)
         save(device, tmp_path / "trace.zip")
     with rhi.create_device("null") as device:

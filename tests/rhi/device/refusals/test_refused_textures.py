@@ -341,9 +341,9 @@ def test_a_copy_to_a_buffer_stays_inside_it(recording: Device) -> None:
             with refuses(rules.BUFFER_RANGE, recording):
                 texture.copy_to_buffer(buffer, **bad)
             with refuses(rules.BUFFER_RANGE, recording):
-                buffer.copy_to_texture(texture, **bad)
+                texture.copy_from_buffer(buffer, **bad)
         texture.copy_to_buffer(buffer, offset=16)
-        buffer.copy_to_texture(texture, row_bytes=24)
+        texture.copy_from_buffer(buffer, row_bytes=24)
 
 
 @pytest.mark.parametrize(
@@ -363,15 +363,15 @@ def test_rows_and_offsets_are_whole_texels(
         with refuses(rules.BUFFER_ALIGNMENT, recording):
             texture.copy_to_buffer(buffer, **bad)
         with refuses(rules.BUFFER_ALIGNMENT, recording):
-            buffer.copy_to_texture(texture, **bad)
+            texture.copy_from_buffer(buffer, **bad)
         texture.copy_to_buffer(buffer, **good)
-        buffer.copy_to_texture(texture, **good)
+        texture.copy_from_buffer(buffer, **good)
 
 
 def test_depth_is_not_copied_from_a_buffer(recording: Device) -> None:
     with recording.texture((4, 4), Format.D32F) as texture, recording.buffer(64) as buffer:
         with refuses(rules.TEXTURE_FORMAT, recording):
-            buffer.copy_to_texture(texture)
+            texture.copy_from_buffer(buffer)
         texture.copy_to_buffer(buffer)
 
 
@@ -380,7 +380,7 @@ def test_samples_are_not_copied_to_a_buffer(recording: Device) -> None:
         with refuses(rules.TEXTURE_SAMPLES, recording):
             texture.copy_to_buffer(buffer)
         with refuses(rules.TEXTURE_SAMPLES, recording):
-            buffer.copy_to_texture(texture)
+            texture.copy_from_buffer(buffer)
         with refuses(rules.TEXTURE_SAMPLES, recording):
             texture.read_async()
 
@@ -394,7 +394,7 @@ def test_both_ends_of_a_copy_must_be_usable(recording: Device) -> None:
         texture.copy_to_buffer(buffer)
     other = recording.buffer(64)
     texture.destroy()
-    for call in (lambda: other.copy_to_texture(texture), lambda: texture.read_async()):
+    for call in (lambda: texture.copy_from_buffer(other), lambda: texture.read_async()):
         with refuses(rules.RESOURCE_DESTROYED, recording):
             call()
 
@@ -427,7 +427,7 @@ def test_a_compressed_texture_is_only_written_and_sampled(recording: Device) -> 
         calls: list[Callable[[], object]] = [
             texture.read, texture.read_layers, texture.read_async, texture.generate_mipmaps, texture.at, texture.image,
             lambda: texture.lock(Access.READ), lambda: texture.copy_to(other), lambda: other.copy_to(texture),
-            lambda: texture.copy_to_buffer(buffer), lambda: buffer.copy_to_texture(texture),
+            lambda: texture.copy_to_buffer(buffer), lambda: texture.copy_from_buffer(buffer),
         ]  # fmt: skip
         for call in calls:
             with refuses(rules.TEXTURE_FORMAT, recording):
