@@ -76,15 +76,6 @@ def test_an_asynchronous_read_of_a_texture_returns_what_a_read_does(device: Devi
         assert_same(texture.read_async(level=1).result(), texture.read(1))
 
 
-def test_an_asynchronous_read_of_depth_returns_float32(device: Device) -> None:
-    with device.texture((5, 3), Format.D24) as texture:
-        with device.render_pass(depth=texture, clear_depth=0.3):
-            pass
-        result = texture.read_async().result()
-        assert result.dtype == np.float32
-        assert_same(result, texture.read())
-
-
 def test_an_asynchronous_read_of_a_buffer_returns_what_a_read_does(device: Device) -> None:
     data = np.arange(600, dtype=np.uint32).reshape(-1)
     with device.buffer(data) as buffer:
