@@ -8,8 +8,10 @@ from rhi.contract.backend import (
     FOREVER,
     Backend,
     Capabilities,
+    HoldsContext,
     PreparedQueries,
     PreparesDraws,
+    PreparesKernels,
     PreparesQueries,
 )
 from rhi.contract.blocks import CompressedFormat, decode_blocks
@@ -160,6 +162,7 @@ __all__ = [
     "Format",
     "FragmentOutput",
     "FrontFace",
+    "HoldsContext",
     "HostType",
     "Id",
     "IndexFormat",
@@ -172,6 +175,7 @@ __all__ = [
     "PolygonOffset",
     "PreparedQueries",
     "PreparesDraws",
+    "PreparesKernels",
     "PreparesQueries",
     "Primitive",
     "ProgramDescriptor",

@@ -17,6 +17,7 @@ import numpy as np
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
+from rhi.errors.arguments import Fields
 
 __rhi_internal__ = True
 
@@ -153,6 +154,15 @@ class SamplerDescriptor:
     compare: Comparison | None = None
     max_anisotropy: float = 1.0
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.choices(Filter, "minify", "magnify")
+        fields.choices_or_none(Filter, "mip")
+        fields.choices(Wrap, "wrap_u", "wrap_v", "wrap_w")
+        fields.colors("border")
+        fields.choices_or_none(Comparison, "compare")
+        fields.numbers("max_anisotropy", least=1)
+
     @property
     def uses_border(self) -> bool:
         """Whether any axis wraps to the border color."""
@@ -169,6 +179,9 @@ class Region:
     height: int
     layer: int = 0
     layers: int = 1
+
+    def __post_init__(self) -> None:
+        Fields(self).wholes("x", "y", "width", "height", "layer", "layers")
 
 
 # -- vertex arrays ---------------------------------------------------------------------------------------
@@ -378,11 +391,13 @@ class StageText:
     """The source text of one stage, and where each of its lines came from.
 
     `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where no
-    Python line stands behind it. Lines without an entry have no known origin.
+    Python line stands behind it. Lines without an entry have no known origin. `binary` is what the text was compiled
+    to, in a language that isn't text ("spirv").
     """
 
     text: str
     origins: tuple[tuple[str, int], ...] = ()
+    binary: bytes = b""
 
 
 @dataclass(frozen=True, eq=False)
@@ -392,7 +407,8 @@ class ProgramDescriptor:
     Attributes:
         emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
             "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
-            "opencl4" and "opencl8"; and for compute stages "numpy", a Python module.
+            "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for Vulkan) and
+            "spirv", its `binary`; and those of `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
         varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.
@@ -419,6 +435,24 @@ class ProgramDescriptor:
     flushes_denormals: bool = False
     point_size: str = ""
     reads_point_coordinates: bool = False
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.text("name", self.name)
+        fields.members("stages", self.stages, frozenset, Stage)
+        fields.members("bindings", self.bindings, tuple, Binding)
+        fields.members("attributes", self.attributes, tuple, Attribute)
+        fields.members("outputs", self.outputs, tuple, FragmentOutput)
+        fields.members("varyings", self.varyings, tuple, StageVarying)
+        sizes = fields.members("work_group", self.work_group, tuple, int)
+        if len(sizes) != 3 or min(sizes) < 1:
+            fields.fail("work_group", sizes, "3 whole numbers, 1 or more")
+        if not callable(self.emit):
+            fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
+        fields.flags(
+            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"
+        )  # fmt: skip
+        fields.wholes("shared_bytes", least=0)
 
 
 DRAW: Final = np.dtype(

@@ -77,7 +77,7 @@ class Readback:
     def fetch(self) -> None:
         """Wait for the result, copy it out of the device's memory and give that back."""
         core = self._core
-        core.check_open()
+        core.check_ready()
         core.timeline.wait(self.fence)
         data = core.backend.read_buffer(self._memory, 0, self._rows * self._row_bytes)
         size = self._dtype.itemsize * int(np.prod(self._shape)) // self._rows

@@ -26,10 +26,11 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import Format
 from rhi.device.core.core import Core
-from rhi.device.resources.buffers import Buffer
+from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
+from rhi.errors.arguments import Arguments, Fields
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_RANGE,
@@ -55,6 +56,11 @@ class Sampler:
 
     id: Id
     descriptor: SamplerDescriptor
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.wholes("id", least=1)
+        fields.instance("descriptor", self.descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,6 +149,7 @@ class Texture(TextureBinding, Resource):
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             self.core.timeline.retire(self.id)
@@ -151,19 +158,27 @@ class Texture(TextureBinding, Resource):
 
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
         """Return one level and layer as a render target."""
-        self._check("Texture.at", level, layer)
+        level, layer = self._check("Texture.at", level, layer)
         self._check_plain("Texture.at")
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
         """Return a binding that reads this texture through another sampler."""
-        self._check("Texture.sampled")
-        identity = sampler.id if isinstance(sampler, Sampler) else self.core.sampler(sampler)
-        return TextureBinding(self.id, identity, self)
+        core, call = self.core, "Texture.sampled"
+        self._check(call)
+        if isinstance(sampler, Sampler):
+            descriptor = sampler.descriptor
+            if core.sampler_descriptors.get(sampler.id) is descriptor:
+                return TextureBinding(self.id, sampler.id, self)
+        else:
+            allowed = "a Sampler from device.sampler(…), or an rhi.SamplerDescriptor"
+            descriptor = Arguments(call, core.refuse).instance("sampler", sampler, SamplerDescriptor, allowed)
+        return TextureBinding(self.id, core.sampler(descriptor), self)
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
         """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
-        self._check("Texture.image", level, layer or 0)
+        level, first = self._check("Texture.image", level, 0 if layer is None else layer)
+        layer = None if layer is None else first
         self._check_plain("Texture.image")
         return ImageBinding(self.id, level, layer, self)
 
@@ -174,13 +189,13 @@ class Texture(TextureBinding, Resource):
 
         Waits for the device. Depth is read as float32. A packed format has one number per texel.
         """
-        texels = self._read("Texture.read", level, self._region("Texture.read", level, layer, region), False)
+        level, where = self._region("Texture.read", level, layer, region)
+        texels = self._read("Texture.read", level, where, False)
         return texels[0, :, :, 0] if self.format.components == 1 else texels[0]
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
         """Return all layers: (layers, height, width, channels). Waits for the device."""
-        width, height = self.descriptor.level_size(level)
-        region = Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
+        level, region = self._whole("Texture.read_layers", level, self.core)
         return self._read("Texture.read_layers", level, region, False)
 
     def read_stencil(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[np.uint8]:
@@ -188,7 +203,8 @@ class Texture(TextureBinding, Resource):
         call = "Texture.read_stencil"
         if not self.format.has_stencil:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
-        stencil: NDArray[np.uint8] = self._read(call, level, self._region(call, level, layer, region), True)
+        level, where = self._region(call, level, layer, region)
+        stencil: NDArray[np.uint8] = self._read(call, level, where, True)
         return stencil[0, :, :, 0]
 
     def read_async(self, level: int = 0, layer: int = 0, region: Region | None = None) -> Readback:
@@ -198,13 +214,14 @@ class Texture(TextureBinding, Resource):
         """
         call, core = "Texture.read_async", self.core
         self._check_plain(call)
-        where = self._region(call, level, layer, region)
+        level, where = self._region(call, level, layer, region)
         self._check_single_sample(call)
         shape: tuple[int, ...] = (where.height, where.width)
         if self.format.components > 1:
             shape = (*shape, self.format.components)
         row_bytes = self._tight_row(where)
         readback = Readback(core, self.format.dtype, shape, where.height, row_bytes)
+        core.check_ready()
         if core.capabilities.texture_buffer_copies:
             core.backend.copy_texture_to_buffer(self.id, level, where, readback.take_memory(), 0, row_bytes)
             readback.begin()
@@ -225,16 +242,20 @@ class Texture(TextureBinding, Resource):
                 `texture-format` for depth, `texture-samples` for multi-sampled textures.
         """
         call = "Texture.write"
-        self._check(call, level, layer)
+        check = Arguments(call, self.core.refuse)
+        level, layer = self._check(call, level, layer)
         if self.compressed is not None:
-            self._write_blocks(call, self.compressed, np.asarray(texels), level, layer, x, y)
+            blocks = check.array("texels", texels)
+            x, y = check.whole("x", x), check.whole("y", y)
+            self._write_blocks(call, self.compressed, blocks, level, layer, x, y)
             return
         if self.format.is_depth:
             self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
             )
         self._check_single_sample(call)
-        array = np.asarray(texels)
+        self.core.check_ready()
+        array = check.array("texels", texels)
         components = self.format.components
         if array.ndim == 2 and components == 1:
             array = array[None, :, :, None]
@@ -246,7 +267,7 @@ class Texture(TextureBinding, Resource):
             allowed = f"(height, width, {components}) of {self.format.dtype}"
             self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
-        region = Region(x, y, width, height, layer, layers)
+        region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
         self.core.upload_bytes += array.nbytes
         self.core.backend.write_texture(
@@ -275,6 +296,7 @@ class Texture(TextureBinding, Resource):
         data: NDArray[Any] = np.ascontiguousarray(blocks)
         if self.descriptor.compressed is None:
             data = decode_level(compressed, data, region.width, region.height)
+        self.core.check_ready()
         self.core.upload_bytes += data.nbytes
         self.core.backend.write_texture(self.id, level, region, data.reshape(-1).view(np.uint8).data)
 
@@ -297,6 +319,7 @@ class Texture(TextureBinding, Resource):
         if self.format.is_depth or self.format.is_integer:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
+            core.check_ready()
             core.backend.generate_mipmaps(self.id)
 
     def copy_to(
@@ -319,11 +342,14 @@ class Texture(TextureBinding, Resource):
     ) -> None:  # fmt: skip
         """Send a `copy_to` to `core`."""
         call = "Texture.copy_to"
+        check = Arguments(call, self.core.refuse)
+        check.instance("target", target, Texture, "a Texture")
+        level, source_region = self._whole(call, level, core, region)
         self._check_plain(call)
         target._check_plain(call)
-        source_region = region or self._whole(level, core)
         self._check_region(call, level, source_region, core)
-        target._check(call, target_level, layer, core)
+        target_level, layer = target._check(call, target_level, layer, core)
+        x, y = check.whole("x", x), check.whole("y", y)
         if target.format is not self.format:
             self.core.refuse(
                 TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats"
@@ -336,11 +362,12 @@ class Texture(TextureBinding, Resource):
         target._check_region(call, target_level, end, core)
         if target is self and level == target_level and _overlap(source_region, end):
             self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+        core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def copy_to_buffer(
         self,
-        target: Buffer,
+        target: Buffer | StorageBuffer[Any],
         *,
         level: int = 0,
         region: Region | None = None,
@@ -361,17 +388,18 @@ class Texture(TextureBinding, Resource):
         self._copy_to_buffer(self.core, target, level, region, offset, row_bytes)
 
     def _copy_to_buffer(
-        self, core: Core, target: Buffer, level: int, region: Region | None, offset: int, row_bytes: int | None
+        self, core: Core, target: Buffer | StorageBuffer[Any], level: int, region: Region | None, offset: int,
+        row_bytes: int | None,
     ) -> None:
         """Send a `copy_to_buffer` to `core`."""
         call = "Texture.copy_to_buffer"
-        region = region or self._whole(level, core)
-        row_bytes = self._check_rows(call, target, level, region, offset, row_bytes, core)
-        core.backend.copy_texture_to_buffer(self.id, level, region, target.id, offset, row_bytes)
+        level, region = self._whole(call, level, core, region)
+        buffer, offset, row_bytes = self._check_rows(call, target, level, region, offset, row_bytes, core)
+        core.backend.copy_texture_to_buffer(self.id, level, region, buffer.id, offset, row_bytes)
 
     def copy_from_buffer(
         self,
-        source: Buffer,
+        source: Buffer | StorageBuffer[Any],
         *,
         level: int = 0,
         region: Region | None = None,
@@ -385,7 +413,8 @@ class Texture(TextureBinding, Resource):
         self._copy_from_buffer(self.core, source, level, region, offset, row_bytes)
 
     def _copy_from_buffer(
-        self, core: Core, source: Buffer, level: int, region: Region | None, offset: int, row_bytes: int | None
+        self, core: Core, source: Buffer | StorageBuffer[Any], level: int, region: Region | None, offset: int,
+        row_bytes: int | None,
     ) -> None:
         """Send a `copy_from_buffer` to `core`."""
         call = "Texture.copy_from_buffer"
@@ -393,14 +422,18 @@ class Texture(TextureBinding, Resource):
             self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
             )
-        region = region or self._whole(level, core)
-        row_bytes = self._check_rows(call, source, level, region, offset, row_bytes, core)
-        core.backend.copy_buffer_to_texture(source.id, offset, row_bytes, self.id, level, region)
+        level, region = self._whole(call, level, core, region)
+        buffer, offset, row_bytes = self._check_rows(call, source, level, region, offset, row_bytes, core)
+        core.backend.copy_buffer_to_texture(buffer.id, offset, row_bytes, self.id, level, region)
 
     def _check_rows(
-        self, call: str, buffer: Buffer, level: int, region: Region, offset: int, row_bytes: int | None, core: Core
-    ) -> int:
-        """Check the place of a region's rows in a buffer, and return the distance between them."""
+        self, call: str, buffer: Buffer | StorageBuffer[Any], level: int, region: Region, offset: int,
+        row_bytes: int | None, core: Core,
+    ) -> tuple[Buffer, int, int]:
+        """Check the place of a region's rows in a buffer; return the buffer, the offset and the distance of rows."""
+        check = Arguments(call, self.core.refuse)
+        buffer = check_buffer(check, "buffer", buffer)
+        offset, row_bytes = check.whole("offset", offset), check.whole_or_none("row_bytes", row_bytes)
         limits, texel = core.capabilities, self.format.transfer_bytes
         self._check_plain(call)
         if not limits.texture_buffer_copies:
@@ -420,7 +453,8 @@ class Texture(TextureBinding, Resource):
         size = (region.height * region.layers - 1) * row_bytes + least
         if offset < 0 or offset + size > buffer.size:
             core.refuse(BUFFER_RANGE, call, f"{size} bytes at {offset}", f"within {buffer.size} bytes")
-        return row_bytes
+        core.check_ready()
+        return buffer, offset, row_bytes
 
     def _tight_row(self, region: Region) -> int:
         """Return the smallest distance in bytes between a region's rows in a buffer."""
@@ -435,6 +469,7 @@ class Texture(TextureBinding, Resource):
     def _resolve(self, core: Core, target: Texture) -> None:
         """Send a `resolve_to` to `core`."""
         call = "Texture.resolve_to"
+        Arguments(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
         if self.samples == 1 or target.samples != 1:
@@ -445,16 +480,18 @@ class Texture(TextureBinding, Resource):
         if self.format is not target.format or self.size != target.size or not has_average:
             allowed = "equal sizes and equal color formats, not of integers"
             self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+        core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
+        Arguments(call, self.core.refuse).choice("access", access, Access)
         self._check_plain(call)
         if self.format.is_depth and access.writes:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self._check_single_sample(call)
-        where = self._region(call, level, layer, region)
+        level, where = self._region(call, level, layer, region)
         return Lock(
             self,
             access,
@@ -465,7 +502,12 @@ class Texture(TextureBinding, Resource):
 
     # -- checks ------------------------------------------------------------------------------------------
 
-    def _check(self, call: str, level: int = 0, layer: int = 0, core: Core | None = None) -> None:
+    def _check(
+        self, call: str, level: int = 0, layer: int = 0, core: Core | None = None
+    ) -> tuple[int, int]:
+        """Refuse a texture that can't be used now, and return a level and layer that it has."""
+        check = Arguments(call, self.core.refuse)
+        level, layer = check.whole("level", level), check.whole("layer", layer)
         core = core or self.core
         core.check_open()
         core.check_usable(self, call)
@@ -474,6 +516,7 @@ class Texture(TextureBinding, Resource):
         layers = self.descriptor.level_layers(level)
         if not 0 <= layer < layers:
             self.core.refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
+        return level, layer
 
     def _check_single_sample(self, call: str) -> None:
         if self.samples != 1:
@@ -500,22 +543,34 @@ class Texture(TextureBinding, Resource):
         if not inside:
             self.core.refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
 
-    def _whole(self, level: int, core: Core) -> Region:
-        self._check("Texture", level, core=core)
+    def _whole(
+        self, call: str, level: int, core: Core, region: Region | None = None
+    ) -> tuple[int, Region]:
+        """Return a level, and the region of it that was given, or else all of its texels and layers."""
+        level, _ = self._check(call, level, core=core)
+        if region is not None:
+            return level, self._as_region(call, region)
         width, height = self.descriptor.level_size(level)
-        return Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
+        return level, Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
 
-    def _region(self, call: str, level: int, layer: int, region: Region | None) -> Region:
-        self._check(call, level, layer)
+    def _region(self, call: str, level: int, layer: int, region: Region | None) -> tuple[int, Region]:
+        """Return a level, and the region of it that was given, or else all texels of the layer."""
+        level, layer = self._check(call, level, layer)
         if region is None:
-            region = Region(0, 0, *self.descriptor.level_size(level), layer)
+            return level, Region(0, 0, *self.descriptor.level_size(level), layer)
+        region = self._as_region(call, region)
         self._check_region(call, level, region)
-        return region
+        return level, region
+
+    def _as_region(self, call: str, region: Region) -> Region:
+        allowed = "an rhi.Region(x, y, width, height), or None"
+        return Arguments(call, self.core.refuse).instance("region", region, Region, allowed)
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check_region(call, level, region)
         self._check_plain(call)
         self._check_single_sample(call)
+        self.core.check_ready()
         return self.core.backend.read_texture(self.id, level, region, stencil)
 
 
@@ -546,7 +601,7 @@ def _overlap(a: Region, b: Region) -> bool:
 
 def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     call = "device.texture"
-    core.check_open()
+    core.check_ready()
     limits = core.capabilities
     width, height = descriptor.size
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
