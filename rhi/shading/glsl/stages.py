@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from rhi.contract.descriptors import Binding, FragmentOutput, Stage, StageText
-from rhi.contract.formats import ChannelKind
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.layout import FLOAT, INT, UINT, StructType
 from rhi.shading.glsl.names import Names
 from rhi.shading.glsl.native import is_whole, lines_of
@@ -21,6 +22,12 @@ from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
 
 __rhi_internal__ = True
+
+_PACKED_IMAGES: Final = {
+    Format.RGB10A2: "rgb10_a2",
+    Format.RGB10A2UI: "rgb10_a2ui",
+    Format.R11G11B10F: "r11f_g11f_b10f",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,6 +276,8 @@ class StageWriter:
             )
             if self.stage.stage is Stage.VERTEX:
                 self.lines.add(f"gl_Position = {result}{field(interface.position)};")
+                if interface.point_size:
+                    self.lines.add(f"gl_PointSize = max(1.0, {result}{field(interface.point_size)});")
             elif interface.depth:
                 self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
             for name, output in outputs.items():
@@ -286,5 +295,7 @@ def _no_field(name: str) -> str:
 
 def image_format(type: ImageType) -> str:
     """Return GLSL's name of an image's texel format."""
+    if type.format in _PACKED_IMAGES:
+        return _PACKED_IMAGES[type.format]
     name = type.format.name.lower()
     return name.replace("_snorm", "") + ("_snorm" if type.format.kind is ChannelKind.SNORM else "")
