@@ -439,6 +439,7 @@ class ProgramDescriptor:
     def __post_init__(self) -> None:
         fields = Fields(self)
         fields.text("name", self.name)
+        fields.text("point_size", self.point_size)
         fields.members("stages", self.stages, frozenset, Stage)
         fields.members("bindings", self.bindings, tuple, Binding)
         fields.members("attributes", self.attributes, tuple, Attribute)
@@ -450,7 +451,8 @@ class ProgramDescriptor:
         if not callable(self.emit):
             fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
         fields.flags(
-            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"
+            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals",
+            "reads_point_coordinates",
         )  # fmt: skip
         fields.wholes("shared_bytes", least=0)
 

@@ -218,6 +218,7 @@ class CommandBuffer(Encoder):
         offset: int = 0, row_bytes: int | None = None,
     ) -> None:  # fmt: skip
         """Record a `Texture.copy_to_buffer`."""
+        self._check_texture("commands.copy_texture_to_buffer", "source", source)
         source._copy_to_buffer(self._recorder, target, level, region, offset, row_bytes)
 
     def copy_buffer_to_texture(
@@ -225,6 +226,7 @@ class CommandBuffer(Encoder):
         level: int = 0, region: Region | None = None,
     ) -> None:  # fmt: skip
         """Record a `Texture.copy_from_buffer`."""
+        self._check_texture("commands.copy_buffer_to_texture", "target", target)
         target._copy_from_buffer(self._recorder, source, level, region, offset, row_bytes)
 
     def resolve(self, source: Texture, target: Texture) -> None:
