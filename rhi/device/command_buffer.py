@@ -287,8 +287,7 @@ class CommandBuffer(Encoder):
         for key in list(core.vertex_arrays):
             (program, data), (vertex_array, vertices) = key, core.vertex_arrays[key]
             device.backend.create_vertex_array(vertex_array, vertices)
-            # If another command buffer or the device has created one meanwhile, this one is kept beside it.
-            data.vertex_arrays[vertex_array if program in data.vertex_arrays else program] = vertex_array
+            data.keep_vertex_array(program, program.id, vertex_array)
             del core.vertex_arrays[key]
 
     def _prepare_calls(self) -> list[PreparedCall]:

@@ -50,7 +50,7 @@ from rhi.device.queries.timers import TimerNode, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
 from rhi.device.resources.lifetime import destroy_on_error
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
-from rhi.device.resources.programs import Program
+from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture, full_levels
 from rhi.device.transient import TransientMemory
 from rhi.errors.rules import (
@@ -85,7 +85,7 @@ class Device(Encoder):
         states = StateCache(_unsupported_states(capabilities), refusals=refusals)
         core = Core(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
-        self._programs: dict[object, Program[Any]] = {}
+        self._programs = ProgramTable(core.timeline)
         self._frames: deque[int] = deque()
         self._frames_in_flight = max(1, frames_in_flight)
 
@@ -323,14 +323,15 @@ class Device(Encoder):
             ShaderError: the shader does not type-check, or the driver refuses it.
         """
         self._core.check_open()
-        program = self._programs.get(shader)
-        if program is None or program.destroyed:
+        program = self._programs.find(shader)
+        if program is None:
             if isinstance(shader, ProgramDescriptor):
                 descriptor = shader
             else:
                 with self._core.refusals:
                     descriptor = compile_shader(shader)
-            program = self._programs[shader] = Program(self._core, descriptor)
+            program = Program(self._core, descriptor)
+            self._programs.add(shader, program)
         return program
 
     # -- work --------------------------------------------------------------------------------------------

@@ -94,8 +94,8 @@ class TransientMemory:
         arguments: the ring for the arrays of draws of `device.draw_many`.
     """
 
-    __slots__ = ("_constants", "_core", "_indices", "_mesh_owner", "_owner", "_owner_generation", "_vertex_arrays",
-                 "_vertices", "arguments")  # fmt: skip
+    __slots__ = ("__weakref__", "_constants", "_core", "_indices", "_mesh_owner", "_owner", "_owner_generation",
+                 "_vertex_arrays", "_vertices", "arguments")  # fmt: skip
 
     def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
         """Allocate from rings of initially `capacity` bytes each, or everything from one arena."""
@@ -201,7 +201,14 @@ class TransientMemory:
                 ),
             )  # fmt: skip
             self._vertex_arrays[key] = vertex_array
+            if not core.records:  # else a command buffer owns them
+                core.timeline.watch(self, program.id)
         return vertex_array, first, base
+
+    def note_retired(self, resource: Id) -> None:
+        """Drop the vertex arrays of a program that is destroyed."""
+        for key in [key for key in self._vertex_arrays if key[0] == resource]:
+            self._core.timeline.retire(self._vertex_arrays.pop(key))
 
     def _drop_outdated(self) -> None:
         """Destroy the vertex arrays of buffers that a grown ring has replaced."""

@@ -137,7 +137,7 @@ class ClBackend:
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self._rasteriser.create_vertex_array(vertex_array, descriptor)
-        self._destroyers[vertex_array] = self._vertex_arrays.destroy
+        self._destroyers[vertex_array] = self._destroy_vertex_array
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
         queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries
@@ -158,6 +158,10 @@ class ClBackend:
         self._rasteriser.forget(texture)
         self._textures.destroy(texture)
 
+    def _destroy_vertex_array(self, vertex_array: Id) -> None:
+        self._draws.forget(vertex_array)
+        self._vertex_arrays.destroy(vertex_array)
+
     def _destroy_query(self, query: Id) -> None:
         kind = self._kinds.pop(query)
         (self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries).destroy(query)
@@ -174,7 +178,9 @@ class ClBackend:
     @_reports_errors_as("Buffer.read")
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
         self._flush()
-        return self._buffers.read(buffer, offset, size)
+        data = self._buffers.read(buffer, offset, size)
+        self._fence.release()
+        return data
 
     @_reports_errors_as("Buffer.copy_to")
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
@@ -196,7 +202,9 @@ class ClBackend:
     @_reports_errors_as("Texture.read")
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._flush()
-        return self._textures.read(texture, level, region, stencil)
+        texels = self._textures.read(texture, level, region, stencil)
+        self._fence.release()
+        return texels
 
     @_reports_errors_as("Texture.copy_to")
     def copy_texture(

@@ -104,7 +104,9 @@ class ComputeProgram:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
             program = build(context.context, source.text, descriptor.flushes_denormals)
-            (kernel,) = program.all_kernels()
+            # By name: kernels of `all_kernels` keep a reference to the program that is never released.
+            (name,) = filter(None, program.get_info(cl.program_info.KERNEL_NAMES).split(";"))
+            kernel = cl.Kernel(program, name)
         except cl.Error as error:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
         except ValueError as error:

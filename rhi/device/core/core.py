@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NoReturn, Protocol, cast
+from typing import TYPE_CHECKING, ClassVar, Final, NoReturn, Protocol, cast
 
 from rhi.contract.backend import Backend, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
@@ -32,6 +32,10 @@ if TYPE_CHECKING:
     from rhi.device.core.ring import Ring
 
 __rhi_internal__ = True
+
+
+MAX_SAMPLERS: Final = 4096
+"""Number of different samplers of a device: they live as long as it does, and platforms have few."""
 
 
 @dataclass(slots=True)
@@ -82,7 +86,7 @@ class Core:
         targets: ids of the open pass's textures.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
-        draw_counters: one function per program that returns its number of draws since the last call.
+        draw_counters: by program's id, a function that returns its number of draws since the last call.
         locked: resources with an open lock; while there are any, every draw checks everything.
     """
 
@@ -136,7 +140,7 @@ class Core:
         self.targets: frozenset[Id] = frozenset()
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
-        self.draw_counters: list[Callable[[], int]] = []
+        self.draw_counters: dict[Id, Callable[[], int]] = {}
         self.frame_rings: list[Ring] = []
         self.tests_alpha = False
         self._prepares: PreparesDraws | None = None
@@ -160,6 +164,7 @@ class Core:
     def create_id(self) -> Id:
         """Return the id of a new resource of the user, and count the creation."""
         self.check_open()
+        self.timeline.make_room()
         self.counters.creations += 1
         return self.new_id()
 
@@ -241,7 +246,8 @@ class Core:
         """Return the id of a sampler; equal descriptors share one.
 
         Raises:
-            ValidationError: `device-capability` for more anisotropy than the device supports.
+            ValidationError: `device-capability` for more anisotropy than the device supports, and for more than
+                `MAX_SAMPLERS` different samplers.
         """
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
@@ -250,6 +256,9 @@ class Core:
             )
         sampler = self._samplers.get(descriptor)
         if sampler is None:
+            if len(self._samplers) >= MAX_SAMPLERS:
+                given = f"a different sampler more, {descriptor}"
+                self.refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to {MAX_SAMPLERS} in all", "reuse samplers")
             sampler = self.new_id()
             self.backend.create_sampler(sampler, descriptor)
             self._samplers[descriptor] = sampler
@@ -272,7 +281,7 @@ class Core:
 
     def statistics(self) -> Statistics:
         """Return a snapshot of the counters."""
-        self.draws += sum(collect() for collect in self.draw_counters)
+        self.draws += sum(collect() for collect in self.draw_counters.values())
         return dataclasses.replace(
             self.counters,
             draws=self.draws,
@@ -284,7 +293,7 @@ class Core:
 
     def reset_statistics(self) -> None:
         self.counters = Statistics()
-        for collect in self.draw_counters:
+        for collect in self.draw_counters.values():
             collect()
         self.draws = self.dispatches = self.upload_bytes = 0
         self.states.reset_counters()

@@ -1,7 +1,8 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
 Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
-its timestamps are available; `device.timers` is the tree of the latest such frame.
+its timestamps are available; `device.timers` is the tree of the latest such frame. A frame has at most `MAX_EVENTS`, also
+in a program that never presents: further events inside an open one are only labels, and otherwise a new tree begins.
 """
 
 from __future__ import annotations
@@ -43,16 +44,19 @@ class _PendingEvent:
     started: float
     begin: Id = 0
     end: Id = 0
+    counted: bool = True  # whether it is in the tree
 
 
 MAX_FRAMES: Final = 8
 """Largest number of frames that wait for their timestamps; beyond it the oldest is dropped."""
+MAX_EVENTS: Final = 4096
+"""Largest number of events in the tree of a frame."""
 
 
 class Timers:
     """The events of the current frame, and the event tree of the latest finished frame."""
 
-    __slots__ = ("_core", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
+    __slots__ = ("_core", "_count", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
 
     def __init__(self, core: Core, enabled: bool) -> None:
         self._core = core
@@ -60,6 +64,7 @@ class Timers:
         self.latest: list[TimerNode] = []
         self._open: list[_PendingEvent] = []
         self._roots: list[TimerNode] = []
+        self._count = 0  # of events in the tree
         self._pending: list[_PendingEvent] = []
         self._frames: deque[tuple[list[TimerNode], list[_PendingEvent]]] = deque()
         self._free: list[Id] = []
@@ -72,7 +77,12 @@ class Timers:
     def begin(self, label: str) -> _PendingEvent:
         """Open an event inside the innermost open one."""
         event = _PendingEvent(TimerNode(label), time.perf_counter())
-        if self.enabled:  # both queries now: what can fail comes before anything is begun
+        if self._count >= MAX_EVENTS:
+            if self._open:
+                event.counted = False
+            else:
+                self.end_frame()
+        if self.enabled and event.counted:  # both queries now: what can fail comes before anything is begun
             event.begin = self._acquire_query()
             try:
                 event.end = self._acquire_query()
@@ -82,7 +92,9 @@ class Timers:
         self._core.backend.push_label(label)
         if event.begin:
             self._core.backend.write_query(event.begin)
-        (self._open[-1].node.children if self._open else self._roots).append(event.node)
+        if event.counted:
+            (self._open[-1].node.children if self._open else self._roots).append(event.node)
+            self._count += 1
         self._open.append(event)
         return event
 
@@ -102,7 +114,7 @@ class Timers:
         """Close the frame's tree, and read the frames whose timestamps are available."""
         if not self._open and self._roots:
             self._frames.append((self._roots, self._pending))
-            self._roots, self._pending = [], []
+            self._roots, self._pending, self._count = [], [], 0
         self.collect()
         while len(self._frames) > MAX_FRAMES:
             self._release(self._frames.popleft()[1])

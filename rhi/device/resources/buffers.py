@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -41,10 +40,9 @@ class Buffer(Resource):
         id: the buffer's id in the command stream.
         size: size in bytes.
         bind_uniform: a function of slot, offset and size that binds a range of the buffer.
-        dependents: functions to call when the buffer is destroyed.
     """
 
-    __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
+    __slots__ = ("bind_uniform", "core", "count", "destroyed", "dtype", "id", "label", "size")
 
     def __init__(
         self,
@@ -70,7 +68,6 @@ class Buffer(Resource):
         self.size = size
         self.label = label
         self.destroyed = False
-        self.dependents: list[Callable[[], None]] = []
         self.id = core.create_id()
         core.backend.create_buffer(self.id, BufferDescriptor(size, usage, label))
         self.bind_uniform = core.prepare_uniform(self.id)
@@ -86,10 +83,7 @@ class Buffer(Resource):
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
-            for invalidate in self.dependents:
-                invalidate()
-            self.dependents.clear()
-            self.core.timeline.retire(self.id)
+            self.core.timeline.retire(self.id, self.size)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of `count` elements from `first` on; waits for work that may write them."""

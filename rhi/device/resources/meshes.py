@@ -5,6 +5,7 @@
 - `view` returns a part of a mesh (first, count, base vertex, base instance) that shares everything else.
 - The vertex array is created once per mesh and program, and shared by views; each view keeps its own prepared draw
   per program (`prepared_draws`). So views are immutable: another part is another view.
+- All of these are dropped with the program or the buffer that they were made for (`Timeline.watch`).
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat
 class MeshData:
     """The buffers of a mesh, shared by its views."""
 
-    __slots__ = ("buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
-                 "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
+    __slots__ = ("__weakref__", "buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label",
+                 "owned", "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
         self, core: Core, vertices: VertexSource | int, indices: NDArray[Any] | Buffer | None,
@@ -90,7 +91,7 @@ class MeshData:
         sources = (self.vertices, self.instances, self.index_buffer)
         self.buffers = tuple(buffer for buffer in sources if buffer is not None)
         for buffer in self.buffers:
-            buffer.dependents.append(self._forget)
+            core.timeline.watch(self, buffer.id)
 
     def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
         if isinstance(source, Buffer):
@@ -113,8 +114,14 @@ class MeshData:
         descriptor = self.describe_vertex_array(program, name, attributes)
         vertex_array = self.core.new_id()
         self.core.backend.create_vertex_array(vertex_array, descriptor)
-        self.vertex_arrays[key] = vertex_array
+        self.keep_vertex_array(key, program, vertex_array)
         return vertex_array
+
+    def keep_vertex_array(self, key: object, program: Id, vertex_array: Id) -> None:
+        """Keep a vertex array until this mesh, one of its buffers or the program is destroyed."""
+        # Command buffers that were recorded at the same time bring one each; all are kept.
+        self.vertex_arrays[key if key not in self.vertex_arrays else (key, vertex_array)] = vertex_array
+        self.core.timeline.watch(self, program)
 
     def describe_vertex_array(
         self, program: Id, name: str, attributes: tuple[Attribute, ...]
@@ -169,19 +176,36 @@ class MeshData:
             )  # fmt: skip
         return form
 
+    def note_retired(self, resource: Id) -> None:
+        """Drop what was made for a program, or everything, as a buffer of this mesh is destroyed."""
+        if any(buffer.id == resource for buffer in self.buffers):
+            self._forget()
+        else:
+            made = [key for key in self.vertex_arrays if _program_id(key) == resource]
+            for view in self.views:
+                for key in made:
+                    view.prepared_draws.pop(key, None)
+            for key in made:
+                self.core.timeline.retire(self.vertex_arrays.pop(key))
+
     def _forget(self) -> None:
         """Drop all prepared draws and vertex arrays."""
         for view in self.views:
             view.prepared_draws.clear()
-        for vertex_array in self.vertex_arrays.values():
-            self.core.timeline.retire(vertex_array)
-        self.vertex_arrays.clear()
+        while self.vertex_arrays:
+            self.core.timeline.retire(self.vertex_arrays.popitem()[1])
 
     def destroy(self) -> None:
         """Destroy the buffers that were created for this mesh."""
         self._forget()
         for buffer in self.owned:
             buffer.destroy()
+
+
+def _program_id(key: Any) -> Id:
+    """Return the id of the program that a vertex array is kept for."""
+    program = key[0] if isinstance(key, tuple) else key
+    return int(program.id)
 
 
 def _format_text(form: VertexFormat) -> str:

@@ -18,6 +18,7 @@ from typing_extensions import ParamSpec
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe_object
+from rhi.device.core.timeline import Timeline
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
@@ -94,7 +95,7 @@ class Program(Generic[P]):
         self.draw = made.draw  # type: ignore[method-assign]
         self.draw_with = made.draw_with
         self.bind = made.bind
-        self.core.draw_counters.append(made.collect_draw_count)
+        self.core.draw_counters[self.id] = made.collect_draw_count
 
     @property
     def label(self) -> str:
@@ -107,9 +108,11 @@ class Program(Generic[P]):
     def destroy(self) -> None:
         """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
+            core = self.core
             self.destroyed = True
-            self.core.program = None
-            self.core.timeline.retire(self.id)
+            core.program = None
+            core.draws += core.draw_counters.pop(self.id)()
+            core.timeline.retire(self.id)
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
@@ -291,6 +294,28 @@ class Program(Generic[P]):
             given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
             self.core.refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
         return int(instances)
+
+
+class ProgramTable:
+    """The programs of a device, by the shader class or descriptor that they were made of; destroyed ones leave it."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._programs: dict[object, Program[Any]] = {}
+        self._shaders: dict[Id, object] = {}
+
+    def find(self, shader: object) -> Program[Any] | None:
+        """Return the program of a shader, None if there is none."""
+        return self._programs.get(shader)
+
+    def add(self, shader: object, program: Program[Any]) -> None:
+        """Keep a program until it is destroyed."""
+        self._programs[shader], self._shaders[program.id] = program, shader
+        self._timeline.watch(self, program.id)
+
+    def note_retired(self, resource: Id) -> None:
+        """Drop a program that is destroyed; called by `Timeline`."""
+        self._programs.pop(self._shaders.pop(resource, None), None)
 
 
 def shader_kind(form: Format) -> str:

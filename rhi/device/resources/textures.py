@@ -131,7 +131,7 @@ class Texture(TextureBinding, Resource):
         if not self.destroyed:
             self.destroyed = True
             self.core.program = None
-            self.core.timeline.retire(self.id)
+            self.core.timeline.retire(self.id, _count_bytes(self.descriptor))
 
     # -- parts -------------------------------------------------------------------------------------------
 
@@ -351,6 +351,15 @@ class Texture(TextureBinding, Resource):
 def full_levels(width: int, height: int, depth: int = 1) -> int:
     """Return the number of mip levels down to 1×1."""
     return max(width, height, depth).bit_length()
+
+
+def _count_bytes(descriptor: TextureDescriptor) -> int:
+    """Return the size of all levels, layers and samples in bytes; their alignment on the device isn't counted."""
+    texels = 0
+    for level in range(descriptor.levels):
+        width, height = descriptor.level_size(level)
+        texels += width * height * descriptor.level_layers(level)
+    return texels * descriptor.samples * descriptor.format.channels * descriptor.format.dtype.itemsize
 
 
 def _overlap(a: Region, b: Region) -> bool:
