@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import wraps
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import ParamSpec
+from typing_extensions import Concatenate, ParamSpec
 
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream
@@ -48,7 +49,6 @@ from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
-from rhi.device.resources.lifetime import destroy_on_error
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture, full_levels
@@ -72,6 +72,20 @@ P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 B = TypeVar("B")
+R = TypeVar("R")
+
+
+def _creates(
+    method: Callable[Concatenate[Device, P], R],
+) -> Callable[Concatenate[Device, P], R]:
+    """Let a method create all of its resources or, if it is refused, fails or is interrupted, none (`Creation`)."""
+
+    @wraps(method)
+    def create(self: Device, /, *arguments: P.args, **named: P.kwargs) -> R:
+        with self._core.creation():
+            return method(self, *arguments, **named)
+
+    return create
 
 
 class Device(Encoder):
@@ -173,6 +187,7 @@ class Device(Encoder):
 
     # -- resources ---------------------------------------------------------------------------------------
 
+    @_creates
     def buffer(
         self,
         source: int | NDArray[Any],
@@ -188,10 +203,10 @@ class Device(Encoder):
         if dtype is not None and array.dtype != np.dtype(dtype):
             self._core.refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
         buffer = Buffer(self._core, array.size, array.dtype, usage, label)
-        with destroy_on_error(buffer):
-            buffer.write(array)
+        buffer.write(array)
         return buffer
 
+    @_creates
     def uniform(self, value: S, *, label: str = "") -> UniformBuffer[S]:
         """Create a buffer of constants: one struct, bound as `Uniform[S]`."""
         if not isinstance(value, Struct):
@@ -200,10 +215,12 @@ class Device(Encoder):
             )
         return UniformBuffer(self._core, value, label)
 
+    @_creates
     def uniform_array(self, struct: type[S], count: int, *, label: str = "") -> UniformArray[S]:
         """Create constants for `count` objects, written as one array and bound one by one as `array[i]`."""
         return UniformArray(self._core, struct, count, label)
 
+    @_creates
     def storage(
         self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = ""
     ) -> StorageBuffer[T]:
@@ -228,10 +245,10 @@ class Device(Encoder):
             Buffer(self._core, count, dtype, label=name), element, dtype
         )
         if not isinstance(source, (int, np.integer)):
-            with destroy_on_error(storage):
-                storage.write(array)
+            storage.write(array)
         return storage
 
+    @_creates
     def texture(
         self,
         source: tuple[int, int] | NDArray[Any],
@@ -276,10 +293,9 @@ class Device(Encoder):
         )
         texture = Texture(self._core, descriptor)
         if data is not None:
-            with destroy_on_error(texture):
-                texture.write(data)
-                if levels > 1 and not format.is_integer:
-                    texture.generate_mipmaps()
+            texture.write(data)
+            if levels > 1 and not format.is_integer:
+                texture.generate_mipmaps()
         return texture
 
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
@@ -287,6 +303,7 @@ class Device(Encoder):
         self._core.check_open()
         return Sampler(self._core.sampler(descriptor), descriptor)
 
+    @_creates
     def mesh(
         self,
         vertices: VertexSource | int,
@@ -316,6 +333,7 @@ class Device(Encoder):
     @overload
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
+    @_creates
     def program(self, shader: Any) -> Program[Any]:
         """Create the program of a shader class or of a native program's descriptor; equal arguments share one.
 
@@ -367,7 +385,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_open()
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
@@ -398,10 +416,12 @@ class Device(Encoder):
         self.wait(self.signal())
         self._timers.collect()
 
+    @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
         return OcclusionQuery(self._core, emulated)
 
+    @_creates
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
         """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…, queries)`."""
         return QuerySet(self._core, size, emulated)
@@ -432,7 +452,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_open()
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_OPEN, "device.present", "an open render pass")
         if image is not None:
             core.check_usable(image, "device.present")

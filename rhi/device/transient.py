@@ -25,6 +25,7 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.ring import Ring
 from rhi.device.resources.meshes import Drawable, check_finite, match_indices
 from rhi.device.resources.programs import Program
@@ -189,20 +190,16 @@ class TransientMemory:
         vertex_array = self._vertex_arrays.get(key)
         if vertex_array is None:
             self._drop_outdated()
-            vertex_array = core.new_id()
-            core.backend.create_vertex_array(
-                vertex_array,
-                VertexArrayDescriptor(
-                    program.id,
-                    (VertexStream(self._vertices.buffer, 0, stride, False,
-                                  vertex_attributes(program.descriptor.attributes)),),
-                    index_buffer,
-                    index_format,
-                ),
-            )  # fmt: skip
-            self._vertex_arrays[key] = vertex_array
-            if not core.records:  # else a command buffer owns them
-                core.timeline.watch(self, program.id)
+            stream = VertexStream(
+                self._vertices.buffer, 0, stride, False, vertex_attributes(program.descriptor.attributes)
+            )
+            descriptor = VertexArrayDescriptor(program.id, (stream,), index_buffer, index_format)
+            with HeldInterrupts():
+                vertex_array = core.new_id()
+                core.create(core.backend.create_vertex_array, vertex_array, descriptor)
+                self._vertex_arrays[key] = vertex_array
+                if not core.records:  # else a command buffer owns them
+                    core.timeline.watch(self, program.id)
         return vertex_array, first, base
 
     def note_retired(self, resource: Id) -> None:
@@ -213,8 +210,9 @@ class TransientMemory:
     def _drop_outdated(self) -> None:
         """Destroy the vertex arrays of buffers that a grown ring has replaced."""
         current = (self._vertices.buffer, self._indices.buffer, 0)
-        for key in [k for k in self._vertex_arrays if k[1] != current[0] or k[2] not in current[1:]]:
-            self._core.timeline.retire(self._vertex_arrays.pop(key))
+        with HeldInterrupts():
+            for key in [k for k in self._vertex_arrays if k[1] != current[0] or k[2] not in current[1:]]:
+                self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
 class TransientMesh(Drawable):

@@ -349,10 +349,11 @@ class ClBackend:
         self._rasteriser.end_conditional()
 
     def push_label(self, text: str) -> None:
-        self._state.labels.append(text)
+        labels = self._state.labels
+        self._state.labels = [*labels, text]
 
     def pop_label(self) -> None:
-        self._state.labels.pop()
+        self._state.labels = self._state.labels[:-1]
 
     @_reports_errors_as("device.present")
     def present(self, texture: Id) -> None:

@@ -151,6 +151,10 @@ class RenderStates:
                 enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON
             ),
         }
+        self.apply_all()
+
+    def apply_all(self) -> None:
+        """Apply all values, whatever GL has."""
         for state, value in self.values.items():
             if state not in (AlphaTest, AlphaFunction, AlphaReference):
                 self._apply[state](value)

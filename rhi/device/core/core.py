@@ -10,18 +10,21 @@ import dataclasses
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, Final, NoReturn, Protocol, cast
+from types import TracebackType
+from typing import TYPE_CHECKING, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
 from rhi.contract.backend import Backend, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
 from rhi.contract.states import AlphaTest
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import Rule
+from rhi.errors import DeviceError, Rule
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
+    DEVICE_MEMORY,
     LOCK_OPEN,
     RECORD_TRANSIENT,
     RESOURCE_DESTROYED,
@@ -32,6 +35,8 @@ if TYPE_CHECKING:
     from rhi.device.core.ring import Ring
 
 __rhi_internal__ = True
+
+D = TypeVar("D")
 
 
 MAX_SAMPLERS: Final = 4096
@@ -73,6 +78,45 @@ class OpenQuery(Protocol):
         """End the query without an answer."""
 
 
+class Creation:
+    """A `with` block that creates resources for the user: all of them, or none.
+
+    If it raises, or an interrupt came meanwhile (`HeldInterrupts`), everything that it has created is destroyed, since
+    the caller never receives it. A block inside another is a part of it.
+    """
+
+    __slots__ = ("_core", "_held", "_outer")
+
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self._held = HeldInterrupts()
+        self._outer = True
+
+    def __enter__(self) -> None:
+        self._held.__enter__()
+        if self._core.created is None:
+            self._outer = False
+            self._core.created = []
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        core = self._core
+        made: list[Id] = []
+        if not self._outer:
+            made, core.created = core.created or [], None
+        try:
+            if kind is not None:
+                core.take_back(made)
+        finally:
+            try:
+                self._held.__exit__(kind, error, trace)
+            except BaseException:
+                if kind is None:
+                    core.take_back(made)
+                raise
+
+
 class Core:
     """The shared part of one device.
 
@@ -80,6 +124,7 @@ class Core:
         refusals: raises and keeps the errors of refused calls.
         program: the `Program` whose bindings are in place, None when the next draw must check everything.
         render_pass: the open pass, if any.
+        pass_block: a weak reference to its block.
         open_query: the occlusion query that counts now, if any.
         condition_open: whether draws depend on a query's answer now.
         condition_count: number of conditions begun so far.
@@ -88,6 +133,7 @@ class Core:
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
         draw_counters: by program's id, a function that returns its number of draws since the last call.
         locked: resources with an open lock; while there are any, every draw checks everything.
+        created: ids of the resources that the open `creation` block has created so far.
     """
 
     __slots__ = (
@@ -100,12 +146,14 @@ class Core:
         "condition_count",
         "condition_open",
         "counters",
+        "created",
         "dispatches",
         "draw_counters",
         "draws",
         "frame_rings",
         "locked",
         "open_query",
+        "pass_block",
         "program",
         "refusals",
         "render_pass",
@@ -132,8 +180,10 @@ class Core:
         self.dispatches = 0
         self.upload_bytes = 0
         self.closed = False
+        self.created: list[Id] | None = None
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
+        self.pass_block: Callable[[], object] = lambda: None
         self.open_query: OpenQuery | None = None
         self.condition_open = False
         self.condition_count = 0
@@ -168,6 +218,32 @@ class Core:
         self.counters.creations += 1
         return self.new_id()
 
+    def creation(self) -> Creation:
+        """Return a block that creates all of its resources or none; see `Creation`."""
+        return Creation(self)
+
+    def create(self, make: Callable[[Id, D], object], resource: Id, descriptor: D) -> None:
+        """Create a resource on the backend, inside a `creation` block or `HeldInterrupts`.
+
+        If memory is exhausted while destroyed resources wait for their fence, they are destroyed first, and creation
+        is tried once more.
+        """
+        try:
+            make(resource, descriptor)
+        except DeviceError as error:
+            if error.rule is not DEVICE_MEMORY or not self.timeline.reclaim():
+                raise
+            make(resource, descriptor)
+        if self.created is not None:
+            self.created.append(resource)
+
+    def take_back(self, resources: list[Id]) -> None:
+        """Destroy resources that the user never received, the latest first."""
+        for resource in reversed(resources):
+            if not self.timeline.is_retired(resource):
+                self.draw_counters.pop(resource, None)
+                self.timeline.retire(resource)
+
     def check_open(self) -> None:
         """Refuse calls of a closed device."""
         if self.closed:
@@ -192,22 +268,56 @@ class Core:
         query.abandon()
         return True
 
+    def has_open_pass(self) -> bool:
+        """Return whether a pass is open; end one whose block has been left without its end.
+
+        Python can raise `KeyboardInterrupt` at the first step of an `__exit__`. Then nobody holds the block any more.
+        """
+        if self.render_pass is not None and self.pass_block() is None:
+            self.end_pass()
+        return self.render_pass is not None
+
+    def leave_pass(self) -> None:
+        """Note that no pass is open."""
+        self.render_pass = None
+        self.targets = frozenset()
+        self.target_kinds = ()
+        self.program = None
+
+    def end_pass(self) -> bool:
+        """End the open pass; return whether a query had to be ended with it."""
+        self.leave_pass()
+        try:
+            return self.abandon_query()
+        finally:
+            if not self.closed:
+                self.backend.end_pass()
+
     def forget_program(self) -> None:
         """Invalidate the current program: its bindings are no longer in place."""
         self.program = None
 
     def flush_states(self) -> None:
         """Send changed states to the backend, if any."""
-        if self.states.wanted is self.states.hardware:
+        states = self.states
+        if states.wanted is states.hardware:
             return
-        self.backend.set_states(self.states.flush())
+        try:
+            self.backend.set_states(states.flush())
+        except BaseException:  # it has applied some of them, and nobody knows which
+            states.lose_hardware()
+            raise
         if self._prepares is not None:
             self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 
     def send_states(self, vector: StateVector) -> None:
         """Send the changes that lead from the hardware's states to a state vector of any cache."""
-        if changes := self.states.change_to(vector):
-            self.backend.set_states(changes)
+        try:
+            if changes := self.states.change_to(vector):
+                self.backend.set_states(changes)
+        except BaseException:
+            self.states.lose_hardware()
+            raise
 
     def adopt_states(self, values: tuple[object, ...]) -> None:
         """Record state values that were sent to the backend without the cache."""
@@ -259,10 +369,11 @@ class Core:
             if len(self._samplers) >= MAX_SAMPLERS:
                 given = f"a different sampler more, {descriptor}"
                 self.refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to {MAX_SAMPLERS} in all", "reuse samplers")
-            sampler = self.new_id()
-            self.backend.create_sampler(sampler, descriptor)
-            self._samplers[descriptor] = sampler
-            self.sampler_descriptors[sampler] = descriptor
+            with HeldInterrupts():  # it belongs to the device, not to whoever asks first
+                sampler = self.new_id()
+                self.backend.create_sampler(sampler, descriptor)
+                self._samplers[descriptor] = sampler
+                self.sampler_descriptors[sampler] = descriptor
         return sampler
 
     def signal(self) -> int:

@@ -19,6 +19,7 @@ from weakref import WeakSet
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
@@ -101,11 +102,15 @@ class Timeline:
 
     def retire(self, resource: Id, size: int = 0) -> None:
         """Destroy `resource`, of `size` bytes, once the GPU has executed everything submitted so far."""
-        with self._lock:
-            watchers = [*self._watchers[_ALL], *self._watchers.pop(resource, ())]
-        for watcher in watchers:  # first, so that what was made of a resource is destroyed before it
-            watcher.note_retired(resource)
-        self._retired.append((self.signalled + 1, resource))
+        if resource in self._watchers or self._watchers[_ALL]:
+            with HeldInterrupts():  # all of them have to know
+                with self._lock:
+                    watchers = [*self._watchers[_ALL], *self._watchers.pop(resource, ())]
+                for watcher in watchers:  # first, so that what was made of a resource is destroyed before it
+                    watcher.note_retired(resource)
+                self._retired.append((self.signalled + 1, resource))
+        else:
+            self._retired.append((self.signalled + 1, resource))
         self._waiting += 1
         self._waiting_bytes += size
 
@@ -121,7 +126,20 @@ class Timeline:
             return
         completed = self.completed
         while self._retired and self._retired[0][0] <= completed:
-            self._backend.destroy(self._retired.popleft()[1])
+            with HeldInterrupts():
+                self._backend.destroy(self._retired.popleft()[1])
+
+    def reclaim(self) -> bool:
+        """Wait for the GPU, to destroy every retired resource; return whether there was any."""
+        if not self._retired:
+            return False
+        self.wait(self.signal())
+        self.collect()
+        return True
+
+    def is_retired(self, resource: Id) -> bool:
+        """Return whether a resource is retired and not yet destroyed."""
+        return any(retired == resource for _, retired in self._retired)
 
     def make_room(self) -> None:
         """Destroy retired resources if many were retired since the last signal; called before a creation.

@@ -15,6 +15,7 @@ from typing import Final
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.errors.rules import SCOPE_ORDER
 
 __rhi_internal__ = True
@@ -82,33 +83,48 @@ class Timers:
                 event.counted = False
             else:
                 self.end_frame()
-        if self.enabled and event.counted:  # both queries now: what can fail comes before anything is begun
-            event.begin = self._acquire_query()
-            try:
+        depth, siblings = len(self._open), self._open[-1].node.children if self._open else self._roots
+        labelled = False
+        try:
+            if self.enabled and event.counted:
+                event.begin = self._acquire_query()
                 event.end = self._acquire_query()
-            except BaseException:
-                self._free.append(event.begin)
-                raise
-        self._core.backend.push_label(label)
-        if event.begin:
-            self._core.backend.write_query(event.begin)
-        if event.counted:
-            (self._open[-1].node.children if self._open else self._roots).append(event.node)
-            self._count += 1
-        self._open.append(event)
+            self._core.backend.push_label(label)
+            labelled = True
+            if event.begin:
+                self._core.backend.write_query(event.begin)
+            if event.counted:
+                siblings.append(event.node)
+                self._count += 1
+            self._open.append(event)
+        except BaseException:
+            del self._open[depth:]
+            if siblings and siblings[-1] is event.node:
+                siblings.pop()
+            self._free += [query for query in (event.begin, event.end) if query]
+            if labelled:
+                self._core.backend.pop_label()
+            raise
         return event
+
+    def unwind(self, event: _PendingEvent) -> None:
+        """Close the events inside an open one, whose ends an interrupt has cut off."""
+        while event in self._open and self._open[-1] is not event:
+            self.end(self._open[-1])
 
     def end(self, event: _PendingEvent) -> None:
         """Close an event; `scope-order` if it is not the innermost open one."""
         if not self._open or self._open[-1] is not event:
             given = f"the end of {event.node.name!r}"
             self._core.refuse(SCOPE_ORDER, "device.event", given, "the innermost open event")
-        self._open.pop()
-        if event.end:
-            self._core.backend.write_query(event.end)
-            self._pending.append(event)
-        event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
-        self._core.backend.pop_label()
+        try:
+            self._open.pop()
+            if event.end:
+                self._core.backend.write_query(event.end)
+                self._pending.append(event)
+            event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
+        finally:
+            self._core.backend.pop_label()
 
     def end_frame(self) -> None:
         """Close the frame's tree, and read the frames whose timestamps are available."""
@@ -136,10 +152,14 @@ class Timers:
 
     def _acquire_query(self) -> Id:
         """Return an unused timestamp query, creating one if there is none."""
-        if self._free:
-            return self._free.pop()
-        query = self._core.new_id()
-        self._core.backend.create_query(query, QueryKind.TIMESTAMP)
+        free = self._free
+        if not free:
+            with HeldInterrupts():
+                query = self._core.new_id()
+                self._core.backend.create_query(query, QueryKind.TIMESTAMP)
+                free.append(query)
+        query = free[-1]
+        del free[-1]  # no call, after which an interrupt could come
         return query
 
     def _read(self, query: Id) -> int | None:
@@ -162,11 +182,19 @@ class EventScope:
 
     def __enter__(self) -> None:
         self._core.check_open()
-        self._events.append(self._timers.begin(self._label))
+        event = self._timers.begin(self._label)
+        try:
+            self._events.append(event)
+        except BaseException:
+            self._timers.end(event)
+            raise
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._core.closed:
-            self._timers.end(self._events[-1])
+            event = self._events[-1]
+            if kind is not None:
+                self._timers.unwind(event)
+            self._timers.end(event)
             self._events.pop()

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
 from rhi.contract.layout import accepts, compare_layouts
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource, destroy_on_error
+from rhi.device.resources.lifetime import Resource, retire
 from rhi.device.resources.locks import Lock
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
@@ -69,7 +69,7 @@ class Buffer(Resource):
         self.label = label
         self.destroyed = False
         self.id = core.create_id()
-        core.backend.create_buffer(self.id, BufferDescriptor(size, usage, label))
+        core.create(core.backend.create_buffer, self.id, BufferDescriptor(size, usage, label))
         self.bind_uniform = core.prepare_uniform(self.id)
 
     def __len__(self) -> int:
@@ -81,9 +81,8 @@ class Buffer(Resource):
     def destroy(self) -> None:
         """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
-            self.destroyed = True
             self.core.program = None
-            self.core.timeline.retire(self.id, self.size)
+            retire(self, self.size)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of `count` elements from `first` on; waits for work that may write them."""
@@ -201,8 +200,7 @@ class UniformBuffer(UniformRange[T], Resource):
             data, dtype = value.to_bytes(), layout.uniform_dtype
         owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
-        with destroy_on_error(owner):
-            owner._upload_bytes(data, 0)
+        owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
         """Replace the constants, ordered after the draws before."""

@@ -50,9 +50,14 @@ class Lock:
             core.refuse(LOCK_TWICE, "lock", describe_object(owner))
         array = self._read() if self._access.reads else self._make()
         array.flags.writeable = self._access.writes
-        core.locked.append(owner)
         core.program = None  # from now on every draw checks whether it uses a locked resource
         self._array = array
+        try:
+            core.locked.append(owner)
+        except BaseException:  # an interrupt; nobody will release it
+            self._array = None
+            self._release()
+            raise
         return array
 
     def __exit__(
@@ -61,7 +66,11 @@ class Lock:
         array, self._array = self._array, None
         if array is None:
             self._owner.core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
-        self._owner.core.locked.remove(self._owner)
+        self._release()
         if kind is None and self._access.writes and not self._owner.destroyed:
             self._write(array)
         array.flags.writeable = False
+
+    def _release(self) -> None:
+        locked = self._owner.core.locked
+        locked[:] = [owner for owner in locked if owner is not self._owner]

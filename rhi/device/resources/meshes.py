@@ -31,6 +31,7 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core, Owner
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.lifetime import Resource
 from rhi.errors import Rule
@@ -69,16 +70,9 @@ class MeshData:
         self.core = core
         self.label = label
         self.owned: list[Buffer] = []
-        try:
-            self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
-            self.instances = (
-                None if instance_array is None else self._buffer(instance_array, f"{label} instances")
-            )
-            self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
-        except BaseException:
-            for buffer in self.owned:  # a later buffer did not fit into memory
-                buffer.destroy()
-            raise
+        self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
+        self.instances = None if instance_array is None else self._buffer(instance_array, f"{label} instances")
+        self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
         self.index_format = IndexFormat.UINT32
         self.index_count: int | None = None
         if self.index_buffer is not None:
@@ -112,9 +106,10 @@ class MeshData:
             ValidationError: `mesh-attribute` if a field is missing or has a type that the stage can't read.
         """
         descriptor = self.describe_vertex_array(program, name, attributes)
-        vertex_array = self.core.new_id()
-        self.core.backend.create_vertex_array(vertex_array, descriptor)
-        self.keep_vertex_array(key, program, vertex_array)
+        with HeldInterrupts():
+            vertex_array = self.core.new_id()
+            self.core.create(self.core.backend.create_vertex_array, vertex_array, descriptor)
+            self.keep_vertex_array(key, program, vertex_array)
         return vertex_array
 
     def keep_vertex_array(self, key: object, program: Id, vertex_array: Id) -> None:

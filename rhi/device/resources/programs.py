@@ -20,6 +20,7 @@ from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.timeline import Timeline
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
+from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
 from rhi.errors.rules import (
@@ -87,7 +88,7 @@ class Program(Generic[P]):
         self.destroyed = False
         self.recorded_code: CodeType | None = None
         self.id = core.create_id()
-        core.backend.create_program(self.id, descriptor)
+        core.create(core.backend.create_program, self.id, descriptor)
         self._install_code(compile_draw_code(self.name, descriptor.bindings))
 
     def _install_code(self, code: CodeType) -> None:
@@ -109,10 +110,11 @@ class Program(Generic[P]):
         """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
             core = self.core
-            self.destroyed = True
             core.program = None
-            core.draws += core.draw_counters.pop(self.id)()
-            core.timeline.retire(self.id)
+            if self.id in core.draw_counters:
+                core.draws += core.draw_counters[self.id]()
+                del core.draw_counters[self.id]
+            retire(self)
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
@@ -145,7 +147,7 @@ class Program(Generic[P]):
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
             core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:

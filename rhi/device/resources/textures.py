@@ -25,7 +25,7 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import Format
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource
+from rhi.device.resources.lifetime import Resource, retire
 from rhi.device.resources.locks import Lock
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
@@ -84,7 +84,7 @@ class Texture(TextureBinding, Resource):
         integer_or_depth = descriptor.format.is_integer or descriptor.format.is_depth
         sampler = core.sampler(_NEAREST if integer_or_depth else _LINEAR)
         self.id = core.create_id()
-        core.backend.create_texture(self.id, descriptor)
+        core.create(core.backend.create_texture, self.id, descriptor)
         super().__init__(self.id, sampler, self)
 
     @property
@@ -129,9 +129,8 @@ class Texture(TextureBinding, Resource):
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
-            self.destroyed = True
             self.core.program = None
-            self.core.timeline.retire(self.id, _count_bytes(self.descriptor))
+            retire(self, _count_bytes(self.descriptor))
 
     # -- parts -------------------------------------------------------------------------------------------
 
