@@ -254,10 +254,10 @@ class CommandBuffer(Encoder):
         try:
             for call, arguments in calls:
                 call(*arguments)
+            device.adopt_states(core.states.hardware.values)
         except BaseException as error:
             self._clean_up(len(self._calls) - length_hint(calls) - 1, not isinstance(error, RhiError))
             raise
-        device.adopt_states(core.states.hardware.values)
         device.states.hardware_changes += core.states.hardware_changes
         device.states.software_changes += core.states.software_changes
         device.draws += self._draws
@@ -434,7 +434,7 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
             given = f"{use.name}, destroyed at {site}, used by a command recorded at {recorded}"
             core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
-            if use.owner in device.locked:
+            if device.is_locked(use.owner):
                 core.refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
         if device.condition_open and core.condition_count:
             given = f"{buffer!r}, which contains a condition, inside device.conditional"

@@ -12,11 +12,11 @@ from collections import deque
 from collections.abc import Callable
 from functools import wraps
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Concatenate, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
-from typing_extensions import Concatenate, ParamSpec
+from typing_extensions import ParamSpec
 
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream

@@ -112,6 +112,8 @@ class ClBackend:
         finally:
             for resource in list(self._destroyers):
                 self.destroy(resource)
+            self._fence.release()
+            self._rasteriser.release()
 
     # -- resources ---------------------------------------------------------------------------------------
 

@@ -161,9 +161,13 @@ class RenderStates:
 
     def set(self, changes: Sequence[StateChange]) -> None:
         values, apply = self.values, self._apply
-        for state, value in changes:
-            values[state] = value
-            apply[state](value)
+        try:
+            for state, value in changes:
+                values[state] = value
+                apply[state](value)
+        except BaseException:  # clears go by the values, so that GL has to have those, whichever they are
+            self.apply_all()
+            raise
 
     def set_target_size(self, size: tuple[int, int]) -> None:
         """Set the size of the pass that begins, to which `Viewport.TARGET` refers."""

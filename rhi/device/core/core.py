@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
@@ -133,6 +134,7 @@ class Core:
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
         draw_counters: by program's id, a function that returns its number of draws since the last call.
         locked: resources with an open lock; while there are any, every draw checks everything.
+        lock_blocks: weak references to the blocks of those locks.
         created: ids of the resources that the open `creation` block has created so far.
     """
 
@@ -151,6 +153,7 @@ class Core:
         "draw_counters",
         "draws",
         "frame_rings",
+        "lock_blocks",
         "locked",
         "open_query",
         "pass_block",
@@ -190,6 +193,7 @@ class Core:
         self.targets: frozenset[Id] = frozenset()
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
+        self.lock_blocks: list[weakref.ref[object]] = []
         self.draw_counters: dict[Id, Callable[[], int]] = {}
         self.frame_rings: list[Ring] = []
         self.tests_alpha = False
@@ -257,7 +261,7 @@ class Core:
             )
         if owner.destroyed:
             self.refuse(RESOURCE_DESTROYED, call, describe_object(owner))
-        if owner in self.locked:
+        if self.locked and self.is_locked(owner):
             self.refuse(LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
     def abandon_query(self) -> bool:
@@ -292,6 +296,25 @@ class Core:
         finally:
             if not self.closed:
                 self.backend.end_pass()
+
+    def lock(self, owner: Owner, block: object) -> None:
+        """Note that a resource is locked by a `with` block."""
+        with HeldInterrupts():
+            self.lock_blocks.append(weakref.ref(block))
+            self.locked.append(owner)
+
+    def unlock(self, block: object = None) -> None:
+        """Note that a block has released its resource, and release those whose blocks were left without their end."""
+        with HeldInterrupts():
+            for index in reversed(range(len(self.locked))):
+                if self.lock_blocks[index]() in (block, None):
+                    del self.lock_blocks[index], self.locked[index]
+
+    def is_locked(self, owner: Owner) -> bool:
+        """Return whether a resource has an open lock."""
+        if owner in self.locked:
+            self.unlock()
+        return owner in self.locked
 
     def forget_program(self) -> None:
         """Invalidate the current program: its bindings are no longer in place."""

@@ -12,8 +12,8 @@ knows of it (`Core.creation`).
 
 from __future__ import annotations
 
-import signal
 import threading
+from _signal import SIGINT, getsignal, signal  # those of `signal` convert to enums and back, for 3 µs
 from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Final
@@ -35,13 +35,13 @@ class HeldInterrupts:
     def __enter__(self) -> None:
         if threading.current_thread() is not _MAIN:
             return
-        before = signal.getsignal(signal.SIGINT)
+        before = getsignal(SIGINT)
         if callable(before) and getattr(before, "__func__", None) is not HeldInterrupts._hold:
             try:
                 self._before = before
-                signal.signal(signal.SIGINT, self._hold)
+                signal(SIGINT, self._hold)
             except BaseException:  # an interrupt came just before
-                signal.signal(signal.SIGINT, before)
+                signal(SIGINT, before)
                 raise
 
     def _hold(self, number: int, frame: FrameType | None) -> None:
@@ -55,6 +55,6 @@ class HeldInterrupts:
     ) -> None:
         before = self._before
         if before is not None:
-            signal.signal(signal.SIGINT, before)
+            signal(SIGINT, before)
             if self._came is not None:
                 before(*self._came)

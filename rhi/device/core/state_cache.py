@@ -271,13 +271,14 @@ class StateScope:
         cache = self._cache
         wanted = cache.wanted
         target = wanted.after.get(self) or cache._derive(self)
+        count = len(self.states)  # from the push on nothing may be interrupted, so it calls nothing
         try:
             cache._stack.push(wanted)
         except RhiError as error:  # the stack is full
             cache.refusals.note(error)
             raise
         cache.wanted = target
-        cache.software_changes += len(self.states)
+        cache.software_changes += count
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None

@@ -8,7 +8,9 @@ in a program that never presents: further events inside an open one are only lab
 from __future__ import annotations
 
 import time
+import weakref
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final
@@ -46,6 +48,7 @@ class _PendingEvent:
     begin: Id = 0
     end: Id = 0
     counted: bool = True  # whether it is in the tree
+    block: Callable[[], object] = lambda: True  # a weak reference to its `with` block
 
 
 MAX_FRAMES: Final = 8
@@ -77,6 +80,8 @@ class Timers:
 
     def begin(self, label: str) -> _PendingEvent:
         """Open an event inside the innermost open one."""
+        if self._open:
+            self._end_abandoned()
         event = _PendingEvent(TimerNode(label), time.perf_counter())
         if self._count >= MAX_EVENTS:
             if self._open:
@@ -112,6 +117,11 @@ class Timers:
         while event in self._open and self._open[-1] is not event:
             self.end(self._open[-1])
 
+    def _end_abandoned(self) -> None:
+        """Close open events whose blocks were left without their end; see `Core.has_open_pass`."""
+        while self._open and self._open[-1].block() is None:
+            self.end(self._open[-1])
+
     def end(self, event: _PendingEvent) -> None:
         """Close an event; `scope-order` if it is not the innermost open one."""
         if not self._open or self._open[-1] is not event:
@@ -128,6 +138,7 @@ class Timers:
 
     def end_frame(self) -> None:
         """Close the frame's tree, and read the frames whose timestamps are available."""
+        self._end_abandoned()
         if not self._open and self._roots:
             self._frames.append((self._roots, self._pending))
             self._roots, self._pending, self._count = [], [], 0
@@ -172,7 +183,7 @@ class Timers:
 class EventScope:
     """A `with device.event(label):` block, which labels the commands inside and, with timing on, times them."""
 
-    __slots__ = ("_core", "_events", "_label", "_timers")
+    __slots__ = ("__weakref__", "_core", "_events", "_label", "_timers")
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
         self._core = core
@@ -184,6 +195,7 @@ class EventScope:
         self._core.check_open()
         event = self._timers.begin(self._label)
         try:
+            event.block = weakref.ref(self)
             self._events.append(event)
         except BaseException:
             self._timers.end(event)

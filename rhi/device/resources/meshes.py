@@ -192,9 +192,10 @@ class MeshData:
 
     def destroy(self) -> None:
         """Destroy the buffers that were created for this mesh."""
-        self._forget()
-        for buffer in self.owned:
-            buffer.destroy()
+        with HeldInterrupts():
+            self._forget()
+            for buffer in self.owned:
+                buffer.destroy()
 
 
 def _program_id(key: Any) -> Id:

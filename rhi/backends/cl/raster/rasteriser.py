@@ -92,6 +92,11 @@ class Rasteriser:
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self.vertex_arrays.create(vertex_array, descriptor, self._programs[descriptor.program])
 
+    def release(self) -> None:
+        """Release kernels and memory. Reference cycles would keep them until Python's next collection."""
+        self._batch.state = self.state.ready_for = self.state.target = None
+        self._launcher.release()
+
     # -- buffers and textures --------------------------------------------------------------------------------
 
     def forget(self, resource: Id) -> None:
