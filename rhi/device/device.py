@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import wraps
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Concatenate, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,20 +72,18 @@ P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 B = TypeVar("B")
-R = TypeVar("R")
+F = TypeVar("F", bound=Callable[..., Any])
 
 
-def _creates(
-    method: Callable[Concatenate[Device, P], R],
-) -> Callable[Concatenate[Device, P], R]:
+def _creates(method: F) -> F:
     """Let a method create all of its resources or, if it is refused, fails or is interrupted, none (`Creation`)."""
 
     @wraps(method)
-    def create(self: Device, /, *arguments: P.args, **named: P.kwargs) -> R:
+    def create(self: Device, /, *arguments: Any, **named: Any) -> Any:
         with self._core.creation():
             return method(self, *arguments, **named)
 
-    return create
+    return cast("F", create)
 
 
 class Device(Encoder):

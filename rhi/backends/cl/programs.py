@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
@@ -105,7 +105,8 @@ class ComputeProgram:
         try:
             program = build(context.context, source.text, descriptor.flushes_denormals)
             # By name: kernels of `all_kernels` keep a reference to the program that is never released.
-            (name,) = filter(None, program.get_info(cl.program_info.KERNEL_NAMES).split(";"))
+            names: Any = program.get_info(cl.program_info.KERNEL_NAMES)
+            (name,) = filter(None, names.split(";"))
             kernel = cl.Kernel(program, name)
         except cl.Error as error:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error

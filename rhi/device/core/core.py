@@ -390,8 +390,8 @@ class Core:
         sampler = self._samplers.get(descriptor)
         if sampler is None:
             if len(self._samplers) >= MAX_SAMPLERS:
-                given = f"a different sampler more, {descriptor}"
-                self.refuse(DEVICE_CAPABILITY, "device.sampler", given, f"up to {MAX_SAMPLERS} in all", "reuse samplers")
+                more = f"one more sampler, {descriptor}"
+                self.refuse(DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones")
             with HeldInterrupts():  # it belongs to the device, not to whoever asks first
                 sampler = self.new_id()
                 self.backend.create_sampler(sampler, descriptor)

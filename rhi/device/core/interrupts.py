@@ -13,7 +13,7 @@ knows of it (`Core.creation`).
 from __future__ import annotations
 
 import threading
-from _signal import SIGINT, getsignal, signal  # those of `signal` convert to enums and back, for 3 µs
+from _signal import SIGINT, getsignal, signal  # type: ignore[import-not-found]  # without enums, a tenth of the time
 from collections.abc import Callable
 from types import FrameType, TracebackType
 from typing import Any, Final

@@ -1,8 +1,8 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
 Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
-its timestamps are available; `device.timers` is the tree of the latest such frame. A frame has at most `MAX_EVENTS`, also
-in a program that never presents: further events inside an open one are only labels, and otherwise a new tree begins.
+its timestamps are available; `device.timers` is the tree of the latest such frame. A frame has at most `MAX_EVENTS`,
+also in a program that never presents: further events inside an open one are only labels, otherwise a new tree begins.
 """
 
 from __future__ import annotations

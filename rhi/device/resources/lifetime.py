@@ -26,7 +26,7 @@ class Resource:
         self.destroy()
 
 
-class Destroyable(Protocol):
+class Retirable(Protocol):
     """A resource with an id of its own, as `retire` sees it."""
 
     core: Core
@@ -36,7 +36,7 @@ class Destroyable(Protocol):
     def id(self) -> Id: ...
 
 
-def retire(resource: Destroyable, size: int = 0) -> None:
+def retire(resource: Retirable, size: int = 0) -> None:
     """Mark a resource as destroyed and retire it; `size` in bytes. After an interrupt both or none is done."""
     timeline = resource.core.timeline
     resource.destroyed = True

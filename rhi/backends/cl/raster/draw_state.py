@@ -59,7 +59,8 @@ class DrawState:
         self.has_clears = False  # whether some of the target may still have to be cleared
         self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
         self._memo: dict[tuple[object, ...], tuple[MergerKey, Kernel, bytes, dict[str, float]]] = {}
-        self._tables: dict[tuple[object, ...], dict[str, float]] = {}  # shared by entries that differ in their views only
+        # The tables of the memo, shared by entries that differ only in their views.
+        self._tables: dict[tuple[object, ...], dict[str, float]] = {}
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         textures = self._textures
