@@ -44,6 +44,10 @@ FOREVER: Final = 3600.0
 """Timeout in seconds of a wait that has no limit; a device that takes longer counts as lost."""
 
 
+SAMPLE_COUNTS: Final = (1, 2, 4, 8)
+"""Numbers of samples that textures of any device can have."""
+
+
 @dataclass(frozen=True, slots=True)
 class Capabilities:
     """The features and limits of a device. The front end refuses calls that need a feature whose flag is False."""
@@ -55,7 +59,8 @@ class Capabilities:
     max_texture_size: int = 16384
     max_texture_layers: int = 2048
     max_color_targets: int = 8
-    max_samples: int = 4
+    sample_counts: tuple[int, ...] = (1, 2, 4)
+    """Numbers of samples that textures can have, in ascending order: 1 and some of 2, 4 and 8."""
     max_vertex_attributes: int = 16
     max_uniform_bytes: int = 16384
     max_storage_bytes: int = 1 << 27
@@ -70,6 +75,9 @@ class Capabilities:
     max_anisotropy: float = 1.0
     uniform_alignment: int = 256
     storage_alignment: int = 256
+    copy_alignment: int = 1
+    """Offsets and sizes of `Backend.copy_buffer` are multiples of this number of bytes. Writes and reads aren't bound
+    by it."""
 
     compute: bool = True
     draws: bool = True
@@ -85,16 +93,26 @@ class Capabilities:
     conditional_rendering: bool = True
     timestamps: bool = True
     stencil: bool = True
+    stencil_per_face: bool = True
+    """Whether front and back faces can have different stencil references and masks. Functions and operations always
+    can."""
     alpha_test: bool = False
     alpha_to_coverage: bool = True
     depth_bias_clamp: bool = True
     blend_per_target: bool = True
+    border_colors: bool = True
+    """Whether samplers can have `Wrap.BORDER`, with any border color."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that color targets can't have."""
     passed_over: tuple[str, ...] = ()
     """Devices that were tried before this one, each with the reason why it can't be used."""
+
+    @property
+    def max_samples(self) -> int:
+        """The largest of `sample_counts`."""
+        return self.sample_counts[-1]
 
     @property
     def renders(self) -> bool:

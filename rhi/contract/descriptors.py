@@ -147,6 +147,11 @@ class SamplerDescriptor:
     compare: Comparison | None = None
     max_anisotropy: float = 1.0
 
+    @property
+    def uses_border(self) -> bool:
+        """Whether any axis wraps to the border color."""
+        return Wrap.BORDER in (self.wrap_u, self.wrap_v, self.wrap_w)
+
 
 @dataclass(frozen=True, slots=True)
 class Region:

@@ -38,7 +38,10 @@ from rhi.contract.states import (
     AlphaToCoverage,
     BlendFunction,
     PolygonOffset,
+    StencilReadMask,
+    StencilReference,
     StencilTest,
+    StencilWriteMask,
 )
 from rhi.device.command_buffer import CommandBuffer, check_submissions
 from rhi.device.core.core import Core, Statistics
@@ -469,6 +472,8 @@ def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
         lacking |= dict.fromkeys((AlphaTest, AlphaFunction, AlphaReference), "alpha_test")
     if not capabilities.stencil:
         lacking[StencilTest] = "stencil"
+    if not capabilities.stencil_per_face:
+        lacking |= dict.fromkeys((StencilReference, StencilReadMask, StencilWriteMask), "stencil_per_face")
     if not capabilities.alpha_to_coverage:
         lacking[AlphaToCoverage] = "alpha_to_coverage"
     if not capabilities.blend_per_target:

@@ -78,7 +78,7 @@ def create_device(
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
-    create = _find_function(name)
+    create = find_function(name)
     if options:
         accepted = list(inspect.signature(create).parameters.keys() - {"validation"})
         unknown = sorted(options.keys() - accepted)
@@ -88,8 +88,12 @@ def _create_named(name: str, validation: bool, options: Mapping[str, object]) ->
     return create(validation=validation, **options)
 
 
-def _find_function(name: str) -> Callable[..., Backend]:
-    """Return the function that creates the backend of this name."""
+def find_function(name: str) -> Callable[..., Backend]:
+    """Return the function that creates the backend of this name; it isn't called.
+
+    Raises:
+        DeviceError: `device-unknown` if no backend has this name, or its module can't be imported.
+    """
     point = _entry_points().get(name)
     if ":" in name:
         point = EntryPoint(name, name, GROUP)

@@ -15,7 +15,7 @@ from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
 from rhi.contract.backend import Backend, PreparesDraws
-from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
+from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
 from rhi.contract.states import AlphaTest
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.refusals import RefusalLog
@@ -379,13 +379,17 @@ class Core:
         """Return the id of a sampler; equal descriptors share one.
 
         Raises:
-            ValidationError: `device-capability` for more anisotropy than the device supports, and for more than
-                `MAX_SAMPLERS` different samplers.
+            ValidationError: `device-capability` for more anisotropy than the device supports, for a border that it
+                lacks, and for more than `MAX_SAMPLERS` different samplers.
         """
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
             self.refuse(
                 DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}"
+            )
+        if descriptor.uses_border and not self.capabilities.border_colors:
+            self.refuse(
+                DEVICE_CAPABILITY, "device.sampler", str(Wrap.BORDER), "needs capabilities.border_colors"
             )
         sampler = self._samplers.get(descriptor)
         if sampler is None:

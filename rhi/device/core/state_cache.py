@@ -28,6 +28,9 @@ from rhi.contract.states import (
     PolygonOffset,
     State,
     StateChange,
+    StencilReadMask,
+    StencilReference,
+    StencilWriteMask,
     default_values,
 )
 from rhi.device.core.containers import FixedStack
@@ -248,6 +251,8 @@ def _needs_capability(state: State) -> bool:
         return state.target is not None
     if isinstance(state, PolygonOffset):
         return state.clamp != 0.0
+    if isinstance(state, StencilReference | StencilReadMask | StencilWriteMask):
+        return state.front != state.back
     return state != DEFAULTS[type(state)]
 
 

@@ -140,6 +140,11 @@ class Buffer(Resource):
                 self.core.refuse(
                     BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
                 )
+            alignment = core.capabilities.copy_alignment
+            if start % alignment or size % alignment:
+                self.core.refuse(
+                    BUFFER_ALIGNMENT, call, f"{size} bytes at {start}", f"multiples of {alignment} bytes"
+                )
         if target is self and abs(offset - target_offset) < size:
             self.core.refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
         core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)

@@ -400,9 +400,9 @@ def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     if not 1 <= descriptor.levels <= most:
         core.refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
     samples = descriptor.samples
-    if samples not in (1, 2, 4, 8) or samples > limits.max_samples:
+    if samples not in limits.sample_counts:
         core.refuse(
-            TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}"
+            TEXTURE_SAMPLES, call, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples"
         )
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
         core.refuse(
