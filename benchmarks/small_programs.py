@@ -9,10 +9,10 @@
 - text: 2,000 blended quads, whose alpha is a texture.
 - cubes: 1,000 instances of a cube.
 
-Both backends take turns, round by round, in one process, with the shaders' default precision and with FAST. A time runs
-from the first command until the device is finished; figures are medians over the rounds. `ratio` is gl's time divided by
-cl's, by the clock; `processor` is the same of the processor time of all threads. Above 1, cl is faster. `empty` is a
-pass that only clears: what a frame costs before anything is drawn.
+Both backends take turns, round by round, in one process, with the shaders' default precision and with FAST. A time
+runs from the first command until the device is finished; figures are medians over the rounds. `ratio` is gl's time
+divided by cl's, by the clock; `processor` is the same of the processor time of all threads. Above 1, cl is faster.
+`empty` is a pass that only clears: what a frame costs before anything is drawn.
 
     python benchmarks/small_programs.py [--json] [--rounds 21] [--size 640x360] [--only julia,blur]
 """
@@ -323,12 +323,12 @@ class Bench:
                 device.draw(program, mesh, frame=frame)
 
         def draw_solid() -> None:
-            with device.render_pass(target, self.depth, clear=(0, 0, 0, 1), clear_depth=0.0):
-                with device.states(CullMode.NONE):
-                    if name == "cubes":
-                        device.draw(program, mesh, CUBES, frame=frame)
-                    else:
-                        device.draw(program, mesh, heights=self.heights)
+            cleared = device.render_pass(target, self.depth, clear=(0, 0, 0, 1), clear_depth=0.0)
+            with cleared, device.states(CullMode.NONE):
+                if name == "cubes":
+                    device.draw(program, mesh, CUBES, frame=frame)
+                else:
+                    device.draw(program, mesh, heights=self.heights)
 
         def draw_blended() -> None:
             with device.render_pass(target, clear=(0, 0, 0, 1)), blended:

@@ -175,7 +175,7 @@ class House:
         assert core.states.wanted[Scissor] == Scissor.OFF
         assert core.open_query is None
         assert not core.condition_open
-        for ring in core.frame_rings:
+        for ring in (memory for memory in core.frame_rings if isinstance(memory, Ring)):
             assert 0 <= ring._head - ring._tail <= ring.capacity
             assert ring.buffer or ring._head == 0
             assert all(a <= b for a, b in zip(ring._marks, list(ring._marks)[1:], strict=False))

@@ -119,7 +119,7 @@ class RenderStates:
         self._gl = gl
         self._has_offset_clamp = has_offset_clamp
         self._size = (0, 0)
-        self._depth_range = (0.0, 1.0)
+        self._depth_range: tuple[float, float] | None = None
         self.values: dict[type, Any] = {
             state: (value,) * MAX_TARGETS if state in PER_TARGET else value
             for state, value in DEFAULTS.items()
@@ -154,7 +154,8 @@ class RenderStates:
         self.apply_all()
 
     def apply_all(self) -> None:
-        """Apply all values, whatever GL has."""
+        """Set all states anew, whatever GL's are. Programs do the alpha test."""
+        self._depth_range = None
         for state, value in self.values.items():
             if state not in (AlphaTest, AlphaFunction, AlphaReference):
                 self._apply[state](value)
@@ -165,7 +166,8 @@ class RenderStates:
             for state, value in changes:
                 values[state] = value
                 apply[state](value)
-        except BaseException:  # clears go by the values, so that GL has to have those, whichever they are
+        except BaseException:  # a variant with an alpha test wasn't made; the device counts all changes as sent
+            values.update(changes)
             self.apply_all()
             raise
 

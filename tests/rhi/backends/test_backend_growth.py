@@ -162,7 +162,8 @@ def test_repeating_leaves_no_objects_behind(
     house: House, repeat: Callable[[House], None], times: int
 ) -> None:
     def settle() -> int:
-        house.device.finish()
+        house.count_without_reading()
+        house.query.wait()  # looks at all batches, of which up to 64 may be waiting
         house.image.read()
         gc.collect()
         return count_reachable(house)
