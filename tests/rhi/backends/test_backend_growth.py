@@ -176,7 +176,7 @@ def test_repeating_leaves_no_objects_behind(
     for _ in range(times):
         repeat(house)
     grown = settle() - before
-    assert grown < times, f"{grown} objects in {times} repetitions"
+    assert grown < max(times, 16), f"{grown} objects in {times} repetitions"
 
 
 def test_the_count_sees_what_is_kept(house: House) -> None:
