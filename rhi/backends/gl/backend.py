@@ -407,11 +407,14 @@ class GlBackend:
         condition = self._condition
         if condition is not None:
             self.end_conditional()
-        self._states.open_masks(color, depth, stencil)
         try:
+            self._states.open_masks(color, depth, stencil)
             yield
-        finally:
             self._states.close_masks(color, depth, stencil)
+        except BaseException:  # an interrupt may have cut off any of them
+            self._states.apply_all()
+            raise
+        finally:
             if condition is not None:
                 self.begin_conditional(*condition)
 

@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, Generic, TypeVar
 
@@ -26,7 +25,7 @@ from rhi.contract.layout import (
     is_host_shareable,
 )
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource, destroy_on_error
+from rhi.device.resources.lifetime import Resource, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, as_whole
@@ -55,10 +54,9 @@ class Buffer(Resource):
         id: the buffer's id in the command stream.
         size: size in bytes.
         bind_uniform: a function of slot, offset and size that binds a range of the buffer.
-        dependents: functions to call when the buffer is destroyed.
     """
 
-    __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
+    __slots__ = ("bind_uniform", "core", "count", "destroyed", "dtype", "id", "label", "size")
 
     def __init__(
         self,
@@ -87,9 +85,8 @@ class Buffer(Resource):
         self.size = size
         self.label = label
         self.destroyed = False
-        self.dependents: list[Callable[[], None]] = []
         self.id = core.create_id()
-        core.backend.create_buffer(self.id, BufferDescriptor(size, usage, label))
+        core.create(core.backend.create_buffer, self.id, BufferDescriptor(size, usage, label))
         self.bind_uniform = core.prepare_uniform(self.id)
 
     def __len__(self) -> int:
@@ -102,12 +99,8 @@ class Buffer(Resource):
         """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.core.check_thread("destroy")
-            self.destroyed = True
             self.core.program = None
-            for invalidate in self.dependents:
-                invalidate()
-            self.dependents.clear()
-            self.core.timeline.retire(self.id)
+            retire(self, self.size)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of `count` elements from `first` on; waits for work that may write them."""
@@ -262,8 +255,7 @@ class UniformBuffer(UniformRange[T], Resource):
             data, dtype = constants.to_bytes(), type(constants).uniform_dtype
         owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
-        with destroy_on_error(owner):
-            owner._upload_bytes(data, 0)
+        owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
         """Replace the constants, ordered after the draws before."""

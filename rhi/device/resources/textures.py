@@ -27,7 +27,7 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import Format
 from rhi.device.core.core import Core
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
-from rhi.device.resources.lifetime import Resource
+from rhi.device.resources.lifetime import Resource, retire
 from rhi.device.resources.locks import Lock
 from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, Fields
@@ -104,7 +104,7 @@ class Texture(TextureBinding, Resource):
         integer_or_depth = descriptor.format.is_integer or descriptor.format.is_depth
         sampler = core.sampler(_NEAREST if integer_or_depth else _LINEAR)
         self.id = core.create_id()
-        core.backend.create_texture(self.id, descriptor)
+        core.create(core.backend.create_texture, self.id, descriptor)
         super().__init__(self.id, sampler, self)
 
     @property
@@ -150,9 +150,8 @@ class Texture(TextureBinding, Resource):
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.core.check_thread("destroy")
-            self.destroyed = True
             self.core.program = None
-            self.core.timeline.retire(self.id)
+            retire(self, _count_bytes(self.descriptor))
 
     # -- parts -------------------------------------------------------------------------------------------
 
@@ -586,6 +585,15 @@ def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:
 def full_levels(width: int, height: int, depth: int = 1) -> int:
     """Return the number of mip levels down to 1×1."""
     return max(width, height, depth).bit_length()
+
+
+def _count_bytes(descriptor: TextureDescriptor) -> int:
+    """Return the size of all levels, layers and samples in bytes; their alignment on the device isn't counted."""
+    texels = 0
+    for level in range(descriptor.levels):
+        width, height = descriptor.level_size(level)
+        texels += width * height * descriptor.level_layers(level)
+    return texels * descriptor.samples * descriptor.format.channels * descriptor.format.dtype.itemsize
 
 
 def _overlap(a: Region, b: Region) -> bool:
