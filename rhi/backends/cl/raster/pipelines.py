@@ -41,7 +41,8 @@ class GeometryKernels:
     """The kernels that all programs share."""
 
     def __init__(self, builds: Builds) -> None:
-        source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
+        texts = map(read_kernels, ("common", "triangles", "polygon", "setup", "bin"))
+        source = tables.common_macros() + "".join(texts)
         self.set_up, self.prefix, self.scatter = builds.build(source, ("set_up", "prefix", "scatter"))
 
 
@@ -111,7 +112,7 @@ class Pipeline:
         """Return the raster kernel for targets and states with this key, building it on first use."""
         if key not in self._raster:
             before = [
-                tables.common_macros(), read_kernels("common"), read_kernels("polygon"), key.defines(),
+                tables.common_macros(), *map(read_kernels, ("common", "triangles", "polygon")), key.defines(),
                 merger.read_source(),
             ]  # fmt: skip
             macros = tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT])
