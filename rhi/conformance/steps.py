@@ -76,7 +76,8 @@ STEPS: Final = (
     Step(
         "all together",
         (),
-        ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities"),
+        ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities",
+         "validation · threads"),
     ),
 )  # fmt: skip
 

@@ -1,8 +1,8 @@
 """Random triangles in clip space, what they must cover, and how deep they are: an exam of clipping and interpolation.
 
-- The truth is a set of lines in the window: the three edges, and what the near and the far plane cut. Weights divided by
-  w are linear in the window, also of a corner behind the eye (Olano and Greer 1997), so nothing has to be cut. Lines
-  are computed with 64 bits of mantissa where the machine has them, and evaluated in float64.
+- The truth is a set of lines in the window: the three edges, and what the near and the far plane cut. Weights divided
+  by w are linear in the window, also of a corner behind the eye (Olano and Greer 1997), so nothing has to be cut.
+  Lines are computed with 64 bits of mantissa where the machine has them, and evaluated in float64.
 - A sample farther than `MARGIN` from all lines is certain. Devices round window positions to 1/256 pixel, so only
   certain samples are judged.
 - Many triangles are drawn into one target, each into a cell of its own, which a viewport and a scissor make.

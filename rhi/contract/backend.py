@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -144,6 +145,47 @@ class PreparesDraws(Protocol):
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Register `call`, to be called whenever bindings are lost for a reason outside this device, such as another
         context of the process becoming current."""
+
+
+class HoldsContext(Protocol):
+    """Optional part of the contract, for platforms whose calls go to a context that is current on the calling thread,
+    and that any other code of the process may replace (OpenGL). These calls aren't commands; no recorder keeps them.
+    """
+
+    def resume(self) -> bool:
+        """Find out whether other code has made another context current (or none) since this backend was last used. If
+        so, do what `make_current` does and return True. The device calls this wherever the cost doesn't matter, never
+        for a draw.
+
+        Raises:
+            DeviceError: `device-context` if the platform refuses to make the context current.
+        """
+
+    def make_current(self) -> None:
+        """Make the context current on the calling thread, and set all of its state anew, whatever other code did to
+        it. Bindings may be lost, since the device binds everything again. Raises what `resume` raises."""
+
+    def release_current(self) -> None:
+        """Make the context current on no thread, so that another thread can call `make_current`."""
+
+
+class PreparesKernels(Protocol):
+    """Optional part of the contract: code for draws that is built before the first of them.
+
+    Platforms that build it with the program, or can't without a draw, leave it out.
+    """
+
+    def prepare_kernels(
+        self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
+        states: Sequence[StateChange],
+    ) -> Sequence[Future[None]]:  # fmt: skip
+        """Begin to build what draws of `program` need; return the ends of the builds, which never fail.
+
+        Args:
+            vertex_array: a vertex array of the program; 0 for none.
+            colors, depth, samples: the formats and samples of the targets; without any, they aren't known yet.
+            states: the value of every state type.
+        """
 
 
 class PreparedQueries(Protocol):

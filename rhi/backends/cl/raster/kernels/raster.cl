@@ -10,8 +10,8 @@
 //   triangle whose corners aren't rounded. Weights of covered texels are clamped for the same reason.
 // - Multi-sampled targets have four coverages and one shading.
 // - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
-// - targets.cl, the fragment stage and the macros of tables.py precede this text: OPEN_SURFACES, BINDINGS, VARYING_WORDS,
-//   VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH.
+// - targets.cl, the fragment stage and the macros of tables.py precede this text: FRAGMENT, BINDINGS, VARYING_WORDS,
+//   VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH. In a general kernel (targets.cl) depth isn't staged.
 
 #define LANE_X (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #define LANE_Y (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
@@ -63,21 +63,18 @@ INLINE int next_record(Records *records) {
 typedef struct {
     int a[3], b[3];        // per texel
     int x, y;              // the texel at which `c` is valid
-    int c[SAMPLES][3];     // rounded down to whole texels
+    int c[MAX_SAMPLES][3];     // rounded down to whole texels
     int16 lanes[3];        // increments for the texels of a block
 } Edges;
 
-#if SAMPLES == 4
-constant int sample_x[4] = {-32, 96, -96, 32}, sample_y[4] = {-96, -32, 32, 96};  // from the texel's centre, in subtexels
-#elif SAMPLES == 2
-constant int sample_x[2] = {-32, 32}, sample_y[2] = {-96, 96};  // off both diagonals, whose edges would cover both or none
-#else
-constant int sample_x[1] = {0}, sample_y[1] = {0};
-#endif
+constant int sample_x[7] = {0, -32, 32, -32, 96, -96, 32};  // from the texel's centre, in subtexels: for 1, 2, 4 samples;
+constant int sample_y[7] = {0, -96, 96, -96, -32, 32, 96};  // two lie off both diagonals, whose edges cover both or none
+#define SAMPLE_X(sample) sample_x[SAMPLES - 1 + (sample)]
+#define SAMPLE_Y(sample) sample_y[SAMPLES - 1 + (sample)]
 
 // Store an edge A x + B y per texel, valid at texel edges->x, edges->y, where its value is `start`. Return false if it has
 // nothing of the tile from there on inside.
-INLINE bool set_edge(Edges *edges, const int i, int a, int b, long start) {
+INLINE bool set_edge(const Targets *targets, Edges *edges, const int i, int a, int b, long start) {
     start += OWNS(a, b) - 1;
     // With a margin, since samples lie off the centres.
     long across = (long)TILE * (max(a, 0) + max(b, 0)) + abs(a) + abs(b), back = (long)TILE * (min(a, 0) + min(b, 0));
@@ -86,31 +83,33 @@ INLINE bool set_edge(Edges *edges, const int i, int a, int b, long start) {
     edges->a[i] = holds ? 0 : a;
     edges->b[i] = holds ? 0 : b;
     UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
-        edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * sample_x[sample] + (long)b * sample_y[sample]) >> 8);
+        edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * SAMPLE_X(sample) + (long)b * SAMPLE_Y(sample)) >> 8);
     return true;
 }
 
 // Compute the edges of a triangle of any size at texel x, y. Return false if it covers nothing of the tile from there on.
-INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
+INLINE bool find_edges(const Targets *targets, const int2 *points, int x, int y, Edges *edges) {
     edges->x = x;
     edges->y = y;
     UNROLL for (int i = 0; i < 3; ++i) {
         int2 from = points[i], to = points[i < 2 ? i + 1 : 0];
         int a = from.y - to.y, b = to.x - from.x;
         long start = (long)a * (x * SUBTEXELS - from.x) + (long)b * (y * SUBTEXELS - from.y);
-        if (!set_edge(edges, i, a, b, start)) return false;
+        if (!set_edge(targets, edges, i, a, b, start)) return false;
     }
     return true;
 }
 
 // The same for a triangle that the view cuts. `range`: what the near and far planes cut, in two edges.
-SEPARATE bool find_clipped_edges(const Contour *contour, int x, int y, Edges *edges, Edges *range) {
+SEPARATE bool find_clipped_edges(
+    const Targets *targets, const Contour *contour, int x, int y, Edges *edges, Edges *range
+) {
     edges->x = range->x = x;
     edges->y = range->y = y;
     for (int i = 0; i < 5; ++i) {
         int a, b;
         long start = find_contour_edge(contour, i, x, y, &a, &b);
-        if (!set_edge(i < 3 ? edges : range, i % 3, a, b, start)) return false;
+        if (!set_edge(targets, i < 3 ? edges : range, i % 3, a, b, start)) return false;
     }
     return true;
 }
@@ -141,7 +140,7 @@ INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int1
         const int a = edges->a[i], b = edges->b[i];
         starts[i] = (edges->lanes[i] << bits) + (edges->c[0][i] + a * x + b * y);
         int16 most = starts[i] + (max(a, 0) + max(b, 0)) * ((1 << bits) - 1);
-        if (SAMPLES > 1) most = add_sat(most, (int16)(abs(a) + abs(b)));  // samples lie off the centres
+        if (MAX_SAMPLES > 1) most = add_sat(most, (int16)(abs(a) + abs(b)));  // samples lie off the centres
         innermost |= most;
     }
     return bits_of(innermost >= 0);
@@ -152,7 +151,7 @@ INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int1
     (find_depth(view, &outline, &precise, (x + LANE_X) * SUBTEXELS + (aside), (y + LANE_Y) * SUBTEXELS + (below), inside) + \
      as_float(record[OFFSET]))
 
-#if SHADES
+#if FRAGMENT
 // Weights of the corners at 16 places, which interpolate the varyings.
 typedef struct {
     float16 near_w, weight1, weight2;  // with perspective
@@ -306,14 +305,16 @@ SINGLE raster(ulong address) {
 #endif
     const uint cleared = batch->cleared;
     if (place < 0 && !cleared) return;
-    OPEN_SURFACES
-    const Targets targets = open_targets(TARGET_ARGUMENTS);
+    global const Merger *merger = AT(const Merger, batch->places);
+    global const ulong *target_places = (global const ulong *)(merger + 1);
+    const Targets opened = open_targets(merger, batch->surfaces, target_places);
+    const Targets *targets = &opened;
     const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of the part inside the target, in whole blocks
     const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
     // Depth that is staged and written back is cleared in the staging area.
     const bool fills = STAGES_DEPTH && DEPTH_WRITES && place >= 0 && cleared >> COLOR_COUNT & 1;
     const uint in_memory = cleared ^ (uint)fills << COLOR_COUNT;
-    if (in_memory) clear_targets(&targets, target_places, in_memory, tile_x, tile_y, width, height);
+    if (in_memory) clear_targets(targets, target_places, in_memory, tile_x, tile_y, width, height);
     if (place < 0) return;
 #if STAGES_DEPTH
     float16 blocks[PARTS * PARTS * PART_BLOCKS];
@@ -324,7 +325,7 @@ SINGLE raster(ulong address) {
 #endif
     const float fresh_depth = as_float(*CLEAR_TEXEL(target_places, COLOR_COUNT));
     if (fills) fill_blocks(blocks, width, height, fresh_depth);
-    else stage_depth(&targets, tile_x, tile_y, width, height, blocks, false);
+    else stage_depth(targets, tile_x, tile_y, width, height, blocks, false);
 #if BOUNDS_DEPTH
     float16 block_bounds[PARTS * PARTS];
     float bounds[PARTS * PARTS] __attribute__((aligned(64)));
@@ -413,13 +414,13 @@ SINGLE raster(ulong address) {
         // Difference between the depth of a block's first texel and that of its nearest corner.
         const float to_nearest = fma(depth_x, GETS_NEARER(depth_x) ? 3.0f : 0.0f, depth_y * (GETS_NEARER(depth_y) ? 3.0f : 0.0f));
 #endif
-#if SHADES
+#if FRAGMENT
         global const float *planes = AT(const float, batch->planes) + (long)place * 16;
 #if VARYING_WORDS
         global const uint *varyings = AT(const uint, batch->varyings), *slots = (global const uint *)planes + SLOTS;
-        global const uint *corner0 = varyings + (long)slots[0] * VARYING_WORDS;
-        global const uint *corner1 = varyings + (long)slots[1] * VARYING_WORDS;
-        global const uint *corner2 = varyings + (long)slots[2] * VARYING_WORDS;
+        global const uint *corner0 = varyings + (SHADES ? (long)slots[0] * VARYING_WORDS : 0);
+        global const uint *corner1 = varyings + (SHADES ? (long)slots[1] * VARYING_WORDS : 0);
+        global const uint *corner2 = varyings + (SHADES ? (long)slots[2] * VARYING_WORDS : 0);
 #endif
 #endif
 
@@ -452,7 +453,7 @@ SINGLE raster(ulong address) {
                 edges.x = box_x;
                 edges.y = box_y;
             } else if (kind == CLIPPED) {
-                if (!find_clipped_edges(&contour, x0, y0, &edges, &range)) break;
+                if (!find_clipped_edges(targets, &contour, x0, y0, &edges, &range)) break;
             } else {
                 int2 triangle[3];
                 if (kind == BIG) {
@@ -464,7 +465,7 @@ SINGLE raster(ulong address) {
                     triangle[1] = points[piece + 1];
                     triangle[2] = points[piece + 2];
                 }
-                if (!find_edges(triangle, x0, y0, &edges)) continue;
+                if (!find_edges(targets, triangle, x0, y0, &edges)) continue;
             }
             UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
             int16 starts[3];
@@ -482,8 +483,11 @@ SINGLE raster(ulong address) {
                     todo &= cross_squares(&edges, part_x, part_y, 2, starts);
                     const float16 first_depths =
                         fma((float16)(depth_x), LANE_FX * 4.0f + part_away_x, depth_y * (LANE_FY * 4.0f + part_away_y)) + depth_start;
-#if BOUNDS_DEPTH && DEPTH_WRITES  // without writes, most blocks have the bound of their part, which was tested
-                    todo &= ~bits_of(BEHIND(round_depth(clamp_to(first_depths + to_nearest, lowest, highest)), block_bounds[part]));
+#if BOUNDS_DEPTH
+                    if (DEPTH_WRITES) {  // without writes, most blocks have the bound of their part, which was tested
+                        const float16 nearest = round_depth(targets, clamp_to(first_depths + to_nearest, lowest, highest));
+                        todo &= ~bits_of(BEHIND(nearest, block_bounds[part]));
+                    }
 #endif
                     if (!todo) continue;
                     UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
@@ -495,8 +499,8 @@ SINGLE raster(ulong address) {
                     start_depth[block] =
                         fma(depth_x, column * 4.0f + part_away_x, depth_y * (row_of_blocks * 4.0f + part_away_y)) + depth_start;
                 }
-#if BOUNDS_DEPTH && DEPTH_WRITES
-                writes[part] += popcount(todo);
+#if BOUNDS_DEPTH
+                if (DEPTH_WRITES) writes[part] += popcount(todo);
 #endif
                 for (; todo; todo &= todo - 1) {
                     const int place_in_part = 31 - clz(todo & -todo);
@@ -507,7 +511,7 @@ SINGLE raster(ulong address) {
                     int16 box = (int16)(-1);
                     if (flags & CUTS)
                         box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
-                    int16 masks[SAMPLES], covered = (int16)(0);
+                    int16 masks[MAX_SAMPLES], covered = (int16)(0);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
                                                 (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
@@ -522,9 +526,9 @@ SINGLE raster(ulong address) {
 #if STAGES_DEPTH
                     // The same as merge_depth_stencil for one sample without stencil, on the staged block.
                     float16 *block = blocks + part * PART_BLOCKS + place_in_part;
-                    float16 stored = *block, fresh = round_depth(clamp_to(z, lowest, highest));
+                    float16 stored = *block, fresh = round_depth(targets, clamp_to(z, lowest, highest));
 #if TEST_ORDER != TEST_LATE || !SHADES
-                    covered &= compare_depth(fresh, stored);
+                    covered &= compare_depth(targets, fresh, stored);
                     masks[0] = covered;
 #if DEPTH_WRITES && (TEST_ORDER == TEST_EARLY || !SHADES)
 #if SHADES
@@ -537,30 +541,30 @@ SINGLE raster(ulong address) {
 #endif
 #endif
 #endif
-#if SHADES || !STAGES_DEPTH
+#if FRAGMENT || !STAGES_DEPTH
                     if (!bits_of(covered)) continue;
 #endif
-#define PLANE_DEPTH (z + (depth_x * (sample_x[sample] / 256.0f) + depth_y * (sample_y[sample] / 256.0f)))
+#define PLANE_DEPTH (z + (depth_x * (SAMPLE_X(sample) / 256.0f) + depth_y * (SAMPLE_Y(sample) / 256.0f)))
 #define SAMPLE_DEPTH \
-    clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(sample_x[sample], sample_y[sample], masks[sample]) : PLANE_DEPTH, lowest, highest)
-#if !STAGES_DEPTH && (TEST_ORDER != TEST_LATE || !SHADES)
-                    covered = (int16)(0);
-                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
-#if TEST_ORDER == TEST_EARLY || !SHADES
-                        masks[sample] =
-                            merge_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-                        passed -= masks[sample];
-#else
-                        masks[sample] =
-                            test_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-#endif
-                        covered |= masks[sample];
+    clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(SAMPLE_X(sample), SAMPLE_Y(sample), masks[sample]) : PLANE_DEPTH, lowest, highest)
+#if !STAGES_DEPTH
+                    if (TEST_ORDER != TEST_LATE || !SHADES) {
+                        covered = (int16)(0);
+                        UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                            if (TEST_ORDER == TEST_EARLY || !SHADES) {
+                                masks[sample] =
+                                    merge_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                                passed -= masks[sample];
+                            } else
+                                masks[sample] =
+                                    test_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                            covered |= masks[sample];
+                        }
+                        if (SHADES && !bits_of(covered)) continue;
                     }
-#if SHADES
-                    if (!bits_of(covered)) continue;
 #endif
-#endif
-#if SHADES
+#if FRAGMENT
+                    if (!SHADES) continue;
                     float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
                     Weights weights = thin ? find_thin_weights(&outline, &precise, x, y, inside)
                                            : find_weights(planes, away_x, away_y);
@@ -577,35 +581,38 @@ SINGLE raster(ulong address) {
                     int16 kept = rhi_fragment(
                         BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
                         front, as_int(planes[NUMBER]), covered, outputs, &depth);
-                    kept = test_alpha(state, kept, outputs);
+                    kept = test_alpha(targets, state, kept, outputs);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         int16 mask = masks[sample] & kept;
-                        if (SAMPLES > 1) mask = cover_by_alpha(mask, outputs, sample);
-#if STAGES_DEPTH && TEST_ORDER != TEST_EARLY
-                        fresh = GIVES_DEPTH ? quantize_depth(depth) : fresh;
-                        mask &= compare_depth(fresh, stored);
+                        if (MAX_SAMPLES > 1) mask = cover_by_alpha(targets, mask, outputs, sample);
+#if STAGES_DEPTH
+#if TEST_ORDER != TEST_EARLY
+                        fresh = GIVES_DEPTH ? quantize_depth(targets, depth) : fresh;
+                        mask &= compare_depth(targets, fresh, stored);
                         if (DEPTH_WRITES) *block = mask ? fresh : stored;
                         passed -= mask;
-#elif TEST_ORDER != TEST_EARLY
-                        mask = merge_depth_stencil(&targets, state, x, y, sample, front, mask,
-                                                   GIVES_DEPTH ? depth : SAMPLE_DEPTH);
-                        passed -= mask;
 #endif
-#if COLOR_COUNT
-                        if (SAMPLES == 1 || bits_of(mask)) merge_colors(&targets, state, x, y, sample, mask, outputs);
+#else
+                        if (TEST_ORDER != TEST_EARLY) {
+                            mask = merge_depth_stencil(targets, state, x, y, sample, front, mask,
+                                                       GIVES_DEPTH ? depth : SAMPLE_DEPTH);
+                            passed -= mask;
+                        }
 #endif
+                        if (COLOR_COUNT && (MAX_SAMPLES == 1 || bits_of(mask)))
+                            merge_colors(targets, state, x, y, sample, mask, outputs);
                     }
 #endif
                 }
-#if BOUNDS_DEPTH && DEPTH_WRITES
-                if (writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
+#if BOUNDS_DEPTH
+                if (DEPTH_WRITES && writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
 #endif
             }
         }
     }
     count_samples(batch, samples, passed);
-#if STAGES_DEPTH && DEPTH_WRITES
-    stage_depth(&targets, tile_x, tile_y, width, height, blocks, true);
+#if STAGES_DEPTH
+    if (DEPTH_WRITES) stage_depth(targets, tile_x, tile_y, width, height, blocks, true);
 #endif
 #if BOUNDS_DEPTH
     for (int part = 0; part < PARTS * PARTS; ++part) {
