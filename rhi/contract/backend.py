@@ -108,6 +108,9 @@ class Capabilities:
     alpha_test: bool = False
     alpha_to_coverage: bool = True
     depth_bias_clamp: bool = True
+    precise_triangles: bool = True
+    """Whether depth is within 2e-5 of float64 and varyings within the corners' range for triangles however thin, and
+    coverage right however far a triangle reaches beyond the view."""
     blend_per_target: bool = True
     border_colors: bool = True
     """Whether samplers can have `Wrap.BORDER`, with any border color."""

@@ -75,6 +75,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         timestamps=timestamp_bits.value > 0,
         alpha_test=True,
         depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),
+        precise_triangles=False,  # GL promises neither; docs/backends-gl.md has llvmpipe's worst cases
         unsupported_formats=unsupported,
         unrenderable_formats=unrenderable,
     )  # fmt: skip

@@ -44,7 +44,8 @@ class GeometryKernels:
     """The kernels that all programs share."""
 
     def __init__(self, builds: Builds) -> None:
-        source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
+        texts = map(read_kernels, ("common", "triangles", "polygon", "setup", "bin"))
+        source = tables.common_macros() + "".join(texts)
         self.set_up, self.prefix, self.scatter = builds.build(make_text(source, ("set_up", "prefix", "scatter")))
 
 
@@ -163,8 +164,8 @@ class Pipeline:
             self.descriptor, fragment, stages_depth, bounds_depth, self._fault_places[Stage.FRAGMENT]
         )
         parts = (
-            tables.common_macros(), read_kernels("common"), read_kernels("polygon"), defines, merger.read_source(),
-            text.text, macros, read_kernels("raster"),
+            tables.common_macros(), *map(read_kernels, ("common", "triangles", "polygon")), defines,
+            merger.read_source(), text.text, macros, read_kernels("raster"),
         )  # fmt: skip
         return make_text("\n".join(parts), (_RASTER,), self.descriptor.flushes_denormals)
 

@@ -7,6 +7,7 @@
 // - Window positions are integers in subtexels (1/256 texel) from the centre of texel 0, 0; y counts from the top.
 
 #define INLINE static inline __attribute__((always_inline))
+#define SEPARATE static __attribute__((noinline))  // for what is rare: smaller kernels are built sooner
 #define SINGLE kernel __attribute__((reqd_work_group_size(1, 1, 1))) void
 #define AT(type, address) ((global type *)(address))
 #define LANES (int16)(0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15)
@@ -31,15 +32,24 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 1
 enum { POINTS = 1, LINES = 2, TRIANGLES = 3 };
 
 // Records of primitives, 16 words each: three edges A x + B y + C, depth as a plane that begins at the box's first texel,
-// the first and the last texel of the box, flags, the nearest depth. setup.cl documents the representation of edges.
-enum { SMALL, BIG, POLYGON };
-enum { EDGE_A = 0, EDGE_B = 3, EDGE_C = 6, DEPTH_PLANE = 9, BOX_FIRST = 12, BOX_LAST = 13, FLAGS = 14, NEAREST = 15 };
+// the first and the last texel of the box, flags, and the range of depths. setup.cl documents the representation of edges.
+// The slopes of three edges add up to 0, so those of the last one aren't stored.
+enum { SMALL, BIG, POLYGON, CLIPPED };
+enum {
+    EDGE_A = 0, EDGE_B = 2, EDGE_C = 4, DEPTH_PLANE = 7, OFFSET = 10, BOX_FIRST = 11, BOX_LAST = 12, FLAGS = 13,
+    LOWEST = 14, HIGHEST = 15
+};
 // Records for shading: 1/w, and the weights of corners 1 and 2 divided by w, as planes; the w of these two corners, for
-// varyings without perspective; the slots of the three corners; the primitive's number in its draw.
-enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14 };
-enum { POLYGON_SLOTS = 0, POLYGON_PRIMITIVE = 3, POLYGON_FLIPPED = 4 };
-// Flags: the draw's number; whether the view cuts the blocks that the box touches; whether it is front-facing; the kind.
-#define PACK_FLAGS(draw, cuts, front, kind) ((draw) << 4 | (cuts) << 3 | (front) << 2 | (kind))
+// varyings without perspective; the slots of the three corners; the primitive's number in its draw; whether all corners lie
+// before the eye.
+enum { WEIGHTS = 3, CORNER_W = 9, SLOTS = 11, NUMBER = 14, IN_FRONT = 15 };
+// Instead of edges, records of POLYGON and CLIPPED have the slots of their corners in an order of positive area. So have THIN
+// ones instead of a plane.
+enum { CLIPPED_SLOTS = 0, POLYGON_PRIMITIVE = 3, THIN_SLOTS = DEPTH_PLANE };
+// Flags: the draw's number; whether planes in float32 don't suffice (triangles.cl); whether the view cuts the blocks that
+// the box touches; whether it is front-facing; the kind.
+#define PACK_FLAGS(draw, thin, cuts, front, kind) ((draw) << 5 | (thin) << 4 | (cuts) << 3 | (front) << 2 | (kind))
+enum { THIN = 16, CUTS = 8 };
 
 // Whether an edge owns the points on it: it is a left or a top edge. True is -1 for vectors and 1 for scalars.
 #define OWNS(a, b) (((a) > 0) | (((a) == 0) & ((b) > 0)))
@@ -203,8 +213,7 @@ INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global
     int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);
     if (left > right || top > bottom) return true;
     if (!batch->bounded || view->bias_units != 0.0f || view->bias_slope != 0.0f) return false;
-    // Depths are rounded, and so are corners, which changes slopes: a sliver's depth may lie slightly beyond its corners'.
-    float slack = 1e-6f + batch->depth_step + (whole.high - whole.low) * (1.0f / 64.0f);
+    const float slack = batch->depth_step;
     return is_hidden(AT(const float, batch->bounds), batch->tiles_x, batch->near_is_less, left, top, right, bottom,
                      batch->near_is_less ? whole.low - slack : whole.high + slack);
 }

@@ -1,18 +1,11 @@
-// Primitives that are rasterised as convex polygons: clipped triangles, lines, points.
+// Primitives that are rasterised as convex polygons: lines and points.
 //
 // - They are few, so each is computed by itself in scalars, and twice: set-up needs its box, and each tile that it touches
 //   needs its corners. So one record suffices for any polygon, and primitives keep their order.
-// - Clipping is against the view's depth range and a guard band far outside the target, never against the target. New
-//   corners are computed from the inner to the outer end of an edge, so two triangles that share the edge agree.
-// - The varyings of a clipped triangle are interpolated over the whole one (setup.cl), so only positions are clipped.
+// - Clipping is against the view's depth range and a guard band far outside the target, never against the target.
 
 #define MAX_POINT_SIZE 1024.0f  // texels; rhi.backends.cl.capabilities
-#define MAX_CORNERS 9  // three, and one more for each of six planes
-
-INLINE float4 load_clip(global const Batch *batch, uint slot) {
-    global const float *group = AT(const float, batch->clips) + (long)(slot / GROUP) * (4 * GROUP) + slot % GROUP;
-    return (float4)(group[0], group[GROUP], group[2 * GROUP], group[3 * GROUP]);
-}
+#define MAX_CORNERS 4
 
 // Return the signed distance of a clip position from a plane: near, far, then the four sides of the guard band.
 INLINE float inside_of(global const View *view, float4 p, int plane) {
@@ -43,35 +36,20 @@ INLINE float load_point_size(global const Batch *batch, uint slot) {
     return size >= 1.0f ? fmin(size, MAX_POINT_SIZE) : 1.0f;
 }
 
-// Compute the corners of a primitive in the window, in an order that makes its area positive. Return their number, or 0 if
-// nothing is left of it. `flipped`: whether a triangle has a negative area in the window. `size`: that of a point.
-INLINE int make_polygon(
-    global const View *view, const float4 *clips, int primitive, bool flipped, float size, int2 *points
-) {
-    float4 corners[MAX_CORNERS + 1], kept[MAX_CORNERS + 1];
-    int count = primitive;
-    for (int i = 0; i < count; ++i) corners[i] = clips[primitive == TRIANGLES && flipped ? (3 - i) % 3 : i];
+// Compute the corners of a line or a point in the window, in an order that makes its area positive. Return their number, or
+// 0 if nothing is left of it. `size`: that of a point.
+INLINE int make_polygon(global const View *view, const float4 *clips, int primitive, float size, int2 *points) {
+    float4 corners[2];
+    for (int i = 0; i < primitive; ++i) corners[i] = clips[i];
     for (int plane = 0; plane < 6; ++plane) {
-        int left = 0;
-        for (int i = 0; i < count; ++i) {
-            float4 p = corners[i], q = corners[i + 1 < count ? i + 1 : 0];
-            float at_p = inside_of(view, p, plane), at_q = inside_of(view, q, plane);
-            bool has_p = at_p >= 0.0f, has_q = at_q >= 0.0f;  // NaN is outside
-            if (has_p) kept[left++] = p;
-            if (has_p == has_q || (primitive == LINES && i == 1)) continue;
-            kept[left++] = has_p ? cut(p, q, at_p, at_q) : cut(q, p, at_q, at_p);
-        }
-        count = left;
-        for (int i = 0; i < count; ++i) corners[i] = kept[i];
+        float4 p = corners[0], q = corners[primitive - 1];
+        float at_p = inside_of(view, p, plane), at_q = inside_of(view, q, plane);
+        bool has_p = at_p >= 0.0f, has_q = at_q >= 0.0f;  // NaN is outside
+        if (!has_p && !has_q) return 0;
+        if (!has_p) corners[0] = cut(q, p, at_q, at_p);
+        if (!has_q) corners[1] = cut(p, q, at_p, at_q);
     }
-    if (count < primitive || !(corners[0].w > 0.0f)) return 0;
-    if (primitive == TRIANGLES) {
-        for (int i = 0; i < count; ++i) {
-            if (!(corners[i].w > 0.0f)) return 0;
-            points[i] = to_window(view, corners[i]);
-        }
-        return count;
-    }
+    if (!(corners[0].w > 0.0f)) return 0;
     int2 start = to_window(view, corners[0]);
     if (primitive == POINTS) {
         if (fabs(corners[0].x) > corners[0].w || fabs(corners[0].y) > corners[0].w) return 0;

@@ -5,7 +5,9 @@
 //   coverage, depth and shading are vectors of 16.
 // - The edges of large primitives are computed at the tile in 64 bits. An edge with all of the tile on its inside is
 //   dropped; one with all of the tile on its outside ends the record. The others fit in 32 bits. A polygon is a fan of
-//   such triangles.
+//   such triangles. A clipped triangle has five edges; those of the near and far planes are a mask.
+// - Depths of covered samples are clamped to the range of the corners' depths: texels next to an edge may lie outside of the
+//   triangle whose corners aren't rounded. Weights of covered texels are clamped for the same reason.
 // - Multi-sampled targets have four coverages and one shading.
 // - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
 // - targets.cl, the fragment stage and the macros of tables.py precede this text: FRAGMENT, BINDINGS, VARYING_WORDS,
@@ -70,6 +72,21 @@ constant int sample_y[7] = {0, -96, 96, -96, -32, 32, 96};  // two lie off both 
 #define SAMPLE_X(sample) sample_x[SAMPLES - 1 + (sample)]
 #define SAMPLE_Y(sample) sample_y[SAMPLES - 1 + (sample)]
 
+// Store an edge A x + B y per texel, valid at texel edges->x, edges->y, where its value is `start`. Return false if it has
+// nothing of the tile from there on inside.
+INLINE bool set_edge(const Targets *targets, Edges *edges, const int i, int a, int b, long start) {
+    start += OWNS(a, b) - 1;
+    // With a margin, since samples lie off the centres.
+    long across = (long)TILE * (max(a, 0) + max(b, 0)) + abs(a) + abs(b), back = (long)TILE * (min(a, 0) + min(b, 0));
+    if ((start >> 8) + across < 0) return false;
+    bool holds = (start >> 8) + back - abs(a) - abs(b) >= 0;
+    edges->a[i] = holds ? 0 : a;
+    edges->b[i] = holds ? 0 : b;
+    UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
+        edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * SAMPLE_X(sample) + (long)b * SAMPLE_Y(sample)) >> 8);
+    return true;
+}
+
 // Compute the edges of a triangle of any size at texel x, y. Return false if it covers nothing of the tile from there on.
 INLINE bool find_edges(const Targets *targets, const int2 *points, int x, int y, Edges *edges) {
     edges->x = x;
@@ -77,17 +94,32 @@ INLINE bool find_edges(const Targets *targets, const int2 *points, int x, int y,
     UNROLL for (int i = 0; i < 3; ++i) {
         int2 from = points[i], to = points[i < 2 ? i + 1 : 0];
         int a = from.y - to.y, b = to.x - from.x;
-        long start = (long)a * (x * SUBTEXELS - from.x) + (long)b * (y * SUBTEXELS - from.y) - 1 + OWNS(a, b);
-        // With a margin, since samples lie off the centres.
-        long across = (long)TILE * (max(a, 0) + max(b, 0)) + abs(a) + abs(b), back = (long)TILE * (min(a, 0) + min(b, 0));
-        if ((start >> 8) + across < 0) return false;
-        bool holds = (start >> 8) + back - abs(a) - abs(b) >= 0;
-        edges->a[i] = holds ? 0 : a;
-        edges->b[i] = holds ? 0 : b;
-        UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
-            edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * SAMPLE_X(sample) + (long)b * SAMPLE_Y(sample)) >> 8);
+        long start = (long)a * (x * SUBTEXELS - from.x) + (long)b * (y * SUBTEXELS - from.y);
+        if (!set_edge(targets, edges, i, a, b, start)) return false;
     }
     return true;
+}
+
+// The same for a triangle that the view cuts. `range`: what the near and far planes cut, in two edges.
+SEPARATE bool find_clipped_edges(
+    const Targets *targets, const Contour *contour, int x, int y, Edges *edges, Edges *range
+) {
+    edges->x = range->x = x;
+    edges->y = range->y = y;
+    for (int i = 0; i < 5; ++i) {
+        int a, b;
+        long start = find_contour_edge(contour, i, x, y, &a, &b);
+        if (!set_edge(targets, i < 3 ? edges : range, i % 3, a, b, start)) return false;
+    }
+    return true;
+}
+
+// Return the lanes of the block at texel x, y that the first two edges contain.
+INLINE int16 find_within(const Edges *range, int x, int y, const int sample) {
+    int16 innermost = (int16)(0);
+    UNROLL for (int i = 0; i < 2; ++i)
+        innermost |= range->a[i] * (x - range->x + LANE_X) + (range->b[i] * (y - range->y + LANE_Y) + range->c[sample][i]);
+    return innermost >= 0;
 }
 
 // Sets of 4 × 4 squares as bits: the parts of a tile, or the blocks of a part. A square has 2^`bits` texels a side.
@@ -114,12 +146,27 @@ INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int1
     return bits_of(innermost >= 0);
 }
 
+// Depth of a thin triangle in a block, at places in subtexels from the centres.
+#define FIND_DEPTH(aside, below, inside) \
+    (find_depth(view, &outline, &precise, (x + LANE_X) * SUBTEXELS + (aside), (y + LANE_Y) * SUBTEXELS + (below), inside) + \
+     as_float(record[OFFSET]))
+
 #if FRAGMENT
 // Weights of the corners at 16 places, which interpolate the varyings.
 typedef struct {
     float16 near_w, weight1, weight2;  // with perspective
     float16 straight1, straight2;      // without perspective
 } Weights;
+
+// Clamp weights to 0…1 where the place is covered. Elsewhere they stay linear, for derivatives. Corners behind the eye may have
+// any weight without perspective.
+INLINE void clamp_weights(float16 *weight1, float16 *weight2, int16 inside) {
+    float16 first = clamp_to(*weight1, 0.0f, 1.0f), second = *weight2, most = 1.0f - first;
+    second = second > 0.0f ? second : (float16)(0.0f);
+    second = second < most ? second : most;
+    *weight1 = inside ? first : *weight1;
+    *weight2 = inside ? second : *weight2;
+}
 
 INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
     Weights weights;
@@ -130,6 +177,21 @@ INLINE Weights find_weights(global const float *planes, float16 x, float16 y) {
     weights.weight2 = part2 * w;
     weights.straight1 = part1 * planes[CORNER_W];
     weights.straight2 = part2 * planes[CORNER_W + 1];
+    return weights;
+}
+
+// The same for a thin triangle, in the block at texel x, y.
+SEPARATE Weights find_thin_weights(const Outline *outline, const Barycentrics *precise, int x, int y, int16 inside) {
+    double16 parts[3];
+    find_parts(precise, (x + LANE_X) * SUBTEXELS, (y + LANE_Y) * SUBTEXELS, inside, parts);
+    double16 whole = parts[0] + parts[1] + parts[2], straight = (double16)(0.0);
+    for (int i = 0; i < 3; ++i) straight += parts[i] * outline->exact[i].z;
+    Weights weights;
+    weights.near_w = convert_float16(whole);
+    weights.weight1 = convert_float16(parts[1] / whole);
+    weights.weight2 = convert_float16(parts[2] / whole);
+    weights.straight1 = convert_float16(parts[1] * outline->exact[1].z / straight);
+    weights.straight2 = convert_float16(parts[2] * outline->exact[2].z / straight);
     return weights;
 }
 #define CORNER(k, word) as_float(corner##k[word])
@@ -302,8 +364,8 @@ SINGLE raster(ulong address) {
         const int kind = flags & 3, front = flags >> 2 & 1;
         const int box_x = first & 0xFFFF, box_y = first >> 16;  // the texel at which planes begin
         int first_x = box_x, first_y = box_y, last_x = last & 0xFFFF, last_y = last >> 16;
-        if (flags & 8) {
-            global const int *drawn = AT(const View, batch->views)[draws[flags >> 4].view].box;
+        if (flags & CUTS) {
+            global const int *drawn = AT(const View, batch->views)[draws[flags >> 5].view].box;
             first_x = max(first_x, drawn[0]);
             first_y = max(first_y, drawn[1]);
             last_x = min(last_x, drawn[2]);
@@ -314,11 +376,12 @@ SINGLE raster(ulong address) {
         uint parts = touch_squares(x0 - tile_x, y0 - tile_y, x1 - tile_x, y1 - tile_y, PART_BITS);
 #if BOUNDS_DEPTH
         const float16 bound = *(const float16 *)bounds;
-        parts &= ~bits_of(BEHIND(as_float(record[NEAREST]), bound));
+        const float closest = as_float(record[NEAR_IS_LESS ? LOWEST : HIGHEST]), step = batch->depth_step;
+        parts &= ~bits_of(BEHIND(NEAR_IS_LESS ? closest - step : closest + step, bound));
         if (!parts) continue;
 #endif
-        if (flags >> 4 != number) {
-            number = flags >> 4;
+        if (flags >> 5 != number) {
+            number = flags >> 5;
             draw = draws + number;
             view = AT(const View, batch->views) + draw->view;
             state = view->state;
@@ -330,7 +393,10 @@ SINGLE raster(ulong address) {
             }
         }
         global const float *depth_plane = (global const float *)(record + DEPTH_PLANE);
-        const float depth_x = depth_plane[0], depth_y = depth_plane[1];
+        const bool thin = flags & THIN;
+        const float lowest = as_float(record[LOWEST]), highest = as_float(record[HIGHEST]);
+        const float depth_x = thin ? 0.0f : depth_plane[0], depth_y = thin ? 0.0f : depth_plane[1];
+        const float depth_start = !thin ? depth_plane[2] : batch->near_is_less ? lowest : highest;
         const float16 lane_depth = fma((float16)(depth_x), LANE_FX, depth_y * LANE_FY);
 #if BOUNDS_DEPTH
         if (parts & (parts - 1)) {
@@ -339,9 +405,9 @@ SINGLE raster(ulong address) {
             const float slope_x = fabs(depth_x), slope_y = fabs(depth_y), middle = (PART - 1) / 2.0f;
             float reach = (slope_x + slope_y) * middle + 1e-6f + batch->depth_step +
                           0x1p-20f * (slope_x * (abs(away_x) + TILE) + slope_y * (abs(away_y) + TILE));
-            float start = depth_plane[2] + depth_x * (away_x + middle) + depth_y * (away_y + middle);
+            float start = depth_start + depth_x * (away_x + middle) + depth_y * (away_y + middle);
             float16 nearest = start + lane_depth * PART;
-            nearest = clamp_to(NEAR_IS_LESS ? nearest - reach : nearest + reach, 0.0f, 1.0f);
+            nearest = clamp_to(NEAR_IS_LESS ? nearest - reach : nearest + reach, lowest - step, highest + step);
             parts &= ~bits_of(BEHIND(nearest, bound));
             if (!parts) continue;
         }
@@ -358,25 +424,39 @@ SINGLE raster(ulong address) {
 #endif
 #endif
 
-        int2 points[MAX_CORNERS + 1];
+        int2 points[MAX_CORNERS];
         int pieces = 1;
+        bool is_point = false;
         if (kind == POLYGON) {
-            float4 clips[3];
-            UNROLL for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, record[POLYGON_SLOTS + i]);
-            const float size =
-                record[POLYGON_PRIMITIVE] == POINTS ? load_point_size(batch, record[POLYGON_SLOTS]) : 0.0f;
-            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], size, points) - 2;
+            float4 clips[2];
+            UNROLL for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, record[CLIPPED_SLOTS + i]);
+            is_point = record[POLYGON_PRIMITIVE] == POINTS;
+            const float size = is_point ? load_point_size(batch, record[CLIPPED_SLOTS]) : 0.0f;
+            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], size, points) - 2;
+        }
+        Outline outline;
+        Barycentrics precise;
+        Contour contour;
+        contour.fixed = 0;
+        if (thin || kind == CLIPPED) {
+            uint corners[3];
+            for (int i = 0; i < 3; ++i) corners[i] = record[(kind == CLIPPED ? CLIPPED_SLOTS : THIN_SLOTS) + i];
+            outline = load_outline(batch, view, corners);
+            precise = find_barycentrics(&outline);
+            if (kind == CLIPPED) contour = find_contour(&outline, &precise);
         }
         for (int piece = 0; piece < pieces; ++piece) {
-            Edges edges;
+            Edges edges, range;
             if (kind == SMALL) {
                 UNROLL for (int i = 0; i < 3; ++i) {
-                    edges.a[i] = record[EDGE_A + i];
-                    edges.b[i] = record[EDGE_B + i];
+                    edges.a[i] = i < 2 ? record[EDGE_A + i] : -record[EDGE_A] - record[EDGE_A + 1];
+                    edges.b[i] = i < 2 ? record[EDGE_B + i] : -record[EDGE_B] - record[EDGE_B + 1];
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) edges.c[sample][i] = record[EDGE_C + i];
                 }
                 edges.x = box_x;
                 edges.y = box_y;
+            } else if (kind == CLIPPED) {
+                if (!find_clipped_edges(targets, &contour, x0, y0, &edges, &range)) break;
             } else {
                 int2 triangle[3];
                 if (kind == BIG) {
@@ -401,13 +481,16 @@ SINGLE raster(ulong address) {
                                           min(y1 - part_y, PART - 1), 2);
                 int start[3][16] __attribute__((aligned(64)));  // edges and depth at the first texel of each block
                 float start_depth[16] __attribute__((aligned(64)));
-                const float part_depth = depth_plane[2] + depth_x * (float)(part_x - box_x) + depth_y * (float)(part_y - box_y);
+                const float part_away_x = part_x - box_x, part_away_y = part_y - box_y;
                 if (todo & (todo - 1)) {
                     todo &= cross_squares(&edges, part_x, part_y, 2, starts);
-                    const float16 first_depths = lane_depth * 4.0f + part_depth;
+                    const float16 first_depths =
+                        fma((float16)(depth_x), LANE_FX * 4.0f + part_away_x, depth_y * (LANE_FY * 4.0f + part_away_y)) + depth_start;
 #if BOUNDS_DEPTH
-                    if (DEPTH_WRITES)  // without writes, most blocks have the bound of their part, which was tested
-                        todo &= ~bits_of(BEHIND(quantize_depth(targets, first_depths + to_nearest), block_bounds[part]));
+                    if (DEPTH_WRITES) {  // without writes, most blocks have the bound of their part, which was tested
+                        const float16 nearest = round_depth(targets, clamp_to(first_depths + to_nearest, lowest, highest));
+                        todo &= ~bits_of(BEHIND(nearest, block_bounds[part]));
+                    }
 #endif
                     if (!todo) continue;
                     UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
@@ -416,7 +499,8 @@ SINGLE raster(ulong address) {
                     const int block = 31 - clz(todo), column = block % 4, row_of_blocks = block / 4;
                     const int x = part_x + column * 4 - edges.x, y = part_y + row_of_blocks * 4 - edges.y;
                     UNROLL for (int i = 0; i < 3; ++i) start[i][block] = edges.c[0][i] + edges.a[i] * x + edges.b[i] * y;
-                    start_depth[block] = fma(depth_x, (float)column, depth_y * (float)row_of_blocks) * 4.0f + part_depth;
+                    start_depth[block] =
+                        fma(depth_x, column * 4.0f + part_away_x, depth_y * (row_of_blocks * 4.0f + part_away_y)) + depth_start;
                 }
 #if BOUNDS_DEPTH
                 if (DEPTH_WRITES) writes[part] += popcount(todo);
@@ -427,21 +511,25 @@ SINGLE raster(ulong address) {
                     const int16 edge0 = edges.lanes[0] + start[0][place_in_part];
                     const int16 edge1 = edges.lanes[1] + start[1][place_in_part];
                     const int16 edge2 = edges.lanes[2] + start[2][place_in_part];
-                    const float16 z = lane_depth + start_depth[place_in_part];
                     int16 box = (int16)(-1);
-                    if (flags & 8)
+                    if (flags & CUTS)
                         box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
                     int16 masks[MAX_SAMPLES], covered = (int16)(0);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
                                                 (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
                                                 (edge2 + (edges.c[sample][2] - edges.c[0][2]))) >= 0);
+                        if (is_cut(&contour)) masks[sample] &= find_within(&range, x, y, sample);
                         covered |= masks[sample];
                     }
+                    // The centres that are known to be covered: those of several samples may lie outside, as on other devices.
+                    const int16 inside = SAMPLES == 1 ? covered : (int16)(0);
+                    float16 z = lane_depth + start_depth[place_in_part];
+                    if (thin) z = FIND_DEPTH(0, 0, inside);
 #if STAGES_DEPTH
                     // The same as merge_depth_stencil for one sample without stencil, on the staged block.
                     float16 *block = blocks + part * PART_BLOCKS + place_in_part;
-                    float16 stored = *block, fresh = quantize_depth(targets, z);
+                    float16 stored = *block, fresh = round_depth(targets, clamp_to(z, lowest, highest));
 #if TEST_ORDER != TEST_LATE || !SHADES
                     covered &= compare_depth(targets, fresh, stored);
                     masks[0] = covered;
@@ -459,7 +547,9 @@ SINGLE raster(ulong address) {
 #if FRAGMENT || !STAGES_DEPTH
                     if (!bits_of(covered)) continue;
 #endif
-#define SAMPLE_DEPTH (z + (depth_x * (SAMPLE_X(sample) / 256.0f) + depth_y * (SAMPLE_Y(sample) / 256.0f)))
+#define PLANE_DEPTH (z + (depth_x * (SAMPLE_X(sample) / 256.0f) + depth_y * (SAMPLE_Y(sample) / 256.0f)))
+#define SAMPLE_DEPTH \
+    clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(SAMPLE_X(sample), SAMPLE_Y(sample), masks[sample]) : PLANE_DEPTH, lowest, highest)
 #if !STAGES_DEPTH
                     if (TEST_ORDER != TEST_LATE || !SHADES) {
                         covered = (int16)(0);
@@ -479,13 +569,18 @@ SINGLE raster(ulong address) {
 #if FRAGMENT
                     if (!SHADES) continue;
                     float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
-                    Weights weights = find_weights(planes, away_x, away_y);
+                    Weights weights = thin ? find_thin_weights(&outline, &precise, x, y, inside)
+                                           : find_weights(planes, away_x, away_y);
+                    // Those of a point are the place inside it, not shares of corners.
+                    if (!is_point) clamp_weights(&weights.weight1, &weights.weight2, inside);
+                    clamp_weights(&weights.straight1, &weights.straight2, inside & -as_int(planes[IN_FRONT]));
                     uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
                     uint flat[VARYING_WORDS + 1];
 #if VARYING_WORDS
                     VARYINGS(SMOOTH, FLAT, STRAIGHT)
 #endif
                     UNROLL for (int i = 0; i < OUTPUT_WORDS; ++i) outputs[i] = (uint16)(0u);
+                    z = inside ? clamp_to(z, lowest, highest) : z;
                     float16 depth = z;
                     int16 kept = rhi_fragment(
                         BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
@@ -496,7 +591,7 @@ SINGLE raster(ulong address) {
                         if (MAX_SAMPLES > 1) mask = cover_by_alpha(targets, mask, outputs, sample);
 #if STAGES_DEPTH
 #if TEST_ORDER != TEST_EARLY
-                        fresh = quantize_depth(targets, GIVES_DEPTH ? depth : z);
+                        fresh = GIVES_DEPTH ? quantize_depth(targets, depth) : fresh;
                         mask &= compare_depth(targets, fresh, stored);
                         if (DEPTH_WRITES) *block = mask ? fresh : stored;
                         passed -= mask;

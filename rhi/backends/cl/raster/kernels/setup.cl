@@ -4,7 +4,8 @@
 //   depth) and, if a fragment stage runs, a second one (1/w and the weights of the corners as planes in the window).
 // - A texel is covered if A x + B y + C >= 0 for the three edges, in subtexels. At texel centres (multiples of 256) that
 //   is equivalent with C / 256 rounded down, which keeps small triangles in 32 bits: SMALL. Larger ones are BIG: their
-//   record has a corner instead of C, and each tile computes its own C in 64 bits. POLYGON: see polygon.cl.
+//   record has a corner instead of C, and each tile computes its own C in 64 bits. Triangles that the view cuts are CLIPPED:
+//   see triangles.cl; lines and points are POLYGON: see polygon.cl.
 // - A record's box is clamped to the target and not to the viewport and scissor. Its planes begin there, so a primitive
 //   that is drawn twice has the same depth each time, wherever the scissor lies. A flag says whether the view cuts the box.
 // - An edge that is neither top nor left doesn't own the points on it: its C is decreased by one before the division.
@@ -12,6 +13,10 @@
 
 // Up to this extent, products of two distances and their sums fit in 31 bits.
 #define SMALL_EXTENT 23000
+// A THIN triangle is one whose weights change by more than this over the blocks that its box touches. Planes in float32 then
+// lose 2^-23 times as much, and each block computes its weights in float64 (triangles.cl).
+#define BLOCK_REACH 4  // texels that blocks and samples reach beyond the box
+#define THIN_SWING 64.0f
 // Slope of depth per texel beyond which the rounding of a corner would change depth by more than about 2^-18.
 #define STEEP 0x1p-9f
 
@@ -96,69 +101,110 @@ INLINE float offset_depth(global const View *view, float slope_x, float slope_y,
     return limit > 0.0f ? fmin(offset, limit) : limit < 0.0f ? fmax(offset, limit) : offset;
 }
 
-// Compute planes in scalars from clip positions, which aren't rounded: for polygons, and for triangles so wide or so steep
-// that the rounding of a corner would be visible in their depth. All planes are linear in the window over the whole
-// primitive, clipped or not: with P its corners {x, y, w} before the division, the weight of corner i / w is
-// (Pj × Pk) · {x, y, 1} / det P (Olano & Greer 1997). `left` and `top`: the texel that planes begin at.
-void find_planes(
-    global const View *view, const float4 *clips, const uint *slots, int primitive, int number, int left, int top,
-    int *record, float *planes
-) {
-    double3 p[3];
-    for (int i = 0; i < 3; ++i)
-        p[i] = (double3)((double)clips[i].x * view->scale[0] + ((double)view->shift[0] - 0.5) * clips[i].w,
-                         (double)clips[i].y * view->scale[1] + ((double)view->shift[1] - 0.5) * clips[i].w, clips[i].w);
-    double plane_x[3], plane_y[3], plane_c[3];  // planes of corner i's weight / w
-    double3 origin = (double3)(left, top, 1.0);
-    if (primitive == TRIANGLES) {
-        double area = dot(p[0], cross(p[1], p[2]));
-        for (int i = 0; i < 3; ++i) {
-            double3 row = cross(p[(i + 1) % 3], p[(i + 2) % 3]) / area;
-            plane_x[i] = row.x;
-            plane_y[i] = row.y;
-            plane_c[i] = dot(row, origin);
-        }
-    } else {
-        // Along a line's longer side, its end's weight / w is (s - s0) w0 / (s1 w0 - s0 w1), s being x or y times w.
-        double3 a = p[0], b = p[1];
-        bool is_line = primitive == LINES;
-        bool steep = is_line && fabs(b.y * a.z - a.y * b.z) > fabs(b.x * a.z - a.x * b.z);
-        double s0 = steep ? a.y : a.x, s1 = steep ? b.y : b.x, at = steep ? top : left;
-        double whole = is_line ? s1 * a.z - s0 * b.z : 1.0;
-        double slope0 = is_line ? -b.z / whole : 0.0, slope1 = is_line ? a.z / whole : 0.0;
-        for (int i = 0; i < 3; ++i) plane_x[i] = plane_y[i] = plane_c[i] = 0.0;
-        plane_x[0] = steep ? 0.0 : slope0;
-        plane_x[1] = steep ? 0.0 : slope1;
-        plane_y[0] = steep ? slope0 : 0.0;
-        plane_y[1] = steep ? slope1 : 0.0;
-        plane_c[0] = is_line ? s1 / whole + slope0 * at : 1.0 / a.z;
-        plane_c[1] = is_line ? slope1 * at - s0 / whole : 0.0;
-    }
-    double depth_x = 0.0, depth_y = 0.0, depth = view->shift[2];
-    float largest = 0.0f;
+typedef struct {
+    double x[3], y[3], start[3];  // weight of each corner / w: slopes per texel, and values at the texel they begin at
+} CornerPlanes;
+
+// Compute planes of a triangle, clipped or not: they are linear in the window over the whole one.
+INLINE CornerPlanes find_triangle_planes(const Barycentrics *weights, int left, int top) {
+    CornerPlanes planes;
     for (int i = 0; i < 3; ++i) {
-        double height = (double)clips[i].z * view->scale[2];
-        depth_x += plane_x[i] * height;
-        depth_y += plane_y[i] * height;
-        depth += plane_c[i] * height;
-        largest = fmax(largest, clips[i].w > 0.0f ? (float)(height / clips[i].w) + view->shift[2] : 1.0f);
+        planes.x[i] = weights->rows[i].x * weights->shares[i] * SUBTEXELS;
+        planes.y[i] = weights->rows[i].y * weights->shares[i] * SUBTEXELS;
+        planes.start[i] = dot(weights->rows[i], (double3)(left * SUBTEXELS, top * SUBTEXELS, 1.0)) * weights->shares[i];
     }
-    if (primitive == TRIANGLES) depth += offset_depth(view, depth_x, depth_y, fmin(largest, 1.0f));
+    return planes;
+}
+
+// The same for a line, along its longer side, or a point. An end's weight / w is (s - s0) w0 / (s1 w0 - s0 w1), s being x or y
+// times w.
+INLINE CornerPlanes find_line_planes(const Outline *outline, bool is_line, int left, int top) {
+    double3 a = outline->exact[0], b = outline->exact[1];
+    bool steep = is_line && fabs(b.y * a.z - a.y * b.z) > fabs(b.x * a.z - a.x * b.z);
+    double s0 = (steep ? a.y : a.x) / SUBTEXELS, s1 = (steep ? b.y : b.x) / SUBTEXELS, at = steep ? top : left;
+    double whole = is_line ? s1 * a.z - s0 * b.z : 1.0;
+    double slope0 = is_line ? -b.z / whole : 0.0, slope1 = is_line ? a.z / whole : 0.0;
+    CornerPlanes planes;
+    for (int i = 0; i < 3; ++i) planes.x[i] = planes.y[i] = planes.start[i] = 0.0;
+    planes.x[0] = steep ? 0.0 : slope0;
+    planes.x[1] = steep ? 0.0 : slope1;
+    planes.y[0] = steep ? slope0 : 0.0;
+    planes.y[1] = steep ? slope1 : 0.0;
+    planes.start[0] = is_line ? s1 / whole + slope0 * at : 1.0 / a.z;
+    planes.start[1] = is_line ? slope1 * at - s0 / whole : 0.0;
+    return planes;
+}
+
+// Find the range of the corners' depths: the whole range of the view if one of them is cut.
+INLINE void find_depth_range(
+    global const Batch *batch, global const View *view, const Outline *outline, const uint *slots, int primitive, int *record
+) {
+    float low = INFINITY, high = -low;
+    for (int i = 0; i < primitive; ++i) {
+        float depth = as_float(AT(const uint4, batch->positions)[slots[i]].z);
+        low = fmin(low, depth);
+        high = fmax(high, depth);
+        if (outline->exact[i].z > 0.0 && outline->z[i] >= 0.0 && outline->z[i] <= outline->exact[i].z) continue;
+        low = fmin(view->shift[2], view->shift[2] + view->scale[2]);
+        high = fmax(view->shift[2], view->shift[2] + view->scale[2]);
+        break;
+    }
+    const float offset = as_float(record[OFFSET]);
+    record[LOWEST] = as_int(clamp(low + offset, 0.0f, 1.0f));
+    record[HIGHEST] = as_int(clamp(high + offset, 0.0f, 1.0f));
+}
+
+// Complete the record of a primitive by planes in scalars: of those that are clipped, lines and points, triangles so wide or so
+// steep that the rounding of a corner would be visible in their depth, and thin ones.
+void set_planes(
+    global const Batch *batch, global const View *view, const Outline *outline, const Barycentrics *weights,
+    const uint *slots, int primitive, int number, bool thin, int *record, float *planes
+) {
+    const int left = record[BOX_FIRST] & 0xFFFF, top = record[BOX_FIRST] >> 16;
+    const int width = (record[BOX_LAST] & 0xFFFF) - left + BLOCK_REACH, height = (record[BOX_LAST] >> 16) - top + BLOCK_REACH;
+    const CornerPlanes corner = primitive == TRIANGLES ? find_triangle_planes(weights, left, top)
+                                                       : find_line_planes(outline, primitive == LINES, left, top);
+    double depth_x = 0.0, depth_y = 0.0, depth = view->shift[2], near_x = 0.0, near_y = 0.0, near = 0.0, swing = 0.0;
+    float largest = 0.0f;
+    int in_front = 1;
+    for (int i = 0; i < 3; ++i) {
+        double clip_depth = outline->z[i] * view->scale[2], w = outline->exact[i].z;
+        depth_x += corner.x[i] * clip_depth;
+        depth_y += corner.y[i] * clip_depth;
+        depth += corner.start[i] * clip_depth;
+        near_x += corner.x[i];
+        near_y += corner.y[i];
+        near += corner.start[i];
+        largest = fmax(largest, w > 0.0 ? (float)(clip_depth / w) + view->shift[2] : 1.0f);
+        in_front &= w > 0.0;
+        swing = fmax(swing, fabs(corner.x[i]) * width + fabs(corner.y[i]) * height);
+    }
+    const float offset = primitive == TRIANGLES ? offset_depth(view, depth_x, depth_y, fmin(largest, 1.0f)) : 0.0f;
     record[DEPTH_PLANE] = as_int((float)depth_x);
     record[DEPTH_PLANE + 1] = as_int((float)depth_y);
-    record[DEPTH_PLANE + 2] = as_int((float)depth);
-    planes[0] = plane_x[0] + plane_x[1] + plane_x[2];
-    planes[1] = plane_y[0] + plane_y[1] + plane_y[2];
-    planes[2] = plane_c[0] + plane_c[1] + plane_c[2];
+    record[DEPTH_PLANE + 2] = as_int((float)(depth + offset));
+    record[OFFSET] = as_int(offset);
+    find_depth_range(batch, view, outline, slots, primitive, record);
+    if (primitive == TRIANGLES && (record[FLAGS] & 3) == CLIPPED) {
+        double most = near + fmax(near_x * width, 0.0) + fmax(near_y * height, 0.0);
+        thin = swing > THIN_SWING * most || fabs(depth_x) * width + fabs(depth_y) * height > THIN_SWING;
+    }
+    if (thin) {
+        record[FLAGS] |= THIN;
+        for (int i = 0; i < 3; ++i) record[THIN_SLOTS + i] = slots[i];
+    }
+    planes[0] = near_x;
+    planes[1] = near_y;
+    planes[2] = near;
     for (int i = 1; i < 3; ++i) {
-        planes[WEIGHTS + 3 * (i - 1)] = plane_x[i];
-        planes[WEIGHTS + 3 * (i - 1) + 1] = plane_y[i];
-        planes[WEIGHTS + 3 * (i - 1) + 2] = plane_c[i];
-        planes[CORNER_W + i - 1] = clips[i].w;
+        planes[WEIGHTS + 3 * (i - 1)] = corner.x[i];
+        planes[WEIGHTS + 3 * (i - 1) + 1] = corner.y[i];
+        planes[WEIGHTS + 3 * (i - 1) + 2] = corner.start[i];
+        planes[CORNER_W + i - 1] = outline->exact[i].z;
     }
     for (int i = 0; i < 3; ++i) planes[SLOTS + i] = as_float(slots[i]);
     planes[NUMBER] = as_float(number);
-    planes[15] = 0.0f;
+    planes[IN_FRONT] = as_float(in_front);
 }
 
 // Let the weights of corners 1 and 2 be the place inside a point, 0 to 1 from its top left: varyings don't depend on them,
@@ -175,24 +221,69 @@ INLINE void place_in_point(global const View *view, float4 clip, float size, int
     planes[WEIGHTS + 5] = (float)(0.5 + (top - y) / size) * near_w;
 }
 
-// Set up a primitive that is a polygon. Return false if it is culled.
-bool set_up_polygon(
-    global const Batch *batch, global const View *view, const uint *slots, int primitive, int number, int draw_number,
-    int *record, float *planes
-) {
-    float4 clips[3];
-    for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, slots[i]);
-    bool flipped = false;
-    if (primitive == TRIANGLES) {
-        // The area has the sign of the whole triangle's determinant, inverted since the scale of y is negative.
-        double3 a = (double3)(clips[0].x, clips[0].y, clips[0].w), b = (double3)(clips[1].x, clips[1].y, clips[1].w);
-        double area = -dot(a, cross(b, (double3)(clips[2].x, clips[2].y, clips[2].w)));
-        flipped = area < 0.0;
-        if (!(area != 0.0) || (view->culled & (flipped ? 2 : 1))) return false;
+// Return the signed distance of a point {x w, y w, w, clip z} from a plane: near, far, then the left, top, right and bottom
+// side of a box in subtexels.
+INLINE double find_distance(double4 p, int plane, int4 box) {
+    switch (plane) {
+    case 0: return p.w;
+    case 1: return p.z - p.w;
+    case 2: return p.x - box.x * p.z;
+    case 3: return p.y - box.y * p.z;
+    case 4: return box.z * p.z - p.x;
+    default: return box.w * p.z - p.y;
     }
-    int2 points[MAX_CORNERS + 1];
-    float size = primitive == POINTS ? load_point_size(batch, slots[0]) : 0.0f;
-    int count = make_polygon(view, clips, primitive, flipped, size, points);
+}
+
+#define CUT_MARGIN 2  // texels, for the rounding of corners
+
+// Find a box {left, top, right, bottom} of texels of the target that a triangle lies in, by cutting it. Return false if
+// nothing is left of it.
+bool bound_triangle(global const Batch *batch, const Outline *outline, int *box) {
+    double4 corners[9], kept[9];  // {x w, y w, w, z}
+    double most = 0.0, most_w = 0.0;
+    const int4 around = (int4)(-CUT_MARGIN, -CUT_MARGIN, batch->width + CUT_MARGIN, batch->height + CUT_MARGIN) * SUBTEXELS;
+    int count = 3;
+    for (int i = 0; i < 3; ++i) {
+        corners[i] = (double4)(outline->exact[i], outline->z[i]);
+        most = fmax(most, fmax(fabs(corners[i].x), fabs(corners[i].y)));
+        most_w = fmax(most_w, fabs(corners[i].z));
+    }
+    for (int plane = 0; plane < 6; ++plane) {
+        int left = 0;
+        for (int i = 0; i < count; ++i) {
+            double4 p = corners[i], q = corners[i + 1 < count ? i + 1 : 0];
+            double at_p = find_distance(p, plane, around), at_q = find_distance(q, plane, around);
+            if (at_p >= 0.0) kept[left++] = p;
+            if ((at_p >= 0.0) != (at_q >= 0.0)) kept[left++] = p + (q - p) * (at_p / (at_p - at_q));
+        }
+        count = left;
+        for (int i = 0; i < count; ++i) corners[i] = kept[i];
+    }
+    double2 low = (double2)(0x1p30), high = -low;
+    for (int i = 0; i < count; ++i) {
+        double w = corners[i].z;
+        // So near to the eye plane, rounding decides where a corner is.
+        bool is_sure = w > 0x1p-36 * most_w && w > 0x1p-57 * most;
+        low = is_sure ? fmin(low, corners[i].xy / w) : (double2)(-0x1p30);
+        high = is_sure ? fmax(high, corners[i].xy / w) : (double2)(0x1p30);
+        if (!is_sure) break;
+    }
+    low = clamp(low / SUBTEXELS - CUT_MARGIN, 0.0, 8192.0);
+    high = clamp(high / SUBTEXELS + CUT_MARGIN, -1.0, 8191.0);
+    box[0] = low.x;
+    box[1] = low.y;
+    box[2] = min((int)high.x, batch->width - 1);
+    box[3] = min((int)high.y, batch->height - 1);
+    return count >= 3;
+}
+
+// Find the box of a line or a point, as for `bound_triangle`.
+bool bound_polygon(global const Batch *batch, global const View *view, const uint *slots, int primitive, int *box) {
+    float4 clips[2];
+    int2 points[MAX_CORNERS];
+    for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, slots[i]);
+    const float size = primitive == POINTS ? load_point_size(batch, slots[0]) : 0.0f;
+    int count = make_polygon(view, clips, primitive, size, points);
     if (!count) return false;
     int2 low = points[0], high = points[0];
     for (int i = 1; i < count; ++i) {
@@ -200,21 +291,55 @@ bool set_up_polygon(
         high = max(high, points[i]);
     }
     int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
-    int left = max((low.x - reach + 255) >> 8, 0), right = min((high.x + reach) >> 8, batch->width - 1);
-    int top = max((low.y - reach + 255) >> 8, 0), bottom = min((high.y + reach) >> 8, batch->height - 1);
-    if (max(left, view->box[0]) > min(right, view->box[2]) || max(top, view->box[1]) > min(bottom, view->box[3])) return false;
-    find_planes(view, clips, slots, primitive, number, left, top, record, planes);
-    if (primitive == POINTS) place_in_point(view, clips[0], size, left, top, planes);
-    for (int i = 0; i < DEPTH_PLANE; ++i) record[i] = 0;
-    for (int i = 0; i < 3; ++i) record[POLYGON_SLOTS + i] = slots[i];
+    box[0] = max((low.x - reach + 255) >> 8, 0);
+    box[1] = max((low.y - reach + 255) >> 8, 0);
+    box[2] = min((high.x + reach) >> 8, batch->width - 1);
+    box[3] = min((high.y + reach) >> 8, batch->height - 1);
+    return true;
+}
+
+INLINE bool is_finite(const Outline *outline) {
+    double sum = 0.0;
+    for (int i = 0; i < 3; ++i) sum += fabs(outline->exact[i].x) + fabs(outline->exact[i].y) + fabs(outline->exact[i].z) + fabs(outline->z[i]);
+    return sum < INFINITY;
+}
+
+// Set up a primitive that isn't a whole triangle. Return false if it is culled.
+bool set_up_clipped(
+    global const Batch *batch, global const View *view, uint *slots, int primitive, int number, int draw_number,
+    int *record, float *planes
+) {
+    Outline outline = load_outline(batch, view, slots);
+    Barycentrics weights;
+    const bool is_triangle = primitive == TRIANGLES;
+    bool flipped = false;
+    if (is_triangle) {
+        double area = find_area(outline.exact);
+        flipped = area < 0.0;
+        if (area == 0.0 || !is_finite(&outline) || (view->culled & (flipped ? 2 : 1))) return false;
+        if (flipped) {
+            uint slot = slots[1];
+            slots[1] = slots[2];
+            slots[2] = slot;
+            outline = load_outline(batch, view, slots);
+        }
+        weights = find_barycentrics(&outline);
+    }
+    int box[4];
+    if (!(is_triangle ? bound_triangle(batch, &outline, box) : bound_polygon(batch, view, slots, primitive, box))) return false;
+    if (max(box[0], view->box[0]) > min(box[2], view->box[2]) || max(box[1], view->box[1]) > min(box[3], view->box[3])) return false;
+    for (int i = 0; i < 16; ++i) record[i] = 0;
+    for (int i = 0; i < 3; ++i) record[CLIPPED_SLOTS + i] = slots[i];
     record[POLYGON_PRIMITIVE] = primitive;
-    record[POLYGON_FLIPPED] = flipped;
-    record[BOX_FIRST] = left | top << 16;
-    record[BOX_LAST] = right | bottom << 16;
-    bool cuts = left < view->box[0] || top < view->box[1] || right > view->box[2] || bottom > view->box[3] ||
+    record[BOX_FIRST] = box[0] | box[1] << 16;
+    record[BOX_LAST] = box[2] | box[3] << 16;
+    bool cuts = box[0] < view->box[0] || box[1] < view->box[1] || box[2] > view->box[2] || box[3] > view->box[3] ||
                 ((batch->width | batch->height) & 3);
-    record[FLAGS] = PACK_FLAGS(draw_number, cuts, primitive != TRIANGLES || flipped != view->front, POLYGON);
-    record[NEAREST] = as_int(batch->near_is_less ? -INFINITY : INFINITY);
+    record[FLAGS] = PACK_FLAGS(draw_number, 0, cuts, !is_triangle || flipped != view->front, is_triangle ? CLIPPED : POLYGON);
+    set_planes(batch, view, &outline, &weights, slots, primitive, number, false, record, planes);
+    if (primitive == POINTS) {
+        place_in_point(view, load_clip(batch, slots[0]), load_point_size(batch, slots[0]), box[0], box[1], planes);
+    }
     return true;
 }
 
@@ -333,9 +458,11 @@ SINGLE set_up(ulong address) {
             int16 a0 = y[0] - y[1], a1 = y[1] - y[2], a2 = y[2] - y[0];
             int16 b0 = x[1] - x[0], b1 = x[2] - x[1], b2 = x[0] - x[2];
             int16 origin_x = left << 8, origin_y = top << 8;
-            int16 c0 = (a0 * (origin_x - x[0]) + b0 * (origin_y - y[0]) - 1 - OWNS(a0, b0)) >> 8;
-            int16 c1 = (a1 * (origin_x - x[1]) + b1 * (origin_y - y[1]) - 1 - OWNS(a1, b1)) >> 8;
-            int16 c2 = (a2 * (origin_x - x[2]) + b2 * (origin_y - y[2]) - 1 - OWNS(a2, b2)) >> 8;
+            int16 start0 = a0 * (origin_x - x[0]) + b0 * (origin_y - y[0]);
+            int16 start1 = a1 * (origin_x - x[1]) + b1 * (origin_y - y[1]);
+            int16 start2 = a2 * (origin_x - x[2]) + b2 * (origin_y - y[2]);
+            int16 c0 = (start0 - 1 - OWNS(a0, b0)) >> 8, c1 = (start1 - 1 - OWNS(a1, b1)) >> 8;
+            int16 c2 = (start2 - 1 - OWNS(a2, b2)) >> 8;
             if (!all_big) {
                 // Cull boxes of 1 or 2 texels a side without a covered texel.
                 int16 two_x = right > left, two_y = bottom > top, covers = (c0 | c1 | c2) >= 0;
@@ -351,20 +478,21 @@ SINGLE set_up(ulong address) {
 
             // Weights of corners 1 and 2: their slopes, and their values at the box's first texel.
             float16 scale = 1.0f / area;
-            float16 weight1_x = convert_float16(a2) * scale, weight1_y = convert_float16(b2) * scale;
-            float16 weight2_x = convert_float16(a0) * scale, weight2_y = convert_float16(b0) * scale;
-            float16 away_x = convert_float16(origin_x - x[0]), away_y = convert_float16(origin_y - y[0]);
-            float16 weight1 = weight1_x * away_x + weight1_y * away_y, weight2 = weight2_x * away_x + weight2_y * away_y;
-            weight1_x *= SUBTEXELS;
-            weight1_y *= SUBTEXELS;
-            weight2_x *= SUBTEXELS;
-            weight2_y *= SUBTEXELS;
+            float16 weight1 = convert_float16(start2) * scale, weight2 = convert_float16(start0) * scale;
+            float16 weight1_x = convert_float16(a2) * scale * SUBTEXELS, weight1_y = convert_float16(b2) * scale * SUBTEXELS;
+            float16 weight2_x = convert_float16(a0) * scale * SUBTEXELS, weight2_y = convert_float16(b0) * scale * SUBTEXELS;
             float16 rise1 = z[1] - z[0], rise2 = z[2] - z[0];
             float16 depth_x = rise1 * weight1_x + rise2 * weight2_x, depth_y = rise1 * weight1_y + rise2 * weight2_y;
             float16 depth = z[0] + rise1 * weight1 + rise2 * weight2;
-            // Not triangles thinner than a subtexel: covered texels lie beside them, where their planes are far off.
-            int16 tilts = (wide | (fabs(depth_x) + fabs(depth_y) > STEEP)) & (area > convert_float16(extent));
-            const uint tilted = bits_of(tilts);
+            // Where the rounding of corners would be visible, planes come from the corners as they are. Beside triangles thinner
+            // than a subtexel, planes are far off.
+            int16 tilts = wide | (fabs(depth_x) + fabs(depth_y) > STEEP), blurred = area <= convert_float16(extent);
+            float16 width = convert_float16(right - left + BLOCK_REACH), height = convert_float16(bottom - top + BLOCK_REACH);
+            float16 swing1 = fabs(weight1_x) * width + fabs(weight1_y) * height;
+            float16 swing2 = fabs(weight2_x) * width + fabs(weight2_y) * height;
+            int16 thins = (fmax(swing1, swing2) > THIN_SWING) | (tilts & blurred);
+            const uint thin = bits_of(thins & kept);
+            const uint tilted = bits_of(tilts & kept) | thin;
             float16 offset = (float16)(0.0f);
             if (biased) {
                 float slope_x[GROUP], slope_y[GROUP], largest[GROUP], offsets[GROUP];
@@ -375,24 +503,19 @@ SINGLE set_up(ulong address) {
                 offset = vload16(0, offsets);
                 depth += offset;
             }
-            // The nearest depth of the primitive, with a margin for the rounding of its plane.
-            float16 slack = 1e-6f + 0x1p-21f * (fabs(depth_x) * convert_float16((high_x - low_x) >> 8) +
-                                                fabs(depth_y) * convert_float16((high_y - low_y) >> 8));
-            slack += tilts ? (fabs(depth_x) + fabs(depth_y)) * (1.0f / 128.0f) : 0.0f;  // for the rounding of corners
-            slack += batch->depth_step;
-            float16 nearest = near_is_less ? fmin(fmin(z[0], z[1]), z[2]) + offset - slack
-                                           : fmax(fmax(z[0], z[1]), z[2]) + offset + slack;
-            // Depth is clamped after the bias, and equal depths may pass the test.
-            if (biased) nearest = near_is_less ? fmin(nearest, (float16)(1.0f)) : fmax(nearest, (float16)(0.0f));
+            // No covered sample has a depth beyond these.
+            float16 lowest = fmin(fmin(z[0], z[1]), z[2]) + offset, highest = fmax(fmax(z[0], z[1]), z[2]) + offset;
+            lowest = fmin(fmax(lowest, 0.0f), 1.0f);
+            highest = fmin(fmax(highest, 0.0f), 1.0f);
             int16 cuts = (left < left_limit) | (top < top_limit) | (right > right_limit) | (bottom > bottom_limit);
             cuts |= (right < (high_x + reach) >> 8) & (batch->width & 3 ? -1 : 0);
             cuts |= (bottom < (high_y + reach) >> 8) & (batch->height & 3 ? -1 : 0);
             int16 is_front = (flipped & 1) ^ front;
             uint16 fields[16] = {
-                as_uint16(a0), as_uint16(a1), as_uint16(a2), as_uint16(b0), as_uint16(b1), as_uint16(b2),
-                as_uint16(c0), as_uint16(c1), as_uint16(c2), as_uint16(depth_x), as_uint16(depth_y), as_uint16(depth),
+                as_uint16(a0), as_uint16(a1), as_uint16(b0), as_uint16(b1), as_uint16(c0), as_uint16(c1), as_uint16(c2),
+                as_uint16(depth_x), as_uint16(depth_y), as_uint16(depth), as_uint16(offset),
                 as_uint16(left | top << 16), as_uint16(right | bottom << 16),
-                as_uint16(PACK_FLAGS((int16)(found), cuts & 1, is_front, big & 1)), as_uint16(nearest),
+                as_uint16(PACK_FLAGS((int16)(found), 0, cuts & 1, is_front, big & 1)), as_uint16(lowest), as_uint16(highest),
             };
             uint16 records[16], planes[16];
             transpose16(fields, records);
@@ -408,7 +531,7 @@ SINGLE set_up(ulong address) {
                     as_uint16(weight2_x * near_w[2]), as_uint16(weight2_y * near_w[2]), as_uint16(weight2 * near_w[2]),
                     as_uint16(w1), as_uint16(w2),
                     slots[0], flipped ? slots[2] : slots[1], flipped ? slots[1] : slots[2],
-                    as_uint16(part * GROUP + LANES), (uint16)(0u),
+                    as_uint16(part * GROUP + LANES), (uint16)(1u),
                 };
                 transpose16(words, planes);
             }
@@ -422,7 +545,7 @@ SINGLE set_up(ulong address) {
             if (bounded) {
                 vstore16(as_uint16(first_x | first_y << 16), 0, firsts);
                 vstore16(as_uint16(last_x | last_y << 16), 0, lasts);
-                vstore16(nearest, 0, nearests);
+                vstore16(near_is_less ? lowest - batch->depth_step : highest + batch->depth_step, 0, nearests);
             }
             uint todo = survivors | polygons;
             while (todo) {
@@ -434,7 +557,7 @@ SINGLE set_up(ulong address) {
                     float plane[16];
                     uint slots[3];
                     for (int k = 0; k < 3; ++k) slots[k] = corners[3 * lane + k] + to_slot;
-                    if (!set_up_polygon(batch, view, slots, draw->primitive, part * GROUP + lane, found, made, plane))
+                    if (!set_up_clipped(batch, view, slots, draw->primitive, part * GROUP + lane, found, made, plane))
                         continue;
                     int first = made[BOX_FIRST], final = made[BOX_LAST];
                     tile_boxes[lane] = max(first & 0xFFFF, left_limit) / TILE | max(first >> 16, top_limit) / TILE << 8 |
@@ -442,25 +565,25 @@ SINGLE set_up(ulong address) {
                     *record = as_uint16(vload16(0, made));
                     if (shades) AT(float16, batch->planes)[place] = vload16(0, plane);
                 } else {
-                    if (bounded && is_hidden(bounds, tiles_x, near_is_less, firsts[lane] & 0xFFFFu, firsts[lane] >> 16,
-                                             lasts[lane] & 0xFFFFu, lasts[lane] >> 16, nearests[lane]))
+                    const bool recomputed = tilted >> lane & 1;
+                    if (bounded && !(recomputed && biased) &&
+                        is_hidden(bounds, tiles_x, near_is_less, firsts[lane] & 0xFFFFu, firsts[lane] >> 16,
+                                  lasts[lane] & 0xFFFFu, lasts[lane] >> 16, nearests[lane]))
                         continue;
                     *record = records[lane];
                     if (shades) AT(uint16, batch->planes)[place] = planes[lane];
-                    if (tilted >> lane & 1) {
+                    if (recomputed) {
                         int made[16];
                         float plane[16];
-                        float4 clips[3];
                         uint slots[3];
                         bool turned = bits_of(flipped) >> lane & 1;
-                        for (int k = 0; k < 3; ++k) {
-                            slots[k] = corners[3 * lane + (turned ? (3 - k) % 3 : k)] + to_slot;
-                            clips[k] = load_clip(batch, slots[k]);
-                        }
-                        int first = ((global const int *)record)[BOX_FIRST];
-                        find_planes(view, clips, slots, TRIANGLES, part * GROUP + lane, first & 0xFFFF, first >> 16, made, plane);
-                        vstore3((int3)(made[DEPTH_PLANE], made[DEPTH_PLANE + 1], made[DEPTH_PLANE + 2]), 0,
-                                (global int *)record + DEPTH_PLANE);
+                        for (int k = 0; k < 3; ++k) slots[k] = corners[3 * lane + (turned ? (3 - k) % 3 : k)] + to_slot;
+                        const Outline outline = load_outline(batch, view, slots);
+                        const Barycentrics weights = find_barycentrics(&outline);
+                        vstore16(as_int16(records[lane]), 0, made);
+                        set_planes(batch, view, &outline, &weights, slots, TRIANGLES, part * GROUP + lane, thin >> lane & 1,
+                                   made, plane);
+                        *record = as_uint16(vload16(0, made));
                         if (shades) AT(float16, batch->planes)[place] = vload16(0, plane);
                     }
                 }

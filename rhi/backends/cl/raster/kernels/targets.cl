@@ -212,9 +212,8 @@ COMPARE(uint16)
 
 // -- depth and stencil ---------------------------------------------------------------------------------------------
 
-// Clamp to 0…1 and round to the format's values: floats that represent multiples of 1/65535 or 1/(2^24 − 1).
-MERGER float16 quantize_depth(const Targets *targets, float16 z) {
-    z = clamp_to(z, 0.0f, 1.0f);
+// Round a depth of 0…1 to the format's values: floats that represent multiples of 1/65535 or 1/(2^24 − 1).
+MERGER float16 round_depth(const Targets *targets, float16 z) {
     if (DEPTH_BITS == 16) return convert_float16(as_int16(round_unsigned(z, 65535.0f))) / 65535.0f;
     if (DEPTH_BITS != 24) return z;
     // Beyond 1/2 the product is an integer already.
@@ -222,6 +221,8 @@ MERGER float16 quantize_depth(const Targets *targets, float16 z) {
     float16 steps = z > 0.5f ? coarse : fine;
     return fma(steps, (float16)(0x1p-24f), steps * 0x1.000002p-48f);  // 1/(2^24 − 1) = 2^-24 + 2^-48 + 2^-72…
 }
+
+MERGER float16 quantize_depth(const Targets *targets, float16 z) { return round_depth(targets, clamp_to(z, 0.0f, 1.0f)); }
 
 MERGER int16 compare_depth(const Targets *targets, float16 z, float16 stored) { return compare(z, stored, DEPTH_PASSES); }
 
