@@ -167,6 +167,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_open()
+        core.check_thread("device.release_current")
         if core.render_pass is not None:
             core.refuse(PASS_OPEN, "device.release_current", "an open render pass")
         core.release_current()

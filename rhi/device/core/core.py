@@ -255,8 +255,7 @@ class Core:
         self.program = None
 
     def release_current(self) -> None:
-        """Detach the device from its thread."""
-        self.check_thread("device.release_current")
+        """Detach the device from its thread, which is the calling one."""
         if self._context is not None:
             self._context.release_current()
         self.thread = NO_THREAD
