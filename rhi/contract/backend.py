@@ -78,6 +78,8 @@ class Capabilities:
     max_point_size: float = 1.0
     """The largest side of a point's square in texels, to which sizes are clamped. With 1.0, programs can't write point
     sizes or read point coordinates."""
+    max_line_width: float = 1.0
+    """The largest `LineWidth`. With 1.0, all lines are one texel wide."""
     uniform_alignment: int = 256
     storage_alignment: int = 256
     copy_alignment: int = 1
@@ -112,6 +114,8 @@ class Capabilities:
     """Whether depth is within 2e-5 of float64 and varyings within the corners' range for triangles however thin, and
     coverage right however far a triangle reaches beyond the view."""
     blend_per_target: bool = True
+    wireframe: bool = False
+    """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""
     border_colors: bool = True
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
     texture_buffer_copies: bool = False

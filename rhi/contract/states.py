@@ -141,6 +141,19 @@ class AlphaToCoverage(enum.Enum):
     __hash__ = object.__hash__
 
 
+class PolygonMode(enum.Enum):
+    """How triangles are drawn: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
+
+    An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the face of stencil tests, the
+    depth offset and flat varyings are those of the triangle.
+    """
+
+    FILL = "fill"
+    LINE = "line"
+
+    __hash__ = object.__hash__
+
+
 _VALUES: Final[WeakValueDictionary[tuple[object, ...], Any]] = WeakValueDictionary()
 
 
@@ -478,6 +491,20 @@ class PolygonOffset(_Value):
         Fields(self, STATE_VALUE).numbers("slope", "clamp")
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class LineWidth(_Value):
+    """The width of lines in texels, from 1 to `capabilities.max_line_width`.
+
+    It is rounded to whole texels. On targets of one sample, a line that is wider than high covers as many texels in
+    each of its columns, any other in each of its rows.
+    """
+
+    width: float = 1.0
+
+    def __post_init__(self) -> None:
+        Fields(self, STATE_VALUE).numbers("width", least=1)
+
+
 State: TypeAlias = (
     CullMode
     | FrontFace
@@ -501,6 +528,8 @@ State: TypeAlias = (
     | DepthBias
     | PolygonOffset
     | AlphaToCoverage
+    | LineWidth
+    | PolygonMode
 )
 """Any render state value."""
 
@@ -527,6 +556,8 @@ DEFAULTS: Final[dict[type, State]] = {
     AlphaFunction: AlphaFunction.GREATER,
     AlphaReference: AlphaReference(),
     AlphaToCoverage: AlphaToCoverage.OFF,
+    LineWidth: LineWidth(),
+    PolygonMode: PolygonMode.FILL,
 }
 """The value of each state outside all scopes."""
 

@@ -38,6 +38,7 @@ from rhi.contract.states import (
     AlphaTest,
     AlphaToCoverage,
     BlendFunction,
+    PolygonMode,
     PolygonOffset,
     State,
     StencilReadMask,
@@ -112,7 +113,7 @@ class Device(Encoder):
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
-        states = StateCache(_unsupported_states(capabilities), refusals=refusals)
+        states = StateCache(_unsupported_states(capabilities), capabilities.max_line_width, refusals=refusals)
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs = ProgramTable(core.timeline)
@@ -627,4 +628,6 @@ def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
         lacking[BlendFunction] = "blend_per_target"
     if not capabilities.depth_bias_clamp:
         lacking[PolygonOffset] = "depth_bias_clamp"
+    if not capabilities.wireframe:
+        lacking[PolygonMode] = "wireframe"
     return lacking

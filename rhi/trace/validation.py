@@ -34,7 +34,7 @@ from rhi.contract.descriptors import (
     TextureKind,
     VertexArrayDescriptor,
 )
-from rhi.contract.states import AlphaTest, AlphaToCoverage, StencilTest
+from rhi.contract.states import AlphaTest, AlphaToCoverage, LineWidth, PolygonMode, StencilTest
 from rhi.errors import refuse
 from rhi.trace.archive import ArchiveReader
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
@@ -59,6 +59,7 @@ _STATE_CAPABILITIES: Final = {
     AlphaTest.ON: "alpha_test",
     StencilTest.ON: "stencil",
     AlphaToCoverage.ON: "alpha_to_coverage",
+    PolygonMode.LINE: "wireframe",
 }
 
 
@@ -501,10 +502,13 @@ def _limit_pass(limits: Capabilities, values: Any) -> Iterator[str]:
 
 def _limit_states(limits: Capabilities, values: Any) -> Iterator[str]:
     for change in values[0]:
-        if isinstance(change.value, AlphaTest | StencilTest | AlphaToCoverage) and change.value in _STATE_CAPABILITIES:
-            name = _STATE_CAPABILITIES[change.value]
+        value = change.value
+        if isinstance(value, AlphaTest | StencilTest | AlphaToCoverage | PolygonMode) and value in _STATE_CAPABILITIES:
+            name = _STATE_CAPABILITIES[value]
             if not getattr(limits, name):
                 yield f"needs capabilities.{name}"
+        if isinstance(value, LineWidth) and value.width > limits.max_line_width:
+            yield f"lines up to {limits.max_line_width:g} texels wide"
 
 
 def _limit_uniform(limits: Capabilities, values: Any) -> Iterator[str]:

@@ -12,6 +12,7 @@ __rhi_internal__ = True
 
 _MAX_UNIFORM_BYTES: Final = 65536
 _MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
+_MAX_LINE_WIDTH: Final = 256.0
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 
@@ -36,6 +37,8 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         draws=draws,
         texture_buffer_copies=True,
         max_point_size=_MAX_POINT_SIZE if draws else 1.0,
+        max_line_width=_MAX_LINE_WIDTH if draws else 1.0,
+        wireframe=draws,
         indirect_count=draws,
         occlusion_queries=draws,
         sample_counter=draws,

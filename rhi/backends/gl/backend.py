@@ -215,7 +215,6 @@ class GlBackend:
         gl = self.gl
         for feature in _UNUSED_FEATURES:
             gl.Disable(feature)
-        gl.PolygonMode(enums.FRONT_AND_BACK, enums.FILL)
         self._set_conventions()
         self._textures.set_transfers()
         self._states.apply_all()

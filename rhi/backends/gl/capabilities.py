@@ -70,7 +70,9 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         indirect_count="GL_ARB_indirect_parameters" in extensions,
         sample_counter=True,
         texture_buffer_copies=True,
-        max_point_size=_largest_point(gl),
+        max_point_size=_largest(gl, enums.POINT_SIZE_RANGE),
+        max_line_width=_largest(gl, enums.ALIASED_LINE_WIDTH_RANGE),
+        wireframe=True,
         compressed_formats=_find_compressed(extensions),
         timestamps=timestamp_bits.value > 0,
         alpha_test=True,
@@ -93,9 +95,10 @@ def _find_compressed(extensions: Container[str]) -> frozenset[CompressedFormat]:
     return frozenset(CompressedFormat) - lacking
 
 
-def _largest_point(gl: EntryPoints) -> float:
+def _largest(gl: EntryPoints, range_of_sizes: int) -> float:
+    """Return the upper end of a range of sizes in texels."""
     sizes = (ctypes.c_float * 2)()
-    gl.GetFloatv(enums.POINT_SIZE_RANGE, sizes)
+    gl.GetFloatv(range_of_sizes, sizes)
     return max(1.0, sizes[1])
 
 

@@ -36,6 +36,8 @@ from rhi.contract.states import (
     DepthTest,
     DepthWrite,
     FrontFace,
+    LineWidth,
+    PolygonMode,
     PolygonOffset,
     Scissor,
     StateChange,
@@ -104,6 +106,7 @@ _TARGET: Final = Viewport.TARGET
 _UNCUT: Final = Scissor.OFF
 _TESTS_DEPTH: Final = DepthTest.ON  # looking up a member through its class costs 80 ns in Python 3.11
 _WRITES_DEPTH: Final = DepthWrite.ON
+_WIREFRAME: Final = PolygonMode.LINE
 
 
 class RenderStates:
@@ -147,6 +150,8 @@ class RenderStates:
             Scissor: self._scissor,
             DepthBias: self._offset,
             PolygonOffset: self._offset,
+            LineWidth: lambda value: gl.LineWidth(value.width),
+            PolygonMode: self._polygon_mode,
             AlphaToCoverage: lambda value: self._switch(
                 enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON
             ),
@@ -301,10 +306,16 @@ class RenderStates:
         self._gl.Scissor(left, top, max(right - left, 0), max(bottom - top, 0))
         self._gl.Enable(enums.SCISSOR_TEST)
 
+    def _polygon_mode(self, mode: PolygonMode) -> None:
+        self._gl.PolygonMode(enums.FRONT_AND_BACK, enums.LINE if mode is _WIREFRAME else enums.FILL)
+        self._offset(None)
+
     def _offset(self, _: object) -> None:
         offset: PolygonOffset = self.values[PolygonOffset]
         slope, units = offset.slope, self.values[DepthBias].units
         self._switch(enums.POLYGON_OFFSET_FILL, bool(units or slope))
+        if self.values[PolygonMode] is _WIREFRAME:
+            self._switch(enums.POLYGON_OFFSET_LINE, bool(units or slope))
         if self._has_offset_clamp:
             self._gl.PolygonOffsetClamp(slope, units, offset.clamp)
         else:

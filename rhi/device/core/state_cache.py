@@ -25,6 +25,7 @@ from rhi.contract.states import (
     PER_TARGET,
     STATE_TYPES,
     BlendFunction,
+    LineWidth,
     PolygonOffset,
     State,
     StateChange,
@@ -78,19 +79,22 @@ class StateCache:
         hardware: the vector that was last sent to the backend.
         refusals: raises and keeps the errors of refused scopes.
         unsupported: state types that the device lacks, each with the name of the missing capability.
+        max_line_width: the largest `LineWidth`.
         software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
     __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
-                 "refusals", "software_changes", "unsupported", "wanted")  # fmt: skip
+                 "max_line_width", "refusals", "software_changes", "unsupported", "wanted")  # fmt: skip
 
     def __init__(
         self,
         unsupported: dict[type, str] | None = None,
+        max_line_width: float = 1.0,
         pool_entries: int = POOL_ENTRIES,
         refusals: RefusalLog = NO_LOG,
     ) -> None:
         self.unsupported = unsupported or {}
+        self.max_line_width = max_line_width
         self.refusals = refusals
         self._limit = pool_entries
         self._pool: dict[tuple[object, ...], StateVector] = {}
@@ -103,7 +107,7 @@ class StateCache:
 
     def fresh(self) -> StateCache:
         """Return an empty cache with the same limits, missing capabilities and log."""
-        return StateCache(self.unsupported, self._limit, self.refusals)
+        return StateCache(self.unsupported, self.max_line_width, self._limit, self.refusals)
 
     @property
     def depth(self) -> int:
@@ -230,6 +234,10 @@ class StateCache:
                 self.refusals.refuse(
                     STATE_CAPABILITY, call, repr(state), f"needs capabilities.{self.unsupported[state_type]}"
                 )
+
+            if state_type is LineWidth and state.width > self.max_line_width:  # type: ignore[union-attr]
+                most = f"up to capabilities.max_line_width, {self.max_line_width:g}"
+                self.refusals.refuse(STATE_CAPABILITY, call, repr(state), most)
 
     def _intern(self, values: tuple[object, ...]) -> StateVector:
         vector = self._pool.get(values)

@@ -660,5 +660,6 @@ SAMPLES: Final[dict[str, Sample]] = {
         },
     ),
     "DepthBias": fields(rhi.DepthBias, {"units": (0.5, number())}),
+    "LineWidth": fields(rhi.LineWidth, {"width": (1.5, number(1))}),
     "PolygonOffset": fields(rhi.PolygonOffset, {"slope": (0.5, number()), "clamp": (0.5, number())}),
 }

@@ -15,6 +15,7 @@ from rhi.contract.descriptors import Interpolation
 
 __rhi_internal__ = True
 
+_EDGES: Final = 3  # of a triangle
 _FIRST_GREATER: Final = 4  # the first comparison that greater depths pass, see merger.py
 
 
@@ -64,8 +65,11 @@ class BatchState:
         return surface, bool(self.table["near_is_less"]), texture, texture and texture.changes
 
 
-def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey) -> dict[str, float]:
-    """Return the batch table's fields that follow from the pipeline and the size (width, height) of the target."""
+def describe_batch(
+    pipeline: Pipeline, size: tuple[int, int], key: MergerKey, wireframe: bool
+) -> dict[str, float]:
+    """Return the batch table's fields that follow from the pipeline, the size (width, height) of the target, and
+    `wireframe`: whether triangles are drawn as lines."""
     tiles_x, tiles_y = (-(-length // TILE) for length in size)
     interpolations = {varying.interpolation for varying in pipeline.descriptor.varyings}
     return EMPTY_BATCH | {
@@ -73,6 +77,7 @@ def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey) ->
         "height": size[1],
         "tiles_x": tiles_x,
         "tiles": tiles_x * tiles_y,
+        "edges": _EDGES if wireframe else 0,
         "samples": key.samples,
         "shades": key.shades,
         "linear": Interpolation.NO_PERSPECTIVE in interpolations,

@@ -29,7 +29,7 @@ from rhi.backends.cl.raster.targets import (
 from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor
 from rhi.contract.formats import Format
-from rhi.contract.states import DEFAULTS, MAX_TARGETS, PER_TARGET, StateChange
+from rhi.contract.states import DEFAULTS, MAX_TARGETS, PER_TARGET, PolygonMode, StateChange
 
 __rhi_internal__ = True
 
@@ -134,9 +134,10 @@ class DrawState:
             merger = make_key(pipeline.descriptor, self.values, colors, depth, target.samples)
             view = make_view(self.values, target.size, colors, depth).tobytes()
             raster = pipeline.find_raster(merger)
-            shared = pipeline, target.size, raster
+            wireframe = self.values[PolygonMode] is PolygonMode.LINE
+            shared = pipeline, target.size, raster, wireframe
             table = self._tables.get(shared)
             if table is None:
-                table = self._tables[shared] = describe_batch(pipeline, target.size, merger)
+                table = self._tables[shared] = describe_batch(pipeline, target.size, merger, wireframe)
             known = self._memo[key] = merger, raster, view, table
         return known

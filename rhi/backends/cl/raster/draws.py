@@ -191,7 +191,10 @@ class Draws:
         state.ready_for = None
         merger, raster, view, table = state.look_up(pipeline, target)
         now = batch.state
-        if now is None or now.raster is not raster or now.vertex is not array.kernel or now.target is not target:
+        if (
+            now is None or now.raster is not raster or now.vertex is not array.kernel or now.target is not target
+            or now.table["edges"] != table["edges"]
+        ):  # fmt: skip
             self._flush_batch()
             streams = len(array.descriptor.streams)
             batch.state = BatchState(pipeline, target, array.kernel, streams, raster, merger, table)

@@ -33,13 +33,13 @@ from rhi.backends.cl.raster.tables import (
 
 __rhi_internal__ = True
 
-_SLICE_GROUPS: Final = 1 << 15  # 512 k primitives: 74 MiB of records, boxes and lists
+_SLICE_GROUPS: Final = 1 << 15  # 512 k records: 74 MiB of records, boxes and lists
 _CHUNKS: Final = 32  # of a slice: enough to balance a few cores, few enough to keep the counts of tiles small
 _MIN_CHUNK: Final = 8  # groups; fewer aren't worth a work-item
 _VERTEX_CHUNK: Final = 64  # groups of vertices that a work-item transforms
 _FEW_GROUPS: Final = 8  # each tile looks through a slice this small, which costs less than lists
 _LIST_WORDS: Final = 1 << 20  # the smallest size of the tiles' lists
-_LISTED_PER_PRIMITIVE: Final = 4
+_LISTED_PER_RECORD: Final = 4
 
 POOLS: Final = (
     "positions", "clips", "varyings", "extents", "records", "planes", "boxes", "counts", "starts", "list", "survivors",
@@ -60,8 +60,8 @@ class Scratch:
         self._fields: dict[str, int] = {}
         self._reserved_for: object = None
 
-    def reserve(self, vertices: int, primitives: int, tiles: int, words: int, shades: float) -> dict[str, int]:
-        """Reserve memory for a piece's vertices and a slice's primitives; return the batch table's fields for it.
+    def reserve(self, vertices: int, records: int, tiles: int, words: int, shades: float) -> dict[str, int]:
+        """Reserve memory for a piece's vertices and a slice's records; return the batch table's fields for it.
 
         Args:
             words: size of a vertex's varyings.
@@ -70,18 +70,18 @@ class Scratch:
         Raises:
             pyopencl.Error: out of memory.
         """
-        wanted = vertices, primitives, tiles, words, shades
+        wanted = vertices, records, tiles, words, shades
         if wanted != self._reserved_for:
-            listed = max(_LIST_WORDS, primitives * _LISTED_PER_PRIMITIVE)
+            listed = max(_LIST_WORDS, records * _LISTED_PER_RECORD)
             sizes = {
                 "positions": 16 * vertices,
                 "clips": 16 * vertices,
                 "varyings": 4 * words * vertices,
                 "extents": EXTENT_BYTES * vertices // GROUP,
                 "bounds": 4 * (TILE // PART) ** 2 * tiles,
-                "records": RECORD_BYTES * primitives,
-                "planes": RECORD_BYTES * primitives if shades else 0,
-                "boxes": 4 * primitives,
+                "records": RECORD_BYTES * records,
+                "planes": RECORD_BYTES * records if shades else 0,
+                "boxes": 4 * records,
                 "counts": 4 * _CHUNKS * tiles,
                 "starts": 4 * (tiles + 1),
                 "survivors": 4 * _CHUNKS,
@@ -158,24 +158,29 @@ class Launcher:
         for name, part in zip(("draws", "rows", "places", "views"), tables, strict=True):
             table[name] = address
             address += len(part)
+        room = int(table["edges"]) or 1  # records of a primitive
+        slice_groups = _SLICE_GROUPS // room
         table.update(
             self._scratch.reserve(
-                vertex_groups * GROUP, min(groups, _SLICE_GROUPS) * GROUP, int(table["tiles"]),
+                vertex_groups * GROUP, min(groups, slice_groups) * GROUP * room, int(table["tiles"]),
                 varying_words(state.pipeline.descriptor), table["shades"],
             )
         )  # fmt: skip
-        return self._launch_slices(state, vertex_groups, groups)
+        return self._launch_slices(state, vertex_groups, groups, slice_groups, GROUP * room)
 
-    def _launch_slices(self, state: BatchState, vertex_groups: int, groups: int) -> cl.Event | None:
-        """Launch all kernels of a piece; return the event of the last one."""
+    def _launch_slices(
+        self, state: BatchState, vertex_groups: int, groups: int, slice_groups: int, group_records: int
+    ) -> cl.Event | None:
+        """Launch all kernels of a piece; return the event of the last one. `group_records`: the most of a group."""
         table, vertex = state.table, state.vertex
         geometry, queue, tiles, event = self.geometry, self._queue, int(table["tiles"]), None
-        for first in range(0, groups, _SLICE_GROUPS):
-            end = min(first + _SLICE_GROUPS, groups)
+        for first in range(0, groups, slice_groups):
+            end = min(first + slice_groups, groups)
             chunk = max(_MIN_CHUNK, -(-(end - first) // _CHUNKS))
             chunks = -(-(end - first) // chunk)
             table["first_group"], table["end_group"] = first, end
             table["chunk_groups"], table["chunks"] = chunk, chunks
+            table["chunk_records"] = chunk * group_records
             table["listed"] = listed = tiles > 1 and end - first > _FEW_GROUPS
             batch = self._uploads.write(pack_batch(state.addresses, table))
             if first == 0:

@@ -1,4 +1,5 @@
-"""Render states as the `VIEW_STRUCT` of a draw: viewport, scissor, culling, depth bias, and the output merger's words.
+"""Render states as the `VIEW_STRUCT` of a draw: viewport, scissor, culling, depth bias,
+line width, and the output merger's words.
 
 Window y counts from the top. So the scale of y is negative, and a triangle that is counter-clockwise with +Y up has a
 negative area.
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from rhi.backends.cl.raster.merger import make_state
 from rhi.backends.cl.raster.tables import VIEW_STRUCT
 from rhi.contract.formats import Format
-from rhi.contract.states import CullMode, DepthBias, FrontFace, PolygonOffset, Scissor, Viewport
+from rhi.contract.states import CullMode, DepthBias, FrontFace, LineWidth, PolygonOffset, Scissor, Viewport
 
 __rhi_internal__ = True
 
@@ -54,6 +55,7 @@ def make_view(
     offset = values[PolygonOffset]
     view["bias_units"], view["bias_slope"] = values[DepthBias].units, offset.slope
     view["bias_clamp"] = offset.clamp
+    view["line_width"] = math.floor(values[LineWidth].width + 0.5)
     if depth is not None and depth.depth_steps:
         view["bias_step"] = 1 / depth.depth_steps
     view["state"] = make_state(values, colors)

@@ -52,8 +52,9 @@ BATCH_STRUCT: Final = np.dtype(
             "u8",
         ),
         *_fields(
-            "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks tiles_x tiles "
-            "list_size listed samples shades linear width height near_is_less bounded cleared varying_words point_size",
+            "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks chunk_records "
+            "edges tiles_x tiles list_size listed samples shades linear width height near_is_less bounded cleared "
+            "varying_words point_size",
             "i4",
         ),
         ("depth_step", "f4"),
@@ -83,7 +84,7 @@ VIEW_STRUCT: Final = np.dtype(
         ("shift", "f4", 4),
         ("box", "i4", 4),
         *_fields("culled front", "i4"),
-        *_fields("bias_units bias_slope bias_clamp bias_step", "f4"),
+        *_fields("bias_units bias_slope bias_clamp bias_step line_width", "f4"),
         ("state", "u4", STATE_WORDS),
     ],
     align=True,

@@ -31,7 +31,7 @@ SINGLE scatter(ulong address) {
     global uint *list = AT(uint, batch->list), *boxes = AT(uint, batch->boxes);
     if (starts[tiles] > batch->list_size) return;
     for (int tile = 0; tile < tiles; ++tile) counts[tile] += starts[tile];
-    int place = chunk * batch->chunk_groups * GROUP, end = place + AT(const uint, batch->survivors)[chunk];
+    int place = chunk * batch->chunk_records, end = place + AT(const uint, batch->survivors)[chunk];
     for (; place < end; ++place) {
         uint box = boxes[place];
         int x0 = box & 255u, y0 = box >> 8 & 255u, x1 = box >> 16 & 255u, y1 = box >> 24;

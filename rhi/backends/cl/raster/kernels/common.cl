@@ -29,7 +29,7 @@ typedef uint4 word_uint4 __attribute__((aligned(4)));  // without alignment to 1
 #define PART (1 << PART_BITS)
 #define PARTS (TILE >> PART_BITS)  // in a row of a tile
 
-enum { POINTS = 1, LINES = 2, TRIANGLES = 3 };
+enum { POINTS = 1, LINES = 2, TRIANGLES = 3, EDGES = 4 };  // EDGES: triangles drawn as lines
 
 // Records of primitives, 16 words each: three edges A x + B y + C, depth as a plane that begins at the box's first texel,
 // the first and the last texel of the box, flags, and the range of depths. setup.cl documents the representation of edges.
@@ -65,6 +65,8 @@ typedef struct {
     int draw_count, row_words;
     int vertex_groups, vertex_chunk;  // of the batch, and per work-item
     int first_group, end_group, chunk_groups, chunks;  // of primitives: of the slice, and per work-item
+    int chunk_records;                // records that a work-item has room for
+    int edges;                        // records of a triangle that is drawn as lines; 0: triangles are filled
     int tiles_x, tiles, list_size, listed;
     int samples, shades, linear, width, height;
     int near_is_less;                 // direction of the depth test
@@ -105,6 +107,7 @@ typedef struct {
     int culled;                // 1: positive area in the window, 2: negative, 3: both
     int front;                 // 1: positive area is front-facing
     float bias_units, bias_slope, bias_clamp, bias_step;  // step 0: floats
+    float line_width;          // texels, a whole number
     uint state[STATE_WORDS];   // see targets.cl
 } View;
 
@@ -207,7 +210,7 @@ INLINE bool is_hidden(
 // depths.
 INLINE bool is_unseen(global const Batch *batch, global const Draw *draw, global const View *view, Extent whole) {
     if (whole.behind) return true;
-    if (!whole.fit || draw->primitive != TRIANGLES) return false;
+    if (!whole.fit || draw->primitive != TRIANGLES || batch->edges) return false;
     int reach = batch->samples > 1 ? SAMPLE_REACH : 0;
     int left = max((whole.low_x - reach + 255) >> 8, view->box[0]), right = min((whole.high_x + reach) >> 8, view->box[2]);
     int top = max((whole.low_y - reach + 255) >> 8, view->box[1]), bottom = min((whole.high_y + reach) >> 8, view->box[3]);

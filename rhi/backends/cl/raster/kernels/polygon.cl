@@ -37,7 +37,7 @@ INLINE float load_point_size(global const Batch *batch, uint slot) {
 }
 
 // Compute the corners of a line or a point in the window, in an order that makes its area positive. Return their number, or
-// 0 if nothing is left of it. `size`: that of a point.
+// 0 if nothing is left of it. `size`: that of a point, or the width of a line.
 INLINE int make_polygon(global const View *view, const float4 *clips, int primitive, float size, int2 *points) {
     float4 corners[2];
     for (int i = 0; i < primitive; ++i) corners[i] = clips[i];
@@ -60,7 +60,7 @@ INLINE int make_polygon(global const View *view, const float4 *clips, int primit
         points[3] = start + (int2)(before, behind);
         return 4;
     }
-    // A line is a parallelogram, one texel high or wide, that contains its start and not its end. The fill rule includes
+    // A line is a parallelogram, `size` texels high or wide, that contains its start and not its end. The fill rule includes
     // points on the left or top edge, so a line in the opposite direction is shifted by the smallest step.
     if (!(corners[1].w > 0.0f)) return 0;
     int2 end = to_window(view, corners[1]);
@@ -69,7 +69,8 @@ INLINE int make_polygon(global const View *view, const float4 *clips, int primit
     bool backwards = steep ? step.y < 0 : step.x < 0;
     if (!(steep ? step.y : step.x)) return 0;
     int2 shift = steep ? (int2)(0, backwards) : (int2)(backwards, 0);
-    int2 half_width = steep ? (int2)(SUBTEXELS / 2, 0) : (int2)(0, SUBTEXELS / 2);
+    int half_size = (int)size * (SUBTEXELS / 2);
+    int2 half_width = steep ? (int2)(half_size, 0) : (int2)(0, half_size);
     int2 first = (backwards ? end : start) + shift, last = (backwards ? start : end) + shift;
     points[0] = first - half_width;
     points[1] = steep ? first + half_width : last - half_width;

@@ -36,7 +36,7 @@ INLINE Records find_records(global const Batch *batch, int tile) {
     records.end = listed ? starts[tile + 1] : 0;
     records.chunk = 0;
     records.chunks = listed ? 0 : batch->chunks;
-    records.chunk_records = batch->chunk_groups * GROUP;
+    records.chunk_records = batch->chunk_records;
     records.column = tile % batch->tiles_x;
     records.row = tile / batch->tiles_x;
     return records;
@@ -431,7 +431,7 @@ SINGLE raster(ulong address) {
             float4 clips[2];
             UNROLL for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, record[CLIPPED_SLOTS + i]);
             is_point = record[POLYGON_PRIMITIVE] == POINTS;
-            const float size = is_point ? load_point_size(batch, record[CLIPPED_SLOTS]) : 0.0f;
+            const float size = is_point ? load_point_size(batch, record[CLIPPED_SLOTS]) : view->line_width;
             pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], size, points) - 2;
         }
         Outline outline;

@@ -116,22 +116,22 @@ INLINE CornerPlanes find_triangle_planes(const Barycentrics *weights, int left, 
     return planes;
 }
 
-// The same for a line, along its longer side, or a point. An end's weight / w is (s - s0) w0 / (s1 w0 - s0 w1), s being x or y
+// The same for a line between two corners, along its longer side, or a point. An end's weight / w is (s - s0) w0 / (s1 w0 - s0 w1), s being x or y
 // times w.
-INLINE CornerPlanes find_line_planes(const Outline *outline, bool is_line, int left, int top) {
-    double3 a = outline->exact[0], b = outline->exact[1];
+INLINE CornerPlanes find_line_planes(const Outline *outline, bool is_line, int from, int to, int left, int top) {
+    double3 a = outline->exact[from], b = outline->exact[to];
     bool steep = is_line && fabs(b.y * a.z - a.y * b.z) > fabs(b.x * a.z - a.x * b.z);
     double s0 = (steep ? a.y : a.x) / SUBTEXELS, s1 = (steep ? b.y : b.x) / SUBTEXELS, at = steep ? top : left;
     double whole = is_line ? s1 * a.z - s0 * b.z : 1.0;
     double slope0 = is_line ? -b.z / whole : 0.0, slope1 = is_line ? a.z / whole : 0.0;
     CornerPlanes planes;
     for (int i = 0; i < 3; ++i) planes.x[i] = planes.y[i] = planes.start[i] = 0.0;
-    planes.x[0] = steep ? 0.0 : slope0;
-    planes.x[1] = steep ? 0.0 : slope1;
-    planes.y[0] = steep ? slope0 : 0.0;
-    planes.y[1] = steep ? slope1 : 0.0;
-    planes.start[0] = is_line ? s1 / whole + slope0 * at : 1.0 / a.z;
-    planes.start[1] = is_line ? slope1 * at - s0 / whole : 0.0;
+    planes.x[from] = steep ? 0.0 : slope0;
+    planes.x[to] = steep ? 0.0 : slope1;
+    planes.y[from] = steep ? slope0 : 0.0;
+    planes.y[to] = steep ? slope1 : 0.0;
+    planes.start[from] = is_line ? s1 / whole + slope0 * at : 1.0 / a.z;
+    planes.start[to] = is_line ? slope1 * at - s0 / whole : 0.0;
     return planes;
 }
 
@@ -140,7 +140,7 @@ INLINE void find_depth_range(
     global const Batch *batch, global const View *view, const Outline *outline, const uint *slots, int primitive, int *record
 ) {
     float low = INFINITY, high = -low;
-    for (int i = 0; i < primitive; ++i) {
+    for (int i = 0; i < min(primitive, 3); ++i) {
         float depth = as_float(AT(const uint4, batch->positions)[slots[i]].z);
         low = fmin(low, depth);
         high = fmax(high, depth);
@@ -154,16 +154,28 @@ INLINE void find_depth_range(
     record[HIGHEST] = as_int(clamp(high + offset, 0.0f, 1.0f));
 }
 
+// Return the depth bias of a triangle that is drawn as lines. One without an area has no slope.
+INLINE float offset_edges(global const View *view, const Outline *outline, const Barycentrics *weights, float largest) {
+    const CornerPlanes corner = find_triangle_planes(weights, 0, 0);
+    double slope_x = 0.0, slope_y = 0.0;
+    for (int i = 0; i < 3; ++i) {
+        slope_x += corner.x[i] * outline->z[i] * view->scale[2];
+        slope_y += corner.y[i] * outline->z[i] * view->scale[2];
+    }
+    const bool has_slope = fabs(slope_x) + fabs(slope_y) < INFINITY;
+    return offset_depth(view, has_slope ? slope_x : 0.0, has_slope ? slope_y : 0.0, largest);
+}
+
 // Complete the record of a primitive by planes in scalars: of those that are clipped, lines and points, triangles so wide or so
-// steep that the rounding of a corner would be visible in their depth, and thin ones.
+// steep that the rounding of a corner would be visible in their depth, and thin ones. `edge`: that of a triangle drawn as lines.
 void set_planes(
     global const Batch *batch, global const View *view, const Outline *outline, const Barycentrics *weights,
-    const uint *slots, int primitive, int number, bool thin, int *record, float *planes
+    const uint *slots, int primitive, int edge, int number, bool thin, int *record, float *planes
 ) {
     const int left = record[BOX_FIRST] & 0xFFFF, top = record[BOX_FIRST] >> 16;
     const int width = (record[BOX_LAST] & 0xFFFF) - left + BLOCK_REACH, height = (record[BOX_LAST] >> 16) - top + BLOCK_REACH;
     const CornerPlanes corner = primitive == TRIANGLES ? find_triangle_planes(weights, left, top)
-                                                       : find_line_planes(outline, primitive == LINES, left, top);
+                                                       : find_line_planes(outline, primitive != POINTS, edge, (edge + 1) % 3, left, top);
     double depth_x = 0.0, depth_y = 0.0, depth = view->shift[2], near_x = 0.0, near_y = 0.0, near = 0.0, swing = 0.0;
     float largest = 0.0f;
     int in_front = 1;
@@ -179,7 +191,8 @@ void set_planes(
         in_front &= w > 0.0;
         swing = fmax(swing, fabs(corner.x[i]) * width + fabs(corner.y[i]) * height);
     }
-    const float offset = primitive == TRIANGLES ? offset_depth(view, depth_x, depth_y, fmin(largest, 1.0f)) : 0.0f;
+    const float offset = primitive == TRIANGLES ? offset_depth(view, depth_x, depth_y, fmin(largest, 1.0f))
+                         : primitive == EDGES   ? offset_edges(view, outline, weights, fmin(largest, 1.0f)) : 0.0f;
     record[DEPTH_PLANE] = as_int((float)depth_x);
     record[DEPTH_PLANE + 1] = as_int((float)depth_y);
     record[DEPTH_PLANE + 2] = as_int((float)(depth + offset));
@@ -282,7 +295,7 @@ bool bound_polygon(global const Batch *batch, global const View *view, const uin
     float4 clips[2];
     int2 points[MAX_CORNERS];
     for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, slots[i]);
-    const float size = primitive == POINTS ? load_point_size(batch, slots[0]) : 0.0f;
+    const float size = primitive == POINTS ? load_point_size(batch, slots[0]) : view->line_width;
     int count = make_polygon(view, clips, primitive, size, points);
     if (!count) return false;
     int2 low = points[0], high = points[0];
@@ -304,20 +317,21 @@ INLINE bool is_finite(const Outline *outline) {
     return sum < INFINITY;
 }
 
-// Set up a primitive that isn't a whole triangle. Return false if it is culled.
+// Set up a primitive that isn't a whole triangle: one that the view cuts, an edge of one that is drawn as lines (from corner
+// `edge` to the next), a line or a point. Return false if it is culled.
 bool set_up_clipped(
-    global const Batch *batch, global const View *view, uint *slots, int primitive, int number, int draw_number,
+    global const Batch *batch, global const View *view, uint *slots, int primitive, int edge, int number, int draw_number,
     int *record, float *planes
 ) {
     Outline outline = load_outline(batch, view, slots);
     Barycentrics weights;
-    const bool is_triangle = primitive == TRIANGLES;
+    const bool is_triangle = primitive == TRIANGLES, is_edge = primitive == EDGES;
     bool flipped = false;
-    if (is_triangle) {
+    if (is_triangle || is_edge) {
         double area = find_area(outline.exact);
-        flipped = area < 0.0;
-        if (area == 0.0 || !is_finite(&outline) || (view->culled & (flipped ? 2 : 1))) return false;
-        if (flipped) {
+        flipped = area < 0.0 || (area == 0.0 && view->front);  // without an area, only edges are left: those of a back face
+        if ((is_triangle && area == 0.0) || !is_finite(&outline) || (view->culled & (flipped ? 2 : 1))) return false;
+        if (is_triangle && flipped) {
             uint slot = slots[1];
             slots[1] = slots[2];
             slots[2] = slot;
@@ -326,17 +340,19 @@ bool set_up_clipped(
         weights = find_barycentrics(&outline);
     }
     int box[4];
-    if (!(is_triangle ? bound_triangle(batch, &outline, box) : bound_polygon(batch, view, slots, primitive, box))) return false;
+    const uint ends[3] = {slots[edge], slots[(edge + 1) % 3], slots[(edge + 2) % 3]};
+    const int shape = is_edge ? LINES : primitive;
+    if (!(is_triangle ? bound_triangle(batch, &outline, box) : bound_polygon(batch, view, ends, shape, box))) return false;
     if (max(box[0], view->box[0]) > min(box[2], view->box[2]) || max(box[1], view->box[1]) > min(box[3], view->box[3])) return false;
     for (int i = 0; i < 16; ++i) record[i] = 0;
-    for (int i = 0; i < 3; ++i) record[CLIPPED_SLOTS + i] = slots[i];
-    record[POLYGON_PRIMITIVE] = primitive;
+    for (int i = 0; i < 3; ++i) record[CLIPPED_SLOTS + i] = ends[i];
+    record[POLYGON_PRIMITIVE] = shape;
     record[BOX_FIRST] = box[0] | box[1] << 16;
     record[BOX_LAST] = box[2] | box[3] << 16;
     bool cuts = box[0] < view->box[0] || box[1] < view->box[1] || box[2] > view->box[2] || box[3] > view->box[3] ||
                 ((batch->width | batch->height) & 3);
-    record[FLAGS] = PACK_FLAGS(draw_number, 0, cuts, !is_triangle || flipped != view->front, is_triangle ? CLIPPED : POLYGON);
-    set_planes(batch, view, &outline, &weights, slots, primitive, number, false, record, planes);
+    record[FLAGS] = PACK_FLAGS(draw_number, 0, cuts, !(is_triangle || is_edge) || flipped != view->front, is_triangle ? CLIPPED : POLYGON);
+    set_planes(batch, view, &outline, &weights, slots, primitive, edge, number, false, record, planes);
     if (primitive == POINTS) {
         place_in_point(view, load_clip(batch, slots[0]), load_point_size(batch, slots[0]), box[0], box[1], planes);
     }
@@ -377,7 +393,7 @@ SINGLE set_up(ulong address) {
     if (listed) for (int tile = 0; tile < batch->tiles; ++tile) counts[tile] = 0;
     int group = batch->first_group + chunk * batch->chunk_groups;
     int end = min(group + batch->chunk_groups, batch->end_group);
-    const int first_record = (group - batch->first_group) * GROUP;
+    const int first_record = chunk * batch->chunk_records;
     int place = first_record;
     int found = find_draw_of_primitives(draws, batch->draw_count, group);
     while (group < end) {
@@ -391,6 +407,7 @@ SINGLE set_up(ulong address) {
         const int left_limit = view->box[0], top_limit = view->box[1], right_limit = view->box[2];
         const int bottom_limit = view->box[3], culled = view->culled, front = view->front;
         const bool biased = view->bias_units != 0.0f || view->bias_slope != 0.0f;
+        const int primitive = batch->edges && draw->primitive == TRIANGLES ? EDGES : draw->primitive;
         int instance = (group - draw->primitive_group) / draw->primitive_groups;
         int part = (group - draw->primitive_group) - instance * draw->primitive_groups;
         int parts = min(draw->primitive_groups, part + end - group);
@@ -404,7 +421,7 @@ SINGLE set_up(ulong address) {
         for (; part < parts; ++part, ++group) {
             int last = draw->primitives - 1 - part * GROUP;
             global const uint *corners = find_corners(draw, part * GROUP, last, scratch);
-            if (last >= 2 * GROUP - 1 && draw->index_bytes == 4)
+            if (last >= 2 * GROUP - 1 && draw->index_bytes == 4 && corners != scratch)
                 UNROLL for (int i = 0; i < GROUP; ++i)  // one corner of each primitive in the next group: the others are near it
                     __builtin_prefetch((const void *)(ulong)(vertices + corners[3 * (GROUP + i)]), 0, 3);
             int16 x[3], y[3];
@@ -414,7 +431,7 @@ SINGLE set_up(ulong address) {
             int16 wanted = LANES <= last;
             int16 unfit = (near_w[0] < 0.0f) | (near_w[1] < 0.0f) | (near_w[2] < 0.0f);
             int16 hidden = (near_w[0] < 0.0f) & (near_w[1] < 0.0f) & (near_w[2] < 0.0f) & ((x[0] & x[1] & x[2]) != 0);
-            int16 whole = draw->primitive == TRIANGLES ? wanted & ~unfit : (int16)(0);
+            int16 whole = primitive == TRIANGLES ? wanted & ~unfit : (int16)(0);
             uint polygons = bits_of(wanted & ~whole & ~hidden);
 
             int16 low_x = min(min(x[0], x[1]), x[2]), high_x = max(max(x[0], x[1]), x[2]);
@@ -548,16 +565,17 @@ SINGLE set_up(ulong address) {
                 vstore16(near_is_less ? lowest - batch->depth_step : highest + batch->depth_step, 0, nearests);
             }
             uint todo = survivors | polygons;
-            while (todo) {
+            for (int edge = 0, next = 0; todo; edge = next) {
                 int lane = 31 - clz(todo & -todo);
-                todo &= todo - 1;
+                next = primitive == EDGES && edge < 2 ? edge + 1 : 0;
+                if (!next) todo &= todo - 1;
                 global uint16 *record = AT(uint16, batch->records) + place;
                 if (polygons >> lane & 1) {
                     int made[16];
                     float plane[16];
                     uint slots[3];
                     for (int k = 0; k < 3; ++k) slots[k] = corners[3 * lane + k] + to_slot;
-                    if (!set_up_clipped(batch, view, slots, draw->primitive, part * GROUP + lane, found, made, plane))
+                    if (!set_up_clipped(batch, view, slots, primitive, edge, part * GROUP + lane, found, made, plane))
                         continue;
                     int first = made[BOX_FIRST], final = made[BOX_LAST];
                     tile_boxes[lane] = max(first & 0xFFFF, left_limit) / TILE | max(first >> 16, top_limit) / TILE << 8 |
@@ -581,7 +599,7 @@ SINGLE set_up(ulong address) {
                         const Outline outline = load_outline(batch, view, slots);
                         const Barycentrics weights = find_barycentrics(&outline);
                         vstore16(as_int16(records[lane]), 0, made);
-                        set_planes(batch, view, &outline, &weights, slots, TRIANGLES, part * GROUP + lane, thin >> lane & 1,
+                        set_planes(batch, view, &outline, &weights, slots, TRIANGLES, 0, part * GROUP + lane, thin >> lane & 1,
                                    made, plane);
                         *record = as_uint16(vload16(0, made));
                         if (shades) AT(float16, batch->planes)[place] = vload16(0, plane);
