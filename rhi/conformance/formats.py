@@ -32,6 +32,12 @@ def require_point_sizes(device: Device) -> None:
         pytest.skip(f"{device.backend_name} declares max_point_size 1")
 
 
+def require_line_width(device: Device, width: float) -> None:
+    """Skip the test if the device's lines can't be this wide."""
+    if device.capabilities.max_line_width < width:
+        pytest.skip(f"{device.backend_name} declares max_line_width {device.capabilities.max_line_width:g}")
+
+
 def require_samples(device: Device, samples: int) -> None:
     """Skip the test if the device's textures can't have this many samples."""
     if samples not in device.capabilities.sample_counts:

@@ -221,6 +221,24 @@ def rasterise(triangle: ArrayLike, width: int, height: int) -> NDArray[np.bool_]
     return inside
 
 
+def rasterise_line(
+    start: ArrayLike, end: ArrayLike, line_width: int, width: int, height: int
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return (certain, possible): the texels of a line that covers `line_width` texels in each column if it is wider
+    than high, else in each row. Platforms choose at its ends, and where a texel's centre lies on its border.
+
+    `start` and `end` are int: window x (right), y (down) in 1/16 texel.
+    """
+    (ax, ay), (bx, by) = ([int(part) for part in np.asarray(point, np.int64)] for point in (start, end))
+    y, x = np.mgrid[0:height, 0:width].astype(np.int64) * SUBTEXELS + SUBTEXELS // 2
+    if abs(by - ay) > abs(bx - ax):
+        (ax, ay, bx, by), (x, y) = (ay, ax, by, bx), (y, x)
+    away, half = 2 * abs((y - ay) * (bx - ax) - (by - ay) * (x - ax)), line_width * SUBTEXELS * abs(bx - ax)
+    inside = np.minimum(x - min(ax, bx), max(ax, bx) - x)
+    reach = SUBTEXELS // 2
+    return (away < half) & (inside > reach), (away <= half) & (inside >= -reach)
+
+
 def rasterise_within(
     triangle: ArrayLike, width: int, height: int, margin: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:

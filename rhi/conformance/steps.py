@@ -61,8 +61,8 @@ STEPS: Final = (
     Step(
         "depth, stencil, blending and targets",
         ("resolve_texture",),
-        ("operation · depth", "operation · clipping", "operation · stencil", "operation · blending",
-         "operation · targets", "operation · clears"),
+        ("operation · depth", "operation · clipping", "operation · lines", "operation · stencil",
+         "operation · blending", "operation · targets", "operation · clears"),
     ),
     Step(
         "texture reads",

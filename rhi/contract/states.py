@@ -144,8 +144,8 @@ class AlphaToCoverage(enum.Enum):
 class PolygonMode(enum.Enum):
     """How triangles are drawn: filled, or as their three edges (wireframe). LINE needs `capabilities.wireframe`.
 
-    An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the face of stencil tests, the
-    depth offset and flat varyings are those of the triangle.
+    An edge is a line of the `LineWidth`; triangles that share it draw it twice. Culling, the depth offset and flat
+    varyings are those of the triangle. Some drivers test the edges of back faces by `StencilFront`.
     """
 
     FILL = "fill"

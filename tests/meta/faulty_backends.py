@@ -231,6 +231,8 @@ GROUPS = {
     rhi.StencilReadMask: "stencil",
     rhi.StencilWriteMask: "stencil",
     rhi.AlphaToCoverage: "targets",
+    rhi.LineWidth: "lines",
+    rhi.PolygonMode: "lines",
 }
 """Which group must see that a state is not heard of."""
 for _state, _group in GROUPS.items():

@@ -13,6 +13,8 @@ from rhi import (
     AlphaTest,
     Device,
     Format,
+    LineWidth,
+    PolygonMode,
     ProgramDescriptor,
     SamplerDescriptor,
     StencilReadMask,
@@ -180,6 +182,7 @@ def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
     for state, lacking in (
         (AlphaTest.ON, not capabilities.alpha_test),
         (StencilTest.ON, not capabilities.stencil),
+        (PolygonMode.LINE, not capabilities.wireframe),
     ):
         if lacking:
             with refuses(rules.STATE_CAPABILITY, recording), recording.states(state):
@@ -188,6 +191,15 @@ def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
             with recording.states(state):
                 pass
     with recording.states(AlphaTest.OFF):
+        pass
+
+
+def test_lines_are_as_wide_as_the_device_says_and_no_wider(recording: Device) -> None:
+    most = recording.capabilities.max_line_width
+    for width in (1.0, most):
+        with recording.states(LineWidth(width)):
+            pass
+    with refuses(rules.STATE_CAPABILITY, recording), recording.states(LineWidth(most + 0.5)):
         pass
 
 
