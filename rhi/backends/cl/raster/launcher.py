@@ -159,7 +159,7 @@ class Launcher:
             table[name] = address
             address += len(part)
         room = int(table["edges"]) or 1  # records of a primitive
-        slice_groups = _SLICE_GROUPS // room
+        slice_groups = max(_SLICE_GROUPS // room, 1)
         table.update(
             self._scratch.reserve(
                 vertex_groups * GROUP, min(groups, slice_groups) * GROUP * room, int(table["tiles"]),
