@@ -1,5 +1,7 @@
-"""Wide lines and wireframe on cl, beyond what the conformance kit asks of all backends: facing of stencil tests, cuts by the
-near plane, samples, and the memory for records."""
+"""Wide lines and wireframe on cl, beyond what the conformance kit asks of all backends.
+
+The facing of stencil tests, cuts by the near plane, samples, and the memory for records.
+"""
 
 from __future__ import annotations
 
