@@ -19,6 +19,7 @@ from rhi.contract.states import (
     DepthBias,
     DepthTest,
     DepthWrite,
+    LineWidth,
     Scissor,
     StateChange,
     Viewport,
@@ -217,6 +218,17 @@ def test_a_missing_capability_refuses_the_state_but_not_its_default():
         pass
     assert caught.value.rule.id == "state-capability"
     assert "alpha_test" in caught.value.allowed
+
+
+@pytest.mark.parametrize(("most", "wider"), [(1.0, 1.001), (8.0, 8.5)])
+def test_a_line_is_as_wide_as_the_device_allows_and_no_wider(most, wider):
+    for cache in (StateCache(max_line_width=most), StateCache(max_line_width=most).fresh()):
+        with cache.scope((LineWidth(most),)):
+            pass
+        with pytest.raises(ValidationError) as caught, cache.scope((LineWidth(wider),)):
+            pass
+        assert caught.value.rule.id == "state-capability"
+        assert f"max_line_width, {most:g}" in caught.value.allowed
 
 
 def test_the_deepest_scope_fits_and_one_more_is_refused():

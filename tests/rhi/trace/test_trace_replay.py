@@ -11,7 +11,9 @@ from testing_kit import House, gl_works
 from trace_kit import VERSION_1, Doubled, record, record_much
 
 import rhi
-from rhi import CullMode, Format, Op
+from rhi import CullMode, Format, LineWidth, Op, PolygonMode
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import BufferDescriptor
 from rhi.errors import DeviceError
@@ -281,6 +283,29 @@ def test_a_device_that_lacks_something_is_refused_before_anything_is_issued(
     with refuses(TRACE_CAPABILITY, null_device) as refusal:
         replay(trace, on=null_device)
     assert f": {op.method}(" in refusal.error.given
+
+
+@pytest.mark.parametrize(
+    ("lacking", "refused"),
+    [({"wireframe": False}, True), ({"max_line_width": 2.5}, True), ({"max_line_width": 3.0}, False)],
+    ids=str,
+)
+def test_lines_that_a_device_lacks_are_refused_before_anything_is_issued(
+    tmp_path: Path, null_device: rhi.Device, lacking: dict[str, object], refused: bool
+) -> None:
+    with rhi.create_device("null") as source:
+        image, mesh = source.texture((4, 4), Format.R8), source.mesh(rectangle())
+        with source.render_pass(image), source.states(PolygonMode.LINE, LineWidth(3.0)):
+            source.draw(source.program(Colored), mesh)
+        save(source, tmp_path / "t.zip")
+    trace = load(tmp_path / "t.zip")
+    null_device._core.capabilities = dataclasses.replace(null_device.capabilities, **lacking)
+    if refused:
+        with refuses(TRACE_CAPABILITY, null_device) as refusal:
+            replay(trace, on=null_device)
+        assert f": {Op.SET_STATES.method}(" in refusal.error.given
+    else:
+        replay(trace, on=null_device)
 
 
 # -- the first version ---------------------------------------------------------------------------------------

@@ -360,6 +360,8 @@ DISTURBANCES: dict[str, Callable[[Any], object]] = {
     "dither": lambda gl: gl.Enable(0x0BD0),
     "point size": lambda gl: gl.Disable(0x8642),
     "fill": lambda gl: gl.PolygonMode(0x0408, 0x1B00),
+    "edges": lambda gl: (gl.PolygonMode(0x0408, 0x1B01), gl.Enable(0x2A02)),
+    "line width": lambda gl: gl.LineWidth(3.0),
     "framebuffer": lambda gl: gl.BindFramebuffer(0x8D40, 0),
     "primitive restart": lambda gl: (gl.Disable(0x8D69), gl.Enable(0x8F9D)),
     "pixels that are skipped": lambda gl: (gl.PixelStorei(0x0CF4, 1), gl.PixelStorei(0x0D04, 1)),
@@ -370,8 +372,8 @@ DISTURBANCES: dict[str, Callable[[Any], object]] = {
     "query": lambda gl: gl.BeginQuery(0x8914, gl.create(gl.CreateQueries, 0x8914)),
 }
 SWITCHES = (
-    0x0B44, 0x0B71, 0x0B90, 0x0BD0, 0x0BE2, 0x0BF2, 0x0C11, 0x3007, 0x8037, 0x809E, 0x80A0, 0x8642, 0x864F, 0x8C36,
-    0x8C89, 0x8D69, 0x8DB9, 0x8E51, 0x8F9D,
+    0x0B44, 0x0B71, 0x0B90, 0x0BD0, 0x0BE2, 0x0BF2, 0x0C11, 0x2A02, 0x3007, 0x8037, 0x809E, 0x80A0, 0x8642, 0x864F,
+    0x8C36, 0x8C89, 0x8D69, 0x8DB9, 0x8E51, 0x8F9D,
 )  # fmt: skip
 NUMBERS = (
     0x0B40, 0x0B45, 0x0B46, 0x0B72, 0x0B74, 0x0B92, 0x0B93, 0x0B97, 0x0C23, 0x0CF2, 0x0CF4, 0x0CF5, 0x0D02, 0x0D04,
@@ -386,7 +388,7 @@ def read_state(gl: Any) -> dict[str, Any]:
     for name in SWITCHES + NUMBERS:
         gl.GetInteger64v(name, integers)
         state[hex(name)] = list(integers)
-    for name in (0x0BA2, 0x0B70):  # viewport, depth range
+    for name in (0x0BA2, 0x0B70, 0x0B21):  # viewport, depth range, line width
         gl.GetFloatv(name, reals)
         state[hex(name)] = list(reals)
     gl.GetQueryiv(0x8914, 0x8865, ctypes.byref(query))
@@ -409,6 +411,21 @@ def test_make_current_restores_the_state_that_other_code_changed(kind: str, vali
             assert read_state(gl) == before
             device.draw(program, mesh)
         assert count_filled(image) == PIXELS
+
+
+def test_make_current_restores_lines_that_are_wide_and_edges_with_an_offset() -> None:
+    with rhi.create_device("gl") as device:
+        gl = device.backend_as(GlBackend).gl
+        image, program, mesh = device.texture(SIZE, Format.RGBA8), device.program(Colored), device.mesh(rectangle())
+        with device.render_pass(image), device.states(rhi.PolygonMode.LINE, rhi.LineWidth(5.0), rhi.DepthBias(2.0)):
+            device.draw(program, mesh)
+            before = read_state(gl)
+            assert (before["0x2a02"][0], before["0xb40"][0], before["0xb21"][0]) == (1, 0x1B01, 5.0)
+            gl.PolygonMode(0x0408, 0x1B02)
+            gl.LineWidth(1.0)
+            gl.Disable(0x2A02)
+            device.make_current()
+            assert read_state(gl) == before
 
 
 def test_make_current_restores_the_bindings_that_other_code_changed(device: Device) -> None:
