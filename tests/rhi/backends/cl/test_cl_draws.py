@@ -220,7 +220,7 @@ def test_indices_that_the_device_wrote_are_drawn(device: Device, first: int) -> 
     [
         {"_SLICE_GROUPS": 16},
         {"_PIECE_GROUPS": 16},
-        {"_LIST_WORDS": 16, "_LISTED_PER_PRIMITIVE": 0},
+        {"_LIST_WORDS": 16, "_LISTED_PER_RECORD": 0},
         {"_FEW_GROUPS": 1 << 20},
         {"_CHUNKS": 2},
         {"_MIN_CHUNK": 1, "_VERTEX_CHUNK": 1},
