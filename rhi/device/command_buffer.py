@@ -34,6 +34,7 @@ from rhi.commands.stream import CommandStream, find_site
 from rhi.contract.descriptors import BufferDescriptor, Id, Region
 from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.device.encoder import Encoder, check_drawable
@@ -213,6 +214,22 @@ class CommandBuffer(Encoder):
         self._check_texture("commands.copy_texture", "source", source)
         source._copy(self._recorder, target, level, region, target_level, x, y, layer)
 
+    def copy_texture_to_buffer(
+        self, source: Texture, target: Buffer | StorageBuffer[Any], *, level: int = 0, region: Region | None = None,
+        offset: int = 0, row_bytes: int | None = None,
+    ) -> None:  # fmt: skip
+        """Record a `Texture.copy_to_buffer`."""
+        self._check_texture("commands.copy_texture_to_buffer", "source", source)
+        source._copy_to_buffer(self._recorder, target, level, region, offset, row_bytes)
+
+    def copy_buffer_to_texture(
+        self, source: Buffer | StorageBuffer[Any], target: Texture, *, offset: int = 0, row_bytes: int | None = None,
+        level: int = 0, region: Region | None = None,
+    ) -> None:  # fmt: skip
+        """Record a `Texture.copy_from_buffer`."""
+        self._check_texture("commands.copy_buffer_to_texture", "target", target)
+        target._copy_from_buffer(self._recorder, source, level, region, offset, row_bytes)
+
     def resolve(self, source: Texture, target: Texture) -> None:
         """Record a `Texture.resolve_to`."""
         self._check_texture("commands.resolve", "source", source)
@@ -260,10 +277,10 @@ class CommandBuffer(Encoder):
         try:
             for call, arguments in calls:
                 call(*arguments)
-        except BaseException:
-            self._clean_up(len(self._calls) - length_hint(calls) - 1)
+            device.adopt_states(core.states.hardware.values)
+        except BaseException as error:
+            self._clean_up(len(self._calls) - length_hint(calls) - 1, not isinstance(error, RhiError))
             raise
-        device.adopt_states(core.states.hardware.values)
         device.states.hardware_changes += core.states.hardware_changes
         device.states.software_changes += core.states.software_changes
         device.draws += self._draws
@@ -283,20 +300,22 @@ class CommandBuffer(Encoder):
         if arena.data:
             if arena.buffer not in self._owned:
                 descriptor = BufferDescriptor(len(arena.data), label="command buffer")
-                device.backend.create_buffer(arena.buffer, descriptor)
-                self._owned.append(arena.buffer)
+                with HeldInterrupts():
+                    device.create(device.backend.create_buffer, arena.buffer, descriptor)
+                    self._owned.append(arena.buffer)
             device.backend.write_buffer(arena.buffer, 0, bytes(arena.data))
             device.upload_bytes += len(arena.data)
         for vertex_array, vertices in core.own_arrays.items():
             if vertex_array not in self._owned:
-                device.backend.create_vertex_array(vertex_array, vertices)
-                self._owned.append(vertex_array)
+                with HeldInterrupts():
+                    device.create(device.backend.create_vertex_array, vertex_array, vertices)
+                    self._owned.append(vertex_array)
         for key in list(core.vertex_arrays):
             (program, data), (vertex_array, vertices) = key, core.vertex_arrays[key]
-            device.backend.create_vertex_array(vertex_array, vertices)
-            # If another command buffer or the device has created one meanwhile, this one is kept beside it.
-            data.vertex_arrays[vertex_array if program in data.vertex_arrays else program] = vertex_array
-            del core.vertex_arrays[key]
+            with HeldInterrupts():
+                device.create(device.backend.create_vertex_array, vertex_array, vertices)
+                data.keep_vertex_array(program, program.id, vertex_array)
+                del core.vertex_arrays[key]
 
     def _prepare_calls(self) -> list[PreparedCall]:
         """Return the commands as calls with their arguments."""
@@ -340,9 +359,12 @@ class CommandBuffer(Encoder):
                             tests_alpha = value is AlphaTest.ON
         return calls
 
-    def _clean_up(self, done: int) -> None:
-        """Close whatever the first `done` commands have opened, after the next one has failed."""
+    def _clean_up(self, done: int, interrupted: bool) -> None:
+        """Close whatever the first `done` commands have opened, after the next one has failed. If that one was
+        interrupted, it may have been executed."""
         device, stream = self._recorder.device, self.stream
+        if interrupted and done < len(stream) and stream[done].op in _CLOSES:
+            done += 1
         opened: list[tuple[Op, tuple[Any, ...]]] = []
         for command in stream[:done]:
             if command.op in _CLOSES:
@@ -353,6 +375,8 @@ class CommandBuffer(Encoder):
             with suppress(RhiError):  # fails again on a lost device
                 getattr(device.backend, op.method)(*(values if op is Op.END_QUERY else ()))
         device.adopt_states(tuple(stream.context(done).states.values()))
+        if interrupted:
+            device.states.lose_hardware()
 
 
 class RecordedQuery:
@@ -435,7 +459,7 @@ def check_submissions(buffers: Iterable[CommandBuffer], device: Core) -> None:
             given = f"{use.name}, destroyed at {site}, used by a command recorded at {recorded}"
             core.refuse(RESOURCE_DESTROYED, call, given, "", "record the commands anew")
         for use in core.uses.values() if device.locked else ():
-            if use.owner in device.locked:
+            if device.is_locked(use.owner):
                 core.refuse(LOCK_OPEN, call, f"{use.name}, which has an open lock")
         if device.condition_open and core.condition_count:
             given = f"{buffer!r}, which contains a condition, inside device.conditional"

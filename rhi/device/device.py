@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import wraps
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
@@ -21,6 +22,7 @@ from typing_extensions import ParamSpec
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.blocks import BLOCK, CompressedFormat
 from rhi.contract.descriptors import (
     BufferUsage,
     Primitive,
@@ -60,9 +62,8 @@ from rhi.device.resources.buffers import (
     match_layout,
     storage_dtype,
 )
-from rhi.device.resources.lifetime import destroy_on_error
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
-from rhi.device.resources.programs import Program
+from rhi.device.resources.programs import Program, ProgramTable
 from rhi.device.resources.textures import Sampler, Texture, full_levels
 from rhi.device.transient import TransientMemory
 from rhi.errors.arguments import Arguments, as_whole
@@ -84,6 +85,18 @@ P = ParamSpec("P")
 S = TypeVar("S", bound=Struct)
 T = TypeVar("T")
 B = TypeVar("B")
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def _creates(method: F) -> F:
+    """Let a method create all of its resources or, if it is refused, fails or is interrupted, none (`Creation`)."""
+
+    @wraps(method)
+    def create(self: Device, /, *arguments: Any, **named: Any) -> Any:
+        with self._core.creation():
+            return method(self, *arguments, **named)
+
+    return cast("F", create)
 
 
 class Device(Encoder):
@@ -102,7 +115,7 @@ class Device(Encoder):
         states = StateCache(_unsupported_states(capabilities), refusals=refusals)
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
-        self._programs: dict[object, Program[Any]] = {}
+        self._programs = ProgramTable(core.timeline)
         self._frames: deque[int] = deque()
         self._frames_in_flight = frames_in_flight
         if validation:
@@ -230,6 +243,7 @@ class Device(Encoder):
 
     # -- resources ---------------------------------------------------------------------------------------
 
+    @_creates
     def buffer(
         self,
         source: int | NDArray[Any],
@@ -240,6 +254,8 @@ class Device(Encoder):
     ) -> Buffer:
         """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
         check = Arguments("device.buffer", self._core.refuse)
+        if usage is BufferUsage.READBACK:
+            check.fail("usage", usage, "STATIC or STREAM", "use read_async")
         wanted = None
         if dtype is not None:
             try:  # NumPy takes the dtype of any object that has one
@@ -256,8 +272,7 @@ class Device(Encoder):
         if wanted is not None and array.dtype != wanted:
             self._core.refuse(BUFFER_DTYPE, check.call, str(array.dtype), str(wanted))
         buffer = Buffer(self._core, array.size, array.dtype, usage, label)
-        with destroy_on_error(buffer):
-            buffer.write(array)
+        buffer.write(array)
         return buffer
 
     @overload
@@ -266,6 +281,7 @@ class Device(Encoder):
     @overload
     def uniform(self, value: T, *, label: str = "") -> UniformBuffer[T]: ...
 
+    @_creates
     def uniform(self, value: Any, *, label: str = "") -> UniformBuffer[Any]:
         """Create a buffer of constants, bound as `Uniform[T]`: a struct, or a single number, vector or matrix.
 
@@ -274,10 +290,12 @@ class Device(Encoder):
         """
         return UniformBuffer(self._core, value, label)
 
+    @_creates
     def uniform_array(self, struct: type[S], count: int, *, label: str = "") -> UniformArray[S]:
         """Create constants for `count` objects, written as one array and bound one by one as `array[i]`."""
         return UniformArray(self._core, struct, count, label)
 
+    @_creates
     def storage(
         self, element: type[T], source: int | NDArray[Any] | Buffer, *, label: str = ""
     ) -> StorageBuffer[T]:
@@ -306,14 +324,14 @@ class Device(Encoder):
         name = label or f"{getattr(element, '__name__', element)}[]"
         storage: StorageBuffer[T] = StorageBuffer(Buffer(core, count, dtype, label=name), element, dtype)
         if array is not None:
-            with destroy_on_error(storage):
-                storage.write(array)
+            storage.write(array)
         return storage
 
+    @_creates
     def texture(
         self,
         source: tuple[int, int] | NDArray[Any],
-        format: Format,
+        format: Format | CompressedFormat,
         *,
         kind: TextureKind = TextureKind.D2,
         layers: int | None = None,
@@ -324,11 +342,15 @@ class Device(Encoder):
         """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype. `levels` None means all mip levels down to 1×1; they are
-        generated from an array's texels if the format can be filtered.
+        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means
+        all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered.
+
+        An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4 texels. A
+        device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to 8 times the memory.
         """
+        compressed = format if isinstance(format, CompressedFormat) else None
         check = Arguments("device.texture", self._core.refuse)
-        check.choice("format", format, Format)
+        format = compressed.decoded if compressed is not None else check.choice("format", format, Format)
         check.choice("kind", kind, TextureKind)
         layers = check.whole_or_none("layers", layers)
         levels = check.whole_or_none("levels", levels)
@@ -337,10 +359,13 @@ class Device(Encoder):
         data = None
         if isinstance(source, np.ndarray):
             data = source
-            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.channels == 1):
+            plain = compressed is None and format.components == 1
+            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > plain:
                 allowed = "(height, width, channels), or with layers in front"
                 self._core.refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
+            if compressed is not None:
+                height, width = BLOCK * height, BLOCK * width
             layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
         else:
             size = tuple(as_whole(n) for n in source) if isinstance(source, (tuple, list)) else ()
@@ -354,12 +379,11 @@ class Device(Encoder):
         if levels is None:
             levels = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
         descriptor = TextureDescriptor((width, height), format, kind, layers, levels, samples, label)
-        texture = Texture(self._core, descriptor)
+        texture = Texture(self._core, descriptor, compressed)
         if data is not None:
-            with destroy_on_error(texture):
-                texture.write(data)
-                if levels > 1 and not format.is_integer:
-                    texture.generate_mipmaps()
+            texture.write(data)
+            if levels > 1 and not format.is_integer and compressed is None:
+                texture.generate_mipmaps()
         return texture
 
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
@@ -369,6 +393,7 @@ class Device(Encoder):
         check.instance("descriptor", descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
         return Sampler(self._core.sampler(descriptor), descriptor)
 
+    @_creates
     def mesh(
         self,
         vertices: VertexSource | int,
@@ -401,6 +426,7 @@ class Device(Encoder):
     @overload
     def program(self, shader: ProgramDescriptor) -> Program[...]: ...
 
+    @_creates
     def program(self, shader: Any) -> Program[Any]:
         """Create the program of a shader class or of a native program's descriptor; equal arguments share one.
 
@@ -414,14 +440,15 @@ class Device(Encoder):
             Arguments("device.program", self._core.refuse).fail(
                 "shader", shader, "a class derived from Shader, or a ProgramDescriptor"
             )
-        program = self._programs.get(shader)
-        if program is None or program.destroyed:
+        program = self._programs.find(shader)
+        if program is None:
             if isinstance(shader, ProgramDescriptor):
                 descriptor = shader
             else:
                 with self._core.refusals:
                     descriptor = compile_shader(shader)
-            program = self._programs[shader] = Program(self._core, descriptor)
+            program = Program(self._core, descriptor)
+            self._programs.add(shader, program)
         return program
 
     # -- work --------------------------------------------------------------------------------------------
@@ -491,7 +518,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_ready()
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
@@ -531,11 +558,13 @@ class Device(Encoder):
         self.wait(self.signal())
         self._timers.collect()
 
+    @_creates
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
         check = Arguments("device.occlusion_query", self._core.refuse)
         return OcclusionQuery(self._core, check.flag("emulated", emulated))
 
+    @_creates
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
         """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…, queries)`."""
         check = Arguments("device.query_set", self._core.refuse)
@@ -569,7 +598,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_ready()
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_OPEN, "device.present", "an open render pass")
         if image is not None:
             check = Arguments("device.present", core.refuse)

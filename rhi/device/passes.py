@@ -6,6 +6,7 @@ also after an exception.
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
@@ -17,6 +18,7 @@ from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor
 from rhi.device.core.core import Core, describe_object, lost_pass
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
+from rhi.errors import DeviceError
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
@@ -42,7 +44,7 @@ _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 class RenderPass:
     """A `with device.render_pass(...)` block."""
 
-    __slots__ = ("_core", "_descriptor", "_kinds", "_resolves", "_textures")
+    __slots__ = ("__weakref__", "_conditional", "_core", "_depth", "_descriptor", "_kinds", "_resolves", "_textures")
 
     def __init__(
         self,
@@ -93,29 +95,38 @@ class RenderPass:
     def __enter__(self) -> None:
         core = self._core
         core.check_ready()
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
             core.check_usable(texture, "device.render_pass")
-        core.backend.begin_pass(self._descriptor)
-        core.render_pass = self._descriptor
+        core.program = None
         core.targets = frozenset(texture.id for texture in self._textures)
         core.target_kinds = self._kinds
-        core.program = None
+        core.render_pass = self._descriptor
+        try:
+            core.pass_block = weakref.ref(self)
+            self._depth, self._conditional = core.states.depth, core.condition_open
+            core.backend.begin_pass(self._descriptor)
+        except BaseException:
+            core.leave_pass()
+            raise
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         core = self._core
         core.check_thread("the end of a render pass")
-        core.render_pass = None
-        core.targets = frozenset()
-        core.target_kinds = ()
-        core.program = None
-        lost = core.resume_pass()
-        abandoned = core.abandon_query()
-        if not core.closed:
-            core.backend.end_pass()
+        core.leave_pass()
+        try:
+            lost = core.resume_pass()
+            if kind is not None and not core.closed:
+                self._unwind()
+        except DeviceError:
+            raise
+        except BaseException:  # an interrupt
+            core.end_pass()
+            raise
+        abandoned = core.end_pass()
         if lost and kind is None:
             core.refusals.fail(lost_pass())
         if abandoned and kind is None:
@@ -125,6 +136,13 @@ class RenderPass:
                 "an open occlusion query",
                 "a query that ends in its pass",
             )
+
+    def _unwind(self) -> None:
+        """Leave the scopes and the condition inside, whose own ends an interrupt may have cut off."""
+        self._core.states.unwind(self._depth)
+        if self._core.condition_open and not self._conditional:
+            self._core.condition_open = False
+            self._core.backend.end_conditional()
 
     def _check(
         self,
@@ -153,11 +171,12 @@ class RenderPass:
             core.refuse(PASS_TARGET, call, "the same texture twice", "each level and layer once")
         for target in colors:
             form = target.texture.format
-            if form.is_depth or form in core.capabilities.unrenderable_formats:
+            compressed = target.texture.compressed
+            if form.is_depth or form in core.capabilities.unrenderable_formats or compressed is not None:
                 core.refuse(
                     PASS_TARGET,
                     call,
-                    f"{form.name} as color target",
+                    f"{(compressed or form).name} as color target",
                     "a color format the device can render to",
                 )
         if depth is not None and not depth.texture.format.is_depth:

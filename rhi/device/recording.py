@@ -59,7 +59,7 @@ class RecordingCore(Core):
         super().__init__(writer, device.states.fresh(), device.refusals)
         self.device = device
         self.timeline = device.timeline
-        self.locked = device.locked
+        self.locked, self.lock_blocks = device.locked, device.lock_blocks
         self.sampler_descriptors = device.sampler_descriptors
         self.recording = False
         self.stream = writer.stream

@@ -17,6 +17,7 @@ from typing_extensions import Buffer as BytesLike
 from rhi.contract.descriptors import Attribute, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
 from rhi.device.core.core import Core
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.ring import Ring
 from rhi.device.resources.buffers import as_constants, as_storage, storage_dtype
 from rhi.device.resources.meshes import (
@@ -95,8 +96,8 @@ class TransientMemory:
         arguments: the ring for the arrays of draws of `device.draw_many`.
     """
 
-    __slots__ = ("_constants", "_core", "_indices", "_layouts", "_mesh_owner", "_owner", "_owner_generation",
-                 "_vertex_arrays", "_vertices", "arguments")  # fmt: skip
+    __slots__ = ("__weakref__", "_constants", "_core", "_indices", "_layouts", "_mesh_owner", "_owner",
+                 "_owner_generation", "_vertex_arrays", "_vertices", "arguments")  # fmt: skip
 
     def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
         """Allocate from rings of initially `capacity` bytes each, or everything from one arena."""
@@ -259,12 +260,19 @@ class TransientMemory:
         if vertex_array is None:
             core.check_ready()
             streams = describe_streams(core, sources, program.descriptor.attributes, IMMEDIATE_VERTEX, "transient.mesh")
-            vertex_array = core.new_id()
-            core.backend.create_vertex_array(
-                vertex_array, VertexArrayDescriptor(program.id, streams, index_buffer, index_format)
-            )
-            self._vertex_arrays[key] = vertex_array
+            descriptor = VertexArrayDescriptor(program.id, streams, index_buffer, index_format)
+            with HeldInterrupts():
+                vertex_array = core.new_id()
+                core.create(core.backend.create_vertex_array, vertex_array, descriptor)
+                self._vertex_arrays[key] = vertex_array
+                if not core.records:  # else a command buffer owns them
+                    core.timeline.watch(self, program.id)
         return vertex_array
+
+    def note_retired(self, resource: Id) -> None:
+        """Drop the vertex arrays of a program that is destroyed."""
+        for key in [key for key in self._vertex_arrays if key[0] == resource]:
+            self._core.timeline.retire(self._vertex_arrays.pop(key))
 
     def mark(self, fence: int) -> None:
         """End the frame: destroy the vertex arrays that no later frame uses, as `Ring.mark` frees the rings' memory.
@@ -281,7 +289,8 @@ class TransientMemory:
             if crowded or index_buffer not in current[1:] or any(
                 source.buffer != current[0] or source.per_instance for source in sources
             ):  # fmt: skip
-                self._core.timeline.retire(self._vertex_arrays.pop(key))
+                with HeldInterrupts():
+                    self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 
 class TransientWhole(NamedTuple):

@@ -114,6 +114,7 @@ class ClBackend:
         finally:
             for resource in list(self._destroyers):
                 self.destroy(resource)
+            self._fence.release()
             self._rasteriser.close()
 
     # -- resources ---------------------------------------------------------------------------------------
@@ -140,7 +141,7 @@ class ClBackend:
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
         self._rasteriser.create_vertex_array(vertex_array, descriptor)
-        self._destroyers[vertex_array] = self._vertex_arrays.destroy
+        self._destroyers[vertex_array] = self._destroy_vertex_array
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
         queries = self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries
@@ -161,6 +162,10 @@ class ClBackend:
         self._rasteriser.forget(texture)
         self._textures.destroy(texture)
 
+    def _destroy_vertex_array(self, vertex_array: Id) -> None:
+        self._draws.forget(vertex_array)
+        self._vertex_arrays.destroy(vertex_array)
+
     def _destroy_query(self, query: Id) -> None:
         kind = self._kinds.pop(query)
         (self._timestamps if kind is QueryKind.TIMESTAMP else self._sample_queries).destroy(query)
@@ -176,8 +181,12 @@ class ClBackend:
 
     @_reports_errors_as("Buffer.read")
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
+        if self._buffers[buffer].read_in_place:
+            return self._buffers.read(buffer, offset, size)
         self._flush()
-        return self._buffers.read(buffer, offset, size)
+        data = self._buffers.read(buffer, offset, size)
+        self._fence.release()
+        return data
 
     @_reports_errors_as("Buffer.copy_to")
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
@@ -199,7 +208,9 @@ class ClBackend:
     @_reports_errors_as("Texture.read")
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         self._flush()
-        return self._textures.read(texture, level, region, stencil)
+        texels = self._textures.read(texture, level, region, stencil)
+        self._fence.release()
+        return texels
 
     @_reports_errors_as("Texture.copy_to")
     def copy_texture(
@@ -208,6 +219,21 @@ class ClBackend:
     ) -> None:  # fmt: skip
         self._flush()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
+
+    @_reports_errors_as("Texture.copy_to_buffer")
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        self._flush()
+        self._vertex_arrays.change(target)
+        self._textures.copy_to_buffer(source, level, region, self._buffers[target].cl, offset, row_bytes)
+
+    @_reports_errors_as("Texture.copy_from_buffer")
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        self._flush()
+        self._textures.copy_from_buffer(self._buffers[source].cl, offset, row_bytes, target, level, region)
 
     @_reports_errors_as("Texture.resolve_to")
     def resolve_texture(self, source: Id, target: Id) -> None:
@@ -352,10 +378,11 @@ class ClBackend:
         self._rasteriser.end_conditional()
 
     def push_label(self, text: str) -> None:
-        self._state.labels.append(text)
+        labels = self._state.labels
+        self._state.labels = [*labels, text]
 
     def pop_label(self) -> None:
-        self._state.labels.pop()
+        self._state.labels = self._state.labels[:-1]
 
     @_reports_errors_as("device.present")
     def present(self, texture: Id) -> None:

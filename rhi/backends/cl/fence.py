@@ -1,7 +1,8 @@
 """The fence and timestamp queries: markers in the queue, whose events are polled without blocking.
 
 - A marker is complete when all commands before it are. PoCL completes it without a flush, other drivers need one.
-- When the device reaches a fence value, the staged copies and retired memory before it are released.
+- When the device reaches a fence value, the staged copies and retired memory before it are released; when the CPU has
+  waited for the whole queue, all of them.
 - A timestamp is the completion time of its marker on the device's clock, in nanoseconds.
 """
 
@@ -54,6 +55,11 @@ class Fence:
         kept = [*self._staging.clear(), *self._retired.take()]
         self._pending.append((value, cl.enqueue_marker(self._queue), kept))
         self._queue.flush()
+
+    def release(self) -> None:
+        """Release what was kept for commands, since a blocking read has waited for all of them."""
+        self._staging.clear()
+        self._retired.take()
 
     def poll(self) -> int:
         """Return the value that the device has reached, without waiting."""

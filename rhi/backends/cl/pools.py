@@ -113,9 +113,10 @@ class Pool:
         if size > self.size:
             size = max(size, 2 * self.size, 1 << 16)
             memory = allocate_raw(self._context, size)
+            address = self._addresses.find(memory)
             if self._memory is not None:
                 self._retired.add(self._memory)
-            self._memory, self.size, self._address = memory, size, self._addresses.find(memory)
+            self._memory, self.size, self._address = memory, size, address
         return self._address
 
 

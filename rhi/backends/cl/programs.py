@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import pyopencl as cl
@@ -104,7 +104,10 @@ class ComputeProgram:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
             program = context.compile(source.text, [FLUSHES_DENORMALS] if descriptor.flushes_denormals else [])
-            (kernel,) = program.all_kernels()
+            # By name: kernels of `all_kernels` keep a reference to the program that is never released.
+            names: Any = program.get_info(cl.program_info.KERNEL_NAMES)
+            (name,) = filter(None, names.split(";"))
+            kernel = cl.Kernel(program, name)
         except cl.Error as error:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error
         except ValueError as error:

@@ -1,7 +1,7 @@
 """Copies of data that the CPU wrote, kept until the device has read them.
 
 Writes return before the device has executed them, so the caller's memory can't be read later. At most `_MAX_STAGED`
-bytes are in flight at a time; a write that doesn't fit waits for the device instead.
+bytes in `_MOST_COPIES` are in flight at a time; a write that doesn't fit waits for the device instead.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import pyopencl as cl
 __rhi_internal__ = True
 
 _MAX_STAGED: Final = 1 << 24
+_MOST_COPIES: Final = 1 << 13
 
 
 class Staging:
@@ -24,7 +25,7 @@ class Staging:
 
     def has_room(self, size: int) -> bool:
         """Return whether a copy of `size` bytes fits. If not, the caller waits for its write and calls `clear`."""
-        return self._bytes + size <= _MAX_STAGED
+        return self._bytes + size <= _MAX_STAGED and len(self._events) < _MOST_COPIES
 
     def add(self, event: cl.Event, size: int) -> None:
         """Keep the copy of a write of `size` bytes alive through the write's event."""

@@ -28,6 +28,7 @@ class Framebuffers:
         self._textures = textures
         self._names: dict[_AttachmentKey, int] = {}
         self._keys: dict[Id, set[_AttachmentKey]] = {}  # by texture
+        self._attached: dict[_AttachmentKey, set[Id]] = {}
 
     def find(self, descriptor: PassDescriptor) -> int:
         """Return GL's name of the framebuffer for a pass, creating it on first use."""
@@ -47,10 +48,11 @@ class Framebuffers:
 
     def forget(self, texture: Id) -> None:
         """Delete the framebuffers that have `texture` as an attachment."""
-        for key in self._keys.pop(texture, ()):
-            name = self._names.pop(key, None)  # None if another of its textures was destroyed before
-            if name is not None:
-                self._gl.delete(self._gl.DeleteFramebuffers, name)
+        for key in list(self._keys.get(texture, ())):
+            self._gl.delete(self._gl.DeleteFramebuffers, self._names.pop(key))
+            for attached in self._attached.pop(key):  # a texture may outlive thousands that it was used with
+                self._keys[attached].remove(key)
+        self._keys.pop(texture, None)
 
     def _create(self, key: _AttachmentKey, descriptor: PassDescriptor) -> int:
         gl = self._gl
@@ -77,6 +79,7 @@ class Framebuffers:
         used = {color.texture for color in descriptor.colors}
         if descriptor.depth is not None:
             used.add(descriptor.depth.texture)
+        self._attached[key] = used
         for texture in used:
             self._keys.setdefault(texture, set()).add(key)
         return name

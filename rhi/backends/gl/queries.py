@@ -168,6 +168,8 @@ class Queries:
             self._stop_unused_counter()
 
     def begin(self, query: Id) -> None:
+        if self._active is not None:  # an interrupt came between
+            self.stop()
         gl_query = self._active = self._queries[query]
         gl_query.begin = gl_query.end = None
         if self._counter.is_running:
@@ -195,11 +197,12 @@ class Queries:
 
     def end(self, query: Id) -> None:
         gl_query = self._queries[query]
-        self._active = None
         if gl_query.begin is None:
             self._gl.EndQuery(enums.SAMPLES_PASSED)
+            self._active = None
         else:
             gl_query.end = self._counter.take()
+            self._active = None
             self._stop_unused_counter()
 
     def stop(self) -> None:

@@ -65,6 +65,10 @@ class FixedStack(Generic[T]):
             refuse(CONTAINER_EMPTY, "FixedStack.top", "no element", "at least one")
         return self._data[self._index - 1]  # type: ignore[return-value]
 
+    def __getitem__(self, index: int) -> T:
+        """Return an element; 0 is the bottom."""
+        return self._data[: self._index][index]  # type: ignore[return-value]
+
     def clear(self) -> None:
         """Remove all elements."""
         self._data[: self._index] = [None] * self._index

@@ -9,14 +9,18 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import threading
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from threading import get_ident
-from typing import ClassVar, Final, NoReturn, Protocol, cast
+from types import TracebackType
+from typing import ClassVar, Final, NoReturn, Protocol, TypeVar, cast
 
 from rhi.contract.backend import Backend, HoldsContext, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
 from rhi.contract.states import AlphaTest
+from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
@@ -25,6 +29,7 @@ from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
     DEVICE_CONTEXT,
+    DEVICE_MEMORY,
     DEVICE_THREAD,
     LOCK_OPEN,
     RECORD_TRANSIENT,
@@ -34,8 +39,11 @@ from rhi.errors.rules import (
 
 __rhi_internal__ = True
 
+D = TypeVar("D")
 NO_THREAD: Final = 0
 """The `Core.thread` of a device that belongs to no thread."""
+MAX_SAMPLERS: Final = 4096
+"""Number of different samplers of a device: they live as long as it does, and platforms have few."""
 
 
 @dataclass(slots=True)
@@ -80,6 +88,45 @@ class OpenQuery(Protocol):
         """End the query without an answer."""
 
 
+class Creation:
+    """A `with` block that creates resources for the user: all of them, or none.
+
+    If it raises, or an interrupt came meanwhile (`HeldInterrupts`), everything that it has created is destroyed, since
+    the caller never receives it. A block inside another is a part of it.
+    """
+
+    __slots__ = ("_core", "_held", "_outer")
+
+    def __init__(self, core: Core) -> None:
+        self._core = core
+        self._held = HeldInterrupts()
+        self._outer = True
+
+    def __enter__(self) -> None:
+        self._held.__enter__()
+        if self._core.created is None:
+            self._outer = False
+            self._core.created = []
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        core = self._core
+        made: list[Id] = []
+        if not self._outer:
+            made, core.created = core.created or [], None
+        try:
+            if kind is not None:
+                core.take_back(made)
+        finally:
+            try:
+                self._held.__exit__(kind, error, trace)
+            except BaseException:
+                if kind is None:
+                    core.take_back(made)
+                raise
+
+
 class Core:
     """The shared part of one device.
 
@@ -92,14 +139,18 @@ class Core:
         refusals: raises and keeps the errors of refused calls.
         program: the `Program` whose bindings are in place, None when the next draw must check everything.
         render_pass: the open pass, if any.
+        pass_block: a weak reference to its block.
         open_query: the occlusion query that counts now, if any.
         condition_open: whether draws depend on a query's answer now.
         condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
+        readbacks: the memory of asynchronous reads.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
-        draw_counters: one function per program that returns its number of draws since the last call.
+        draw_counters: by program's id, a function that returns its number of draws since the last call.
         locked: resources with an open lock; while there are any, every draw checks everything.
+        lock_blocks: weak references to the blocks of those locks.
+        created: ids of the resources that the open `creation` block has created so far.
     """
 
     __slots__ = (
@@ -113,13 +164,17 @@ class Core:
         "condition_count",
         "condition_open",
         "counters",
+        "created",
         "dispatches",
         "draw_counters",
         "draws",
         "frame_rings",
+        "lock_blocks",
         "locked",
         "open_query",
+        "pass_block",
         "program",
+        "readbacks",
         "refusals",
         "render_pass",
         "sampler_descriptors",
@@ -148,18 +203,22 @@ class Core:
         self.dispatches = 0
         self.upload_bytes = 0
         self.closed = False
+        self.created: list[Id] | None = None
         self.thread = get_ident()
         self._context = _find_context(backend)
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
+        self.pass_block: Callable[[], object] = lambda: None
         self.open_query: OpenQuery | None = None
         self.condition_open = False
         self.condition_count = 0
         self.targets: frozenset[Id] = frozenset()
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
-        self.draw_counters: list[Callable[[], int]] = []
+        self.lock_blocks: list[weakref.ref[object]] = []
+        self.draw_counters: dict[Id, Callable[[], int]] = {}
         self.frame_rings: list[FrameMemory] = []
+        self.readbacks = ReadbackPool(backend, self.timeline, self.new_id)
         self.tests_alpha = False
         self._prepares: PreparesDraws | None = None
         if hasattr(backend, "prepare_draw"):
@@ -182,8 +241,35 @@ class Core:
     def create_id(self) -> Id:
         """Return the id of a new resource of the user, and count the creation."""
         self.check_ready()
+        self.timeline.make_room()
         self.counters.creations += 1
         return self.new_id()
+
+    def creation(self) -> Creation:
+        """Return a block that creates all of its resources or none; see `Creation`."""
+        return Creation(self)
+
+    def create(self, make: Callable[[Id, D], object], resource: Id, descriptor: D) -> None:
+        """Create a resource on the backend, inside a `creation` block or `HeldInterrupts`.
+
+        If memory is exhausted while destroyed resources wait for their fence, they are destroyed first, and creation
+        is tried once more.
+        """
+        try:
+            make(resource, descriptor)
+        except DeviceError as error:
+            if error.rule is not DEVICE_MEMORY or not self.timeline.reclaim():
+                raise
+            make(resource, descriptor)
+        if self.created is not None:
+            self.created.append(resource)
+
+    def take_back(self, resources: list[Id]) -> None:
+        """Destroy resources that the user never received, the latest first."""
+        for resource in reversed(resources):
+            if not self.timeline.is_retired(resource):
+                self.draw_counters.pop(resource, None)
+                self.timeline.retire(resource)
 
     def check_open(self) -> None:
         """Refuse calls of a closed device."""
@@ -264,7 +350,7 @@ class Core:
             )
         if owner.destroyed:
             self.refuse(RESOURCE_DESTROYED, call, describe_object(owner))
-        if owner in self.locked:
+        if self.locked and self.is_locked(owner):
             self.refuse(LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
     def abandon_query(self) -> bool:
@@ -275,27 +361,77 @@ class Core:
         query.abandon()
         return True
 
+    def has_open_pass(self) -> bool:
+        """Return whether a pass is open; end one whose block has been left without its end.
+
+        Python can raise `KeyboardInterrupt` at the first step of an `__exit__`. Then nobody holds the block any more.
+        """
+        if self.render_pass is not None and self.pass_block() is None:
+            self.end_pass()
+        return self.render_pass is not None
+
+    def leave_pass(self) -> None:
+        """Note that no pass is open."""
+        self.render_pass = None
+        self.targets = frozenset()
+        self.target_kinds = ()
+        self.program = None
+
+    def end_pass(self) -> bool:
+        """End the open pass; return whether a query had to be ended with it."""
+        self.leave_pass()
+        try:
+            return self.abandon_query()
+        finally:
+            if not self.closed:
+                self.backend.end_pass()
+
+    def lock(self, owner: Owner, block: object) -> None:
+        """Note that a resource is locked by a `with` block."""
+        with HeldInterrupts():
+            self.lock_blocks.append(weakref.ref(block))
+            self.locked.append(owner)
+
+    def unlock(self, block: object = None) -> None:
+        """Note that a block has released its resource, and release those whose blocks were left without their end."""
+        with HeldInterrupts():
+            for index in reversed(range(len(self.locked))):
+                if self.lock_blocks[index]() in (block, None):
+                    del self.lock_blocks[index], self.locked[index]
+
+    def is_locked(self, owner: Owner) -> bool:
+        """Return whether a resource has an open lock."""
+        if owner in self.locked:
+            self.unlock()
+        return owner in self.locked
+
     def forget_program(self) -> None:
         """Invalidate the current program: its bindings are no longer in place."""
         self.program = None
 
     def flush_states(self) -> None:
         """Send changed states to the backend, if any."""
-        if self.states.wanted is self.states.hardware:
+        states = self.states
+        if states.wanted is states.hardware:
             return
         try:
-            self.backend.set_states(self.states.flush())
-        except BaseException:
+            self.backend.set_states(states.flush())
+        except BaseException:  # it has applied some of them, and nobody knows which
             self.program = None  # it may lack a variant for these states
+            self.tests_alpha = True
+            states.lose_hardware()
             raise
-        finally:
-            if self._prepares is not None:
-                self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+        if self._prepares is not None:
+            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 
     def send_states(self, vector: StateVector) -> None:
         """Send the changes that lead from the hardware's states to a state vector of any cache."""
-        if changes := self.states.change_to(vector):
-            self.backend.set_states(changes)
+        try:
+            if changes := self.states.change_to(vector):
+                self.backend.set_states(changes)
+        except BaseException:
+            self.states.lose_hardware()
+            raise
 
     def adopt_states(self, values: tuple[object, ...]) -> None:
         """Record state values that were sent to the backend without the cache."""
@@ -334,8 +470,8 @@ class Core:
         """Return the id of a sampler; equal descriptors share one.
 
         Raises:
-            ValidationError: `device-capability` for more anisotropy than the device supports, or for a border that it
-                lacks.
+            ValidationError: `device-capability` for more anisotropy than the device supports, for a border that it
+                lacks, and for more than `MAX_SAMPLERS` different samplers.
         """
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
@@ -349,10 +485,14 @@ class Core:
         sampler = self._samplers.get(descriptor)
         if sampler is None:
             self.check_ready()
-            sampler = self.new_id()
-            self.backend.create_sampler(sampler, descriptor)
-            self._samplers[descriptor] = sampler
-            self.sampler_descriptors[sampler] = descriptor
+            if len(self._samplers) >= MAX_SAMPLERS:
+                more = f"one more sampler, {descriptor}"
+                self.refuse(DEVICE_CAPABILITY, "device.sampler", more, f"up to {MAX_SAMPLERS} different ones")
+            with HeldInterrupts():  # it belongs to the device, not to whoever asks first
+                sampler = self.new_id()
+                self.backend.create_sampler(sampler, descriptor)
+                self._samplers[descriptor] = sampler
+                self.sampler_descriptors[sampler] = descriptor
         return sampler
 
     def signal(self) -> int:
@@ -371,7 +511,7 @@ class Core:
 
     def statistics(self) -> Statistics:
         """Return a snapshot of the counters."""
-        self.draws += sum(collect() for collect in self.draw_counters)
+        self.draws += sum(collect() for collect in self.draw_counters.values())
         return dataclasses.replace(
             self.counters,
             draws=self.draws,
@@ -383,7 +523,7 @@ class Core:
 
     def reset_statistics(self) -> None:
         self.counters = Statistics()
-        for collect in self.draw_counters:
+        for collect in self.draw_counters.values():
             collect()
         self.draws = self.dispatches = self.upload_bytes = 0
         self.states.reset_counters()

@@ -20,6 +20,7 @@ from typing_extensions import Buffer as BytesLike
 
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import BufferDescriptor, BufferUsage, Id
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.timeline import Timeline
 from rhi.errors.rules import TRANSIENT_SIZE
 
@@ -81,9 +82,10 @@ class Ring:
 
     def mark(self, fence: int) -> None:
         """End the frame: everything allocated so far is free once `fence` has passed."""
-        for buffer in self._outgrown:
-            self._timeline.retire(buffer)
-        self._outgrown.clear()
+        if self._outgrown:
+            with HeldInterrupts():
+                while self._outgrown:
+                    self._timeline.retire(self._outgrown.pop())
         if self._head != (self._marks[-1][1] if self._marks else self._tail):
             self._marks.append((fence, self._head))
 
@@ -138,11 +140,12 @@ class Ring:
             capacity *= 2
         while capacity < size:
             capacity *= 2
-        buffer = self._new_id()
-        self._backend.create_buffer(buffer, BufferDescriptor(capacity, BufferUsage.STREAM, self.label))
-        if self.buffer:
-            self._outgrown.append(self.buffer)
-            self.generation += 1
-        self.buffer, self.capacity = buffer, capacity
-        self._head = self._tail = 0
-        self._marks.clear()
+        with HeldInterrupts():
+            buffer = self._new_id()
+            self._backend.create_buffer(buffer, BufferDescriptor(capacity, BufferUsage.STREAM, self.label))
+            if self.buffer:
+                self._outgrown.append(self.buffer)
+                self.generation += 1
+            self.buffer, self.capacity = buffer, capacity
+            self._head = self._tail = 0
+            self._marks.clear()

@@ -2,7 +2,8 @@
 
 - Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. On entry, a scope
   looks up the vector it leads to in a memo (`vector.after[scope]`) and pushes the current one onto a fixed-size
-  stack. On exit it pops that vector, whatever happened inside.
+  stack. On exit it pops that vector, whatever happened inside. After an exception it also pops those of scopes inside
+  whose own ends were cut off.
 - A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
   once per scope.
@@ -141,6 +142,10 @@ class StateCache:
         """Return the changes from the hardware states to any vector, of this cache or another; see `flush`."""
         return self._change(self._intern(vector.values))
 
+    def lose_hardware(self) -> None:
+        """Note that nobody knows the hardware's states, so that all are sent with the next change."""
+        self.hardware = StateVector(tuple(object() for _ in STATE_TYPES))
+
     def adopt(self, values: tuple[object, ...]) -> None:
         """Record values that were sent to the backend without this cache."""
         self._reserve()
@@ -162,6 +167,25 @@ class StateCache:
         self.hardware = wanted
         self.hardware_changes += len(changes)
         return changes
+
+    def unwind(self, depth: int) -> None:
+        """Leave all scopes beyond the first `depth`, whose ends an interrupt has cut off."""
+        while len(self._stack) > depth:
+            self.wanted = self._stack.pop()
+
+    def _unwind_to(self, scope: StateScope) -> None:
+        """Leave the scopes inside an open one, whose ends an interrupt has cut off.
+
+        Python can raise `KeyboardInterrupt` at the first step of an `__exit__`. Scopes hold no data of an entry, but
+        each combination on the stack knows where its scopes lead.
+        """
+        inside = self.wanted
+        for depth in range(len(self._stack) - 1, -1, -1):
+            outside = self._stack[depth]
+            if outside.after.get(scope) is inside:
+                self.unwind(depth + 1)
+                return
+            inside = outside
 
     def reset_counters(self) -> None:
         """Set both counters to zero."""
@@ -257,18 +281,21 @@ class StateScope:
         cache = self._cache
         wanted = cache.wanted
         target = wanted.after.get(self) or cache._derive(self)
+        count = len(self.states)  # from the push on nothing may be interrupted, so it calls nothing
         try:
             cache._stack.push(wanted)
         except RhiError as error:  # the stack is full
             cache.refusals.note(error)
             raise
         cache.wanted = target
-        cache.software_changes += len(self.states)
+        cache.software_changes += count
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         cache = self._cache
+        if kind is not None:
+            cache._unwind_to(self)
         try:
             cache.wanted = cache._stack.pop()
         except RhiError as error:  # no scope is open

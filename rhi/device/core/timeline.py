@@ -4,24 +4,34 @@
   Locks, rings, queries, deferred destruction and frames in flight are all built on this one mechanism.
 - `completed` asks the backend only while a signalled value is outstanding.
 - Resources are destroyed when the GPU no longer uses them: `retire` records the fence value after which a resource is
-  unused, and `collect` destroys those whose value has passed. Objects that keep ids of resources for later, such as
-  command buffers, register with `watch`.
+  unused, and `collect` destroys those whose value has passed.
+- A program that never signals would keep all of them. So a creation first signals if many wait for it (`make_room`).
+- Objects that keep something for a resource (a mesh the vertex array of a program, a command buffer its ids) register
+  with `watch`, and drop it when the resource is retired. So no table outlives what it is about.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import Protocol
+from typing import Final, Protocol
 from weakref import WeakSet
 
 from rhi.contract.backend import FOREVER, Backend
 from rhi.contract.descriptors import Id
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import DeviceError
 from rhi.errors.rules import DEVICE_LOST, FENCE_VALUE
 
 __rhi_internal__ = True
+
+
+MAX_WAITING: Final = 256
+"""Resources that are retired before a creation signals the fence for them."""
+MAX_WAITING_BYTES: Final = 1 << 26
+"""Their size in bytes, at which it signals too."""
+_ALL: Final[Id] = 0
 
 
 class Watcher(Protocol):
@@ -39,7 +49,8 @@ class Timeline:
         refusals: raises and keeps the errors of refused calls.
     """
 
-    __slots__ = ("_backend", "_completed", "_lock", "_retired", "_watchers", "refusals", "signalled")
+    __slots__ = ("_backend", "_completed", "_lock", "_lot", "_retired", "_waiting", "_waiting_bytes", "_watchers",
+                 "refusals", "signalled")  # fmt: skip
 
     def __init__(self, backend: Backend, refusals: RefusalLog = NO_LOG) -> None:
         self._backend = backend
@@ -47,7 +58,9 @@ class Timeline:
         self.signalled = 0
         self._completed = 0
         self._retired: deque[tuple[int, Id]] = deque()
-        self._watchers: WeakSet[Watcher] = WeakSet()
+        self._waiting = self._waiting_bytes = 0  # retired since the last signal
+        self._lot = 0  # the value that `make_room` signalled last
+        self._watchers: dict[Id, WeakSet[Watcher]] = {_ALL: WeakSet()}
         self._lock = threading.RLock()  # the garbage collector may retire something while it is held
 
     def signal(self) -> int:
@@ -55,6 +68,9 @@ class Timeline:
         value = self.signalled + 1
         self._backend.signal(value)
         self.signalled = value
+        self._waiting = self._waiting_bytes = 0
+        if not value % MAX_WAITING:  # a backend keeps each value until it is asked which ones have passed
+            self._completed = self._backend.completed()
         return value
 
     @property
@@ -84,19 +100,25 @@ class Timeline:
             )
         return reached
 
-    def retire(self, resource: Id) -> None:
-        """Destroy `resource` once the GPU has executed everything submitted so far."""
-        self._retired.append((self.signalled + 1, resource))
-        if self._watchers:
-            with self._lock:
-                watchers = list(self._watchers)
-            for watcher in watchers:
-                watcher.note_retired(resource)
+    def retire(self, resource: Id, size: int = 0) -> None:
+        """Destroy `resource`, of `size` bytes, once the GPU has executed everything submitted so far."""
+        if resource in self._watchers or self._watchers[_ALL]:
+            with HeldInterrupts():  # all of them have to know
+                with self._lock:
+                    watchers = [*self._watchers[_ALL], *self._watchers.pop(resource, ())]
+                for watcher in watchers:  # first, so that what was made of a resource is destroyed before it
+                    watcher.note_retired(resource)
+                self._retired.append((self.signalled + 1, resource))
+        else:
+            self._retired.append((self.signalled + 1, resource))
+        self._waiting += 1
+        self._waiting_bytes += size
 
-    def watch(self, watcher: Watcher) -> None:
-        """Notify `watcher` of each retired resource, for as long as it lives. May be called from any thread."""
+    def watch(self, watcher: Watcher, resource: Id = _ALL) -> None:
+        """Notify `watcher` when `resource` is retired, or each resource, for as long as it lives. May be called from
+        any thread."""
         with self._lock:
-            self._watchers.add(watcher)
+            self._watchers.setdefault(resource, WeakSet()).add(watcher)
 
     def collect(self) -> None:
         """Destroy the retired resources that the GPU no longer uses."""
@@ -104,4 +126,28 @@ class Timeline:
             return
         completed = self.completed
         while self._retired and self._retired[0][0] <= completed:
-            self._backend.destroy(self._retired.popleft()[1])
+            with HeldInterrupts():
+                self._backend.destroy(self._retired.popleft()[1])
+
+    def reclaim(self) -> bool:
+        """Wait for the GPU, to destroy every retired resource; return whether there was any."""
+        if not self._retired:
+            return False
+        self.wait(self.signal())
+        self.collect()
+        return True
+
+    def is_retired(self, resource: Id) -> bool:
+        """Return whether a resource is retired and not yet destroyed."""
+        return any(retired == resource for _, retired in self._retired)
+
+    def make_room(self) -> None:
+        """Destroy retired resources if many were retired since the last signal; called before a creation.
+
+        It waits for those that it signalled for last time, so that at most two lots exist.
+        """
+        if self._waiting >= MAX_WAITING or self._waiting_bytes >= MAX_WAITING_BYTES:
+            value = self.signal()
+            self.wait(self._lot)
+            self._lot = value
+            self.collect()

@@ -15,6 +15,7 @@ from typing import Final, Generic, Self, TypeVar
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core, describe_object
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.errors import DeviceError
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
@@ -52,15 +53,10 @@ class PendingQuery(Generic[T]):
         self._core = core
         self._ids: list[Id] = []
         kind = QueryKind.COUNTER if self.emulated else QueryKind.OCCLUSION
-        try:
-            for _ in range(count + self.emulated):
-                query = core.create_id()
-                core.backend.create_query(query, kind)
-                self._ids.append(query)
-        except BaseException:
-            for query in self._ids:
-                core.timeline.retire(query)
-            raise
+        for _ in range(count + self.emulated):
+            query = core.create_id()
+            core.create(core.backend.create_query, query, kind)
+            self._ids.append(query)
         self._state = _IDLE
         self._answer: T | None = None
         self._fence = 0
@@ -134,9 +130,10 @@ class PendingQuery(Generic[T]):
             )
         if not self.destroyed:
             self._core.check_thread("destroy")
-            self.destroyed = True
-            for query in self._ids:
-                self._core.timeline.retire(query)
+            with HeldInterrupts():
+                self.destroyed = True
+                for query in self._ids:
+                    self._core.timeline.retire(query)
 
     def discard_answer(self) -> None:
         """Discard the earlier answer, as the query is used again."""
@@ -186,12 +183,16 @@ class OcclusionQuery(PendingQuery[int]):
             core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
             core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
-        self.write_begin(core)
-        if self.emulated:
-            core.signal()
         self._answer = None
         self._state = _OPEN
         core.open_query = self
+        try:
+            self.write_begin(core)
+            if self.emulated:
+                core.signal()
+        except BaseException:  # whether it has begun or not
+            core.abandon_query()
+            raise
         core.counters.queries += 1
 
     def end(self) -> None:
@@ -203,7 +204,11 @@ class OcclusionQuery(PendingQuery[int]):
         if not self._core.closed:
             self._check_call(self._core)
         self._core.open_query = None
-        self._finish()
+        try:
+            self._finish()
+        except BaseException:  # whether it has ended or not
+            self.abandon()
+            raise
         self._state = _ENDED
 
     def _check_call(self, core: Core) -> None:
@@ -222,8 +227,8 @@ class OcclusionQuery(PendingQuery[int]):
 
     def abandon(self) -> None:
         """End the query without an answer, as its pass ends."""
-        self._finish()
         self._state = _IDLE
+        self._finish()
 
     def __enter__(self) -> Self:
         self.begin()
@@ -298,8 +303,13 @@ class Conditional:
         if core.condition_open:
             core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
-        core.backend.begin_conditional(self._query.id, self._inverted)
         core.condition_open = True
+        try:
+            core.backend.begin_conditional(self._query.id, self._inverted)
+        except BaseException:  # whether it has begun or not
+            core.condition_open = False
+            core.backend.end_conditional()
+            raise
         core.condition_count += 1
 
     def __exit__(
@@ -308,5 +318,9 @@ class Conditional:
         core = self._core
         core.condition_open = False
         if not core.closed:
-            core.resume_scope()
-            core.backend.end_conditional()
+            try:
+                core.resume_scope()
+                core.backend.end_conditional()
+            except BaseException:  # whether it has ended or not
+                core.backend.end_conditional()
+                raise

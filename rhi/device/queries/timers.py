@@ -1,19 +1,23 @@
 """The timer tree: GPU and CPU time of labelled parts of a frame (thesis 4.4).
 
 Each `device.event` takes two timestamps when timing is on. The tree of a frame is read, without waiting, when all of
-its timestamps are available; `device.timers` is the tree of the latest such frame.
+its timestamps are available; `device.timers` is the tree of the latest such frame. A frame has at most `MAX_EVENTS`,
+also in a program that never presents: further events inside an open one are only labels, otherwise a new tree begins.
 """
 
 from __future__ import annotations
 
 import time
+import weakref
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import SCOPE_ORDER
 
@@ -44,16 +48,20 @@ class _PendingEvent:
     started: float
     begin: Id = 0
     end: Id = 0
+    counted: bool = True  # whether it is in the tree
+    block: Callable[[], object] = lambda: True  # a weak reference to its `with` block
 
 
 MAX_FRAMES: Final = 8
 """Largest number of frames that wait for their timestamps; beyond it the oldest is dropped."""
+MAX_EVENTS: Final = 4096
+"""Largest number of events in the tree of a frame."""
 
 
 class Timers:
     """The events of the current frame, and the event tree of the latest finished frame."""
 
-    __slots__ = ("_core", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
+    __slots__ = ("_core", "_count", "_frames", "_free", "_open", "_pending", "_roots", "enabled", "latest")
 
     def __init__(self, core: Core, enabled: bool) -> None:
         self._core = core
@@ -61,6 +69,7 @@ class Timers:
         self.latest: list[TimerNode] = []
         self._open: list[_PendingEvent] = []
         self._roots: list[TimerNode] = []
+        self._count = 0  # of events in the tree
         self._pending: list[_PendingEvent] = []
         self._frames: deque[tuple[list[TimerNode], list[_PendingEvent]]] = deque()
         self._free: list[Id] = []
@@ -72,38 +81,68 @@ class Timers:
 
     def begin(self, label: str) -> _PendingEvent:
         """Open an event inside the innermost open one."""
+        if self._open:
+            self._end_abandoned()
         event = _PendingEvent(TimerNode(label), time.perf_counter())
-        if self.enabled:  # both queries now: what can fail comes before anything is begun
-            event.begin = self._acquire_query()
-            try:
+        if self._count >= MAX_EVENTS:
+            if self._open:
+                event.counted = False
+            else:
+                self.end_frame()
+        depth, siblings = len(self._open), self._open[-1].node.children if self._open else self._roots
+        labelled = False
+        try:
+            if self.enabled and event.counted:
+                event.begin = self._acquire_query()
                 event.end = self._acquire_query()
-            except BaseException:
-                self._free.append(event.begin)
-                raise
-        self._core.backend.push_label(label)
-        if event.begin:
-            self._core.backend.write_query(event.begin)
-        (self._open[-1].node.children if self._open else self._roots).append(event.node)
-        self._open.append(event)
+            self._core.backend.push_label(label)
+            labelled = True
+            if event.begin:
+                self._core.backend.write_query(event.begin)
+            if event.counted:
+                siblings.append(event.node)
+                self._count += 1
+            self._open.append(event)
+        except BaseException:
+            del self._open[depth:]
+            if siblings and siblings[-1] is event.node:
+                siblings.pop()
+            self._free += [query for query in (event.begin, event.end) if query]
+            if labelled:
+                self._core.backend.pop_label()
+            raise
         return event
+
+    def unwind(self, event: _PendingEvent) -> None:
+        """Close the events inside an open one, whose ends an interrupt has cut off."""
+        while event in self._open and self._open[-1] is not event:
+            self.end(self._open[-1])
+
+    def _end_abandoned(self) -> None:
+        """Close open events whose blocks were left without their end; see `Core.has_open_pass`."""
+        while self._open and self._open[-1].block() is None:
+            self.end(self._open[-1])
 
     def end(self, event: _PendingEvent) -> None:
         """Close an event; `scope-order` if it is not the innermost open one."""
         if not self._open or self._open[-1] is not event:
             given = f"the end of {event.node.name!r}"
             self._core.refuse(SCOPE_ORDER, "device.event", given, "the innermost open event")
-        self._open.pop()
-        if event.end:
-            self._core.backend.write_query(event.end)
-            self._pending.append(event)
-        event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
-        self._core.backend.pop_label()
+        try:
+            self._open.pop()
+            if event.end:
+                self._core.backend.write_query(event.end)
+                self._pending.append(event)
+            event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
+        finally:
+            self._core.backend.pop_label()
 
     def end_frame(self) -> None:
         """Close the frame's tree, and read the frames whose timestamps are available."""
+        self._end_abandoned()
         if not self._open and self._roots:
             self._frames.append((self._roots, self._pending))
-            self._roots, self._pending = [], []
+            self._roots, self._pending, self._count = [], [], 0
         self.collect()
         while len(self._frames) > MAX_FRAMES:
             self._release(self._frames.popleft()[1])
@@ -125,10 +164,14 @@ class Timers:
 
     def _acquire_query(self) -> Id:
         """Return an unused timestamp query, creating one if there is none."""
-        if self._free:
-            return self._free.pop()
-        query = self._core.new_id()
-        self._core.backend.create_query(query, QueryKind.TIMESTAMP)
+        free = self._free
+        if not free:
+            with HeldInterrupts():
+                query = self._core.new_id()
+                self._core.backend.create_query(query, QueryKind.TIMESTAMP)
+                free.append(query)
+        query = free[-1]
+        del free[-1]  # no call, after which an interrupt could come
         return query
 
     def _read(self, query: Id) -> int | None:
@@ -141,7 +184,7 @@ class Timers:
 class EventScope:
     """A `with device.event(label):` block, which labels the commands inside and, with timing on, times them."""
 
-    __slots__ = ("_core", "_events", "_label", "_timers")
+    __slots__ = ("__weakref__", "_core", "_events", "_label", "_timers")
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
         if label.__class__ is not str:
@@ -153,12 +196,21 @@ class EventScope:
 
     def __enter__(self) -> None:
         self._core.check_scope()
-        self._events.append(self._timers.begin(self._label))
+        event = self._timers.begin(self._label)
+        try:
+            event.block = weakref.ref(self)
+            self._events.append(event)
+        except BaseException:
+            self._timers.end(event)
+            raise
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._core.closed:
             self._core.resume_scope()
-            self._timers.end(self._events[-1])
+            event = self._events[-1]
+            if kind is not None:
+                self._timers.unwind(event)
+            self._timers.end(event)
             self._events.pop()

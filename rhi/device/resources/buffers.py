@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import cache
 from typing import Any, Generic, TypeVar
 
@@ -26,8 +25,9 @@ from rhi.contract.layout import (
     is_host_shareable,
 )
 from rhi.device.core.core import Core
-from rhi.device.resources.lifetime import Resource, destroy_on_error
+from rhi.device.resources.lifetime import Resource, retire
 from rhi.device.resources.locks import Lock
+from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
@@ -54,10 +54,9 @@ class Buffer(Resource):
         id: the buffer's id in the command stream.
         size: size in bytes.
         bind_uniform: a function of slot, offset and size that binds a range of the buffer.
-        dependents: functions to call when the buffer is destroyed.
     """
 
-    __slots__ = ("bind_uniform", "core", "count", "dependents", "destroyed", "dtype", "id", "label", "size")
+    __slots__ = ("bind_uniform", "core", "count", "destroyed", "dtype", "id", "label", "size")
 
     def __init__(
         self,
@@ -86,9 +85,8 @@ class Buffer(Resource):
         self.size = size
         self.label = label
         self.destroyed = False
-        self.dependents: list[Callable[[], None]] = []
         self.id = core.create_id()
-        core.backend.create_buffer(self.id, BufferDescriptor(size, usage, label))
+        core.create(core.backend.create_buffer, self.id, BufferDescriptor(size, usage, label))
         self.bind_uniform = core.prepare_uniform(self.id)
 
     def __len__(self) -> int:
@@ -101,17 +99,33 @@ class Buffer(Resource):
         """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
             self.core.check_thread("destroy")
-            self.destroyed = True
             self.core.program = None
-            for invalidate in self.dependents:
-                invalidate()
-            self.dependents.clear()
-            self.core.timeline.retire(self.id)
+            retire(self, self.size)
 
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of `count` elements from `first` on; waits for work that may write them."""
         first, count = self._range("Buffer.read", first, count)
         return self._download(first, count)
+
+    def read_async(self, first: int = 0, count: int | None = None) -> Readback:
+        """Begin to read `count` elements from `first` on, as `read` does, and return their future at once.
+
+        Elements that aren't aligned to `capabilities.copy_alignment` are read now, and the future is done.
+        """
+        first, count = self._range("Buffer.read_async", first, count)
+        base, shape = self.dtype.subdtype or (self.dtype, ())
+        size, alignment = self.dtype.itemsize, self.core.capabilities.copy_alignment
+        readback = Readback(self.core, base, (count, *shape), 1, count * size)
+        self.core.check_ready()
+        if first * size % alignment or count * size % alignment:
+            readback.complete(self._download(first, count))
+        elif count:
+            memory = readback.take_memory()
+            self.core.backend.copy_buffer(self.id, first * size, memory, 0, count * size)
+            readback.begin()
+        else:
+            readback.complete(np.zeros(0, base))
+        return readback
 
     def write(self, data: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on, ordered after the work submitted before.
@@ -241,8 +255,7 @@ class UniformBuffer(UniformRange[T], Resource):
             data, dtype = constants.to_bytes(), type(constants).uniform_dtype
         owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
-        with destroy_on_error(owner):
-            owner._upload_bytes(data, 0)
+        owner._upload_bytes(data, 0)
 
     def write(self, value: T) -> None:
         """Replace the constants, ordered after the draws before."""
@@ -329,6 +342,10 @@ class StorageBuffer(StorageRange[T], Resource):
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of elements; waits for work that may write them."""
         return self._typed().read(first, count)
+
+    def read_async(self, first: int = 0, count: int | None = None) -> Readback:
+        """Begin to read elements, as `read` does, and return their future at once."""
+        return self._typed().read_async(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`."""

@@ -4,7 +4,8 @@
   OpenGL calls against 1.2× (`benchmarks/draw_cost.py`).
 - Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose
   ranges were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
-- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect.
+- Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect, and a call
+  that is cut off after it costs the next one a fresh start.
 - The number of instances is compared with 1 by identity, which is the quicker comparison and tells 1 from 1.0 and True.
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
   records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
@@ -98,6 +99,7 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool
     yield from _write_nonlocal(cells)
     find = tuple(_write_unpack(bindings))
     yield from _write_bind(bindings, cells, "_check(_mesh)", find, recorded, draws=False)
+    yield from _write_cut_off()
     yield "    def collect_draw_count():"
     yield "        nonlocal _draws"
     yield "        count, _draws = _draws, 0"
@@ -121,12 +123,13 @@ def _write_draw(
         "    _instances = _program.check_instances(_instances)",
     )
     yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded, draws=True)
-    yield "        if _states.wanted is not _states.hardware:"
-    yield "            _core.flush_states()"
-    yield "        if _core.tests_alpha:"
-    yield "            _program.draw_unprepared(_mesh, _instances)"
-    yield "        else:"
-    yield "            _draw(_instances)"
+    yield "            if _states.wanted is not _states.hardware:"
+    yield "                _core.flush_states()"
+    yield "            if _core.tests_alpha:"
+    yield "                _program.draw_unprepared(_mesh, _instances)"
+    yield "            else:"
+    yield "                _draw(_instances)"
+    yield from _write_cut_off()
     yield "        _draws += 1"
 
 
@@ -173,10 +176,19 @@ def _write_bind(
     yield "            raise _error.with_traceback(None) from None"
     yield "        except AttributeError as _error:"
     yield f"            raise _program.explain(_error, {values}{', _mesh' if draws else ''}) from None"
-    yield "        if _fresh:"
-    yield "            _program.make_current()"
+    yield "        try:"
+    yield "            if _fresh:"
+    yield "                _program.make_current()"
     for i, binding in enumerate(bindings):
-        yield f"        if {binding.name} is not _bound_{i}:"
+        yield f"            if {binding.name} is not _bound_{i}:"
         apply = (_APPLY_RECORDED if recorded else _APPLY)[binding.kind]
-        yield "            " + apply.format(slot=binding.slot, name=binding.name)
-        yield f"            _bound_{i} = {binding.name}"
+        yield "                " + apply.format(slot=binding.slot, name=binding.name)
+        yield f"                _bound_{i} = {binding.name}"
+
+
+def _write_cut_off() -> Iterator[str]:
+    """Yield the lines that end the part in which a call takes effect. If that is cut off, by an interrupt or an error
+    of the driver, it isn't known what was bound, so the next call binds everything."""
+    yield "        except BaseException:"
+    yield "            _core.program = None"
+    yield "            raise"

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from typing import Self
+from typing import Protocol, Self
+
+from rhi.contract.descriptors import Id
+from rhi.device.core.core import Core
 
 __rhi_internal__ = True
 
@@ -25,11 +26,22 @@ class Resource:
         self.destroy()
 
 
-@contextmanager
-def destroy_on_error(resource: Resource) -> Iterator[None]:
-    """Destroy a new resource if the block that fills it raises, since the caller never receives it."""
+class Retirable(Protocol):
+    """A resource with an id of its own, as `retire` sees it."""
+
+    core: Core
+    destroyed: bool
+
+    @property
+    def id(self) -> Id: ...
+
+
+def retire(resource: Retirable, size: int = 0) -> None:
+    """Mark a resource as destroyed and retire it; `size` in bytes. After an interrupt both or none is done."""
+    timeline = resource.core.timeline
+    resource.destroyed = True
     try:
-        yield
+        timeline.retire(resource.id, size)
     except BaseException:
-        resource.destroy()
+        resource.destroyed = timeline.is_retired(resource.id)
         raise

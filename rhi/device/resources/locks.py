@@ -24,7 +24,7 @@ __rhi_internal__ = True
 class Lock:
     """A `with buffer.lock(Access.WRITE) as array:` block; after it, and under READ, the array is read-only."""
 
-    __slots__ = ("_access", "_array", "_make", "_owner", "_read", "_write")
+    __slots__ = ("__weakref__", "_access", "_array", "_make", "_owner", "_read", "_write")
 
     def __init__(
         self,
@@ -46,13 +46,18 @@ class Lock:
         core.check_ready()
         if owner.destroyed:
             core.refuse(RESOURCE_DESTROYED, "lock", describe_object(owner))
-        if owner in core.locked:
+        if core.is_locked(owner):
             core.refuse(LOCK_TWICE, "lock", describe_object(owner))
         array = self._read() if self._access.reads else self._make()
         array.flags.writeable = self._access.writes
-        core.locked.append(owner)
         core.program = None  # from now on every draw checks whether it uses a locked resource
         self._array = array
+        try:
+            core.lock(owner, self)
+        except BaseException:  # an interrupt; nobody will release it
+            self._array = None
+            core.unlock(self)
+            raise
         return array
 
     def __exit__(
@@ -62,7 +67,7 @@ class Lock:
         if array is None:
             self._owner.core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
         core = self._owner.core
-        core.locked.remove(self._owner)
+        core.unlock(self)
         if kind is None and self._access.writes and not self._owner.destroyed and not core.closed:
             core.check_ready()
             self._write(array)

@@ -5,6 +5,7 @@
 - `view` returns a part of a mesh (first, count, base vertex, base instance) that shares everything else.
 - The vertex array is created once per mesh and program, and shared by views; each view keeps its own prepared draw
   per program (`prepared_draws`). So views are immutable: another part is another view.
+- All of these are dropped with the program or the buffer that they were made for (`Timeline.watch`).
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core, Owner
+from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.resources.buffers import Buffer, StorageBuffer
 from rhi.device.resources.lifetime import Resource
 from rhi.errors import Rule
@@ -48,8 +50,8 @@ _FORMATS: Final = {(f.code, f.components, f.normalized): f for f in VertexFormat
 class MeshData:
     """The buffers of a mesh, shared by its views."""
 
-    __slots__ = ("buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label", "owned",
-                 "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
+    __slots__ = ("__weakref__", "buffers", "core", "index_buffer", "index_count", "index_format", "instances", "label",
+                 "owned", "vertex_arrays", "vertex_count", "vertices", "views")  # fmt: skip
 
     def __init__(
         self, core: Core, vertices: VertexSource | int, indices: NDArray[Any] | Buffer | None,
@@ -68,16 +70,9 @@ class MeshData:
         self.core = core
         self.label = label
         self.owned: list[Buffer] = []
-        try:
-            self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
-            self.instances = (
-                None if instance_array is None else self._buffer(instance_array, f"{label} instances")
-            )
-            self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
-        except BaseException:
-            for buffer in self.owned:  # a later buffer did not fit into memory
-                buffer.destroy()
-            raise
+        self.vertices = None if vertex_array is None else self._buffer(vertex_array, f"{label} vertices")
+        self.instances = None if instance_array is None else self._buffer(instance_array, f"{label} instances")
+        self.index_buffer = None if index_array is None else self._buffer(index_array, f"{label} indices")
         self.index_format = IndexFormat.UINT32
         self.index_count: int | None = None
         if self.index_buffer is not None:
@@ -90,7 +85,7 @@ class MeshData:
         sources = (self.vertices, self.instances, self.index_buffer)
         self.buffers = tuple(buffer for buffer in sources if buffer is not None)
         for buffer in self.buffers:
-            buffer.dependents.append(self._forget)
+            core.timeline.watch(self, buffer.id)
 
     def _buffer(self, source: NDArray[Any] | Buffer, label: str) -> Buffer:
         if isinstance(source, Buffer):
@@ -112,10 +107,17 @@ class MeshData:
         """
         descriptor = self.describe_vertex_array(program, name, attributes)
         self.core.check_ready()
-        vertex_array = self.core.new_id()
-        self.core.backend.create_vertex_array(vertex_array, descriptor)
-        self.vertex_arrays[key] = vertex_array
+        with HeldInterrupts():
+            vertex_array = self.core.new_id()
+            self.core.create(self.core.backend.create_vertex_array, vertex_array, descriptor)
+            self.keep_vertex_array(key, program, vertex_array)
         return vertex_array
+
+    def keep_vertex_array(self, key: object, program: Id, vertex_array: Id) -> None:
+        """Keep a vertex array until this mesh, one of its buffers or the program is destroyed."""
+        # Command buffers that were recorded at the same time bring one each; all are kept.
+        self.vertex_arrays[key if key not in self.vertex_arrays else (key, vertex_array)] = vertex_array
+        self.core.timeline.watch(self, program)
 
     def describe_vertex_array(
         self, program: Id, name: str, attributes: tuple[Attribute, ...]
@@ -131,20 +133,38 @@ class MeshData:
         index_buffer = self.index_buffer.id if self.index_buffer else 0
         return VertexArrayDescriptor(program, streams, index_buffer, self.index_format)
 
+    def note_retired(self, resource: Id) -> None:
+        """Drop what was made for a program, or everything, as a buffer of this mesh is destroyed."""
+        if any(buffer.id == resource for buffer in self.buffers):
+            self._forget()
+        else:
+            made = [key for key in self.vertex_arrays if _program_id(key) == resource]
+            for view in self.views:
+                for key in made:
+                    view.prepared_draws.pop(key, None)
+            for key in made:
+                self.core.timeline.retire(self.vertex_arrays.pop(key))
+
     def _forget(self) -> None:
         """Drop all prepared draws and vertex arrays."""
         for view in self.views:
             view.prepared_draws.clear()
-        for vertex_array in self.vertex_arrays.values():
-            self.core.timeline.retire(vertex_array)
-        self.vertex_arrays.clear()
+        while self.vertex_arrays:
+            self.core.timeline.retire(self.vertex_arrays.popitem()[1])
 
     def destroy(self) -> None:
         """Destroy the buffers that were created for this mesh."""
         self.core.check_thread("destroy")
-        self._forget()
-        for buffer in self.owned:
-            buffer.destroy()
+        with HeldInterrupts():
+            self._forget()
+            for buffer in self.owned:
+                buffer.destroy()
+
+
+def _program_id(key: Any) -> Id:
+    """Return the id of the program that a vertex array is kept for."""
+    program = key[0] if isinstance(key, tuple) else key
+    return int(program.id)
 
 
 class StreamSource(NamedTuple):

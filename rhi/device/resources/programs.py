@@ -17,8 +17,10 @@ from typing_extensions import ParamSpec
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe_object
+from rhi.device.core.timeline import Timeline
 from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
+from rhi.device.resources.lifetime import retire
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
 from rhi.errors import ValidationError
@@ -89,7 +91,7 @@ class Program(Generic[P]):
         self.destroyed = False
         self.recorded_code: CodeType | None = None
         self.id = core.create_id()
-        core.backend.create_program(self.id, descriptor)
+        core.create(core.backend.create_program, self.id, descriptor)
         self._install_code(compile_draw_code(self.name, descriptor.bindings, validates=core.validates))
 
     def _install_code(self, code: CodeType) -> None:
@@ -97,7 +99,7 @@ class Program(Generic[P]):
         self.draw = made.draw  # type: ignore[method-assign]
         self.draw_with = made.draw_with
         self.bind = made.bind
-        self.core.draw_counters.append(made.collect_draw_count)
+        self.core.draw_counters[self.id] = made.collect_draw_count
 
     @property
     def label(self) -> str:
@@ -110,10 +112,13 @@ class Program(Generic[P]):
     def destroy(self) -> None:
         """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
-            self.core.check_thread("destroy")
-            self.destroyed = True
-            self.core.program = None
-            self.core.timeline.retire(self.id)
+            core = self.core
+            core.check_thread("destroy")
+            core.program = None
+            if self.id in core.draw_counters:
+                core.draws += core.draw_counters[self.id]()
+                del core.draw_counters[self.id]
+            retire(self)
 
     # -- checks, off the fast path -----------------------------------------------------------------------
 
@@ -146,7 +151,7 @@ class Program(Generic[P]):
         core.check_usable(self, call)
         if Stage.COMPUTE not in self.descriptor.stages:
             core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a compute stage")
-        if core.render_pass is not None:
+        if core.has_open_pass():
             core.refuse(PASS_OPEN, call, "an open render pass")
 
     def make_current(self) -> None:
@@ -306,6 +311,28 @@ def check_program(core: Core, program: object, call: str) -> None:
     core.check_usable(check.instance("program", program, Program, "a Program from device.program(…)"), call)
 
 
+class ProgramTable:
+    """The programs of a device, by the shader class or descriptor that they were made of; destroyed ones leave it."""
+
+    def __init__(self, timeline: Timeline) -> None:
+        self._timeline = timeline
+        self._programs: dict[object, Program[Any]] = {}
+        self._shaders: dict[Id, object] = {}
+
+    def find(self, shader: object) -> Program[Any] | None:
+        """Return the program of a shader, None if there is none."""
+        return self._programs.get(shader)
+
+    def add(self, shader: object, program: Program[Any]) -> None:
+        """Keep a program until it is destroyed."""
+        self._programs[shader], self._shaders[program.id] = program, shader
+        self._timeline.watch(self, program.id)
+
+    def note_retired(self, resource: Id) -> None:
+        """Drop a program that is destroyed; called by `Timeline`."""
+        self._programs.pop(self._shaders.pop(resource, None), None)
+
+
 def shader_kind(form: Format) -> str:
     """Return the scalar type as which a shader sees a format's channels: "float", "int" or "uint"."""
     return {ChannelKind.UINT: "uint", ChannelKind.INT: "int"}.get(form.kind, "float")
@@ -352,6 +379,9 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
         used = sum(binding.kind is kind for binding in descriptor.bindings)
         if used > most:
             core.refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
+    if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
+        given = "a point size" if descriptor.point_size else "point_coordinate()"
+        core.refuse(DEVICE_CAPABILITY, call, given, "needs capabilities.max_point_size")
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         core.refuse(
             DEVICE_CAPABILITY,

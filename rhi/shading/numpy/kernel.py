@@ -7,8 +7,10 @@
 
 from __future__ import annotations
 
+import itertools
 import linecache
 import math
+import weakref
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -26,6 +28,8 @@ LaneFunction = Callable[..., tuple[Any, ...]]
 INVOCATIONS: Final = 1 << 18
 """Number of invocations that run together."""
 
+_NUMBERS: Final = itertools.count()
+
 
 def write_numpy_kernel(code: Code) -> str:
     """Return the text of a compute stage's module: `run`, `WORK_GROUP` and `SHARED`, the lengths of shared arrays."""
@@ -42,10 +46,11 @@ def write_numpy_kernel(code: Code) -> str:
 
 def load_module(text: str, name: str) -> dict[str, Any]:
     """Execute the text of a module and return its names; tracebacks show its lines."""
-    file = f"<lanes of {name} {id(text)}>"
-    linecache.cache[file] = (len(text), None, text.splitlines(True), file)
+    file = f"<lanes of {name} {next(_NUMBERS)}>"
     space: dict[str, Any] = {"np": np, "R": numpy_runtime, "__rhi_internal__": True}
     exec(compile(text, file, "exec"), space)
+    linecache.cache[file] = (len(text), None, text.splitlines(True), file)
+    weakref.finalize(space["run"], linecache.cache.pop, file, None).atexit = False
     return space
 
 

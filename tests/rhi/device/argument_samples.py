@@ -198,6 +198,13 @@ TEXTURE_COPY: Final = {
     "y": (0, natural),
     "layer": (0, natural),
 }
+ROWS_COPY: Final = {
+    "level": (0, natural),
+    "region": REGION,
+    "offset": (0, natural),
+    "row_bytes": (None, optional(natural)),
+}
+BUFFER: Final = (of("buffer"), own(rhi.Buffer, rhi.StorageBuffer))
 PROGRAM: Final = (of("program"), own(rhi.Program))
 MESH: Final = (of("mesh"), own(rhi.Mesh))
 TINT: Final = (of("tint"), own(rhi.UniformBuffer))
@@ -463,6 +470,12 @@ SAMPLES: Final[dict[str, Sample]] = {
     "CommandBuffer.copy_buffer": commands(
         "copy_buffer", {"source": (of("buffer"), own(rhi.Buffer, rhi.StorageBuffer)), **BUFFER_COPY}
     ),
+    "CommandBuffer.copy_texture_to_buffer": commands(
+        "copy_texture_to_buffer", {"source": (of("image"), own(rhi.Texture)), "target": BUFFER, **ROWS_COPY}
+    ),
+    "CommandBuffer.copy_buffer_to_texture": commands(
+        "copy_buffer_to_texture", {"source": BUFFER, "target": (of("image"), own(rhi.Texture)), **ROWS_COPY}
+    ),
     "CommandBuffer.copy_texture": commands(
         "copy_texture", {"source": (of("image"), own(rhi.Texture)), **TEXTURE_COPY}
     ),
@@ -493,6 +506,7 @@ SAMPLES: Final[dict[str, Sample]] = {
     "Buffer.lock": Sample(
         method("buffer", "lock"), {"access": (Access.READ, instance(Access)), **RANGE}, enters=True
     ),
+    "Buffer.read_async": Sample(method("buffer", "read_async"), RANGE),
     "Buffer.read": Sample(method("buffer", "read"), RANGE),
     "Buffer.write": Sample(
         method("buffer", "write"), {"data": (np.zeros(4, "u4"), array("u4")), "first": (1, natural)}
@@ -509,6 +523,7 @@ SAMPLES: Final[dict[str, Sample]] = {
     "StorageBuffer.lock": Sample(
         method("numbers", "lock"), {"access": (Access.READ, instance(Access)), **RANGE}, enters=True
     ),
+    "StorageBuffer.read_async": Sample(method("numbers", "read_async"), RANGE),
     "StorageBuffer.read": Sample(method("numbers", "read"), RANGE),
     "StorageBuffer.write": Sample(
         method("numbers", "write"),
@@ -522,6 +537,9 @@ SAMPLES: Final[dict[str, Sample]] = {
         {"access": (Access.READ, instance(Access)), **LAYER, "region": REGION},
         enters=True,
     ),
+    "Texture.copy_to_buffer": Sample(method("image", "copy_to_buffer"), {"target": BUFFER, **ROWS_COPY}),
+    "Texture.copy_from_buffer": Sample(method("image", "copy_from_buffer"), {"source": BUFFER, **ROWS_COPY}),
+    "Texture.read_async": Sample(method("image", "read_async"), {**LAYER, "region": REGION}),
     "Texture.read": Sample(method("image", "read"), {**LAYER, "region": REGION}),
     "Texture.read_layers": Sample(method("image", "read_layers"), {"level": (0, natural)}),
     "Texture.read_stencil": Sample(method("depth", "read_stencil"), {**LAYER, "region": REGION}),
@@ -591,9 +609,11 @@ SAMPLES: Final[dict[str, Sample]] = {
             "work_group": ((1, 1, 1), nothing),
             "emit": (len, lambda house, value: callable(value)),
             **dict.fromkeys(
-                ("writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"),
+                ("writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals",
+                 "reads_point_coordinates"),
                 (False, flag),
             ),
+            "point_size": ("", LABEL[1]),
             "shared_bytes": (0, natural),
         },
     ),

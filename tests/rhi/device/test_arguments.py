@@ -32,7 +32,7 @@ VALUES: list[Any] = [
 ]  # fmt: skip
 INTERNAL = {
     "CommandBuffer": {"note_retired"},
-    "TransientMemory": {"mark", "place_mesh"},
+    "TransientMemory": {"mark", "note_retired", "place_mesh"},
     "Mesh": {"create_vertex_array", "place_draws"},
     "TransientMesh": {"create_vertex_array", "place_draws"},
     "Program": {

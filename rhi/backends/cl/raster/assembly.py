@@ -39,6 +39,7 @@ _LISTS: Final = (Primitive.POINTS, Primitive.LINES, Primitive.TRIANGLES)
 _NO_RESTART: Final = -1
 _SPAN: Final = 1024  # a range takes two scans of at most this many indices, and one of the spans between
 _MAX_KEPT: Final = 4096
+_MAX_LISTED: Final = 1 << 22  # indices, in the lists kept for one buffer
 _MIN_PATTERN: Final = 1024
 
 
@@ -75,11 +76,16 @@ class _Contents(Generic[T]):
         self.bytes: NDArray[np.uint8] | None = None
         self.device_wrote = False
         self.kept: dict[_ListKey, Assembly[T]] = {}
+        self.listed = 0  # indices in the lists that were made for `kept`
         self.spans: dict[IndexFormat, tuple[_Indices, _Indices]] = {}
 
     def forget_results(self) -> None:
-        self.kept.clear()
+        self.forget_lists()
         self.spans.clear()
+
+    def forget_lists(self) -> None:
+        self.kept.clear()
+        self.listed = 0
 
     def find_range(self, format: IndexFormat, first: int, count: int) -> tuple[int, int]:
         """Return the lowest and the highest of a range of indices, from the extremes of whole spans and the indices
@@ -158,9 +164,10 @@ class Assembler(Generic[T]):
         key = primitive, format, first, count
         made = contents.kept.get(key)
         if made is None:
-            if len(contents.kept) == _MAX_KEPT:
-                contents.kept.clear()
+            if len(contents.kept) >= _MAX_KEPT or contents.listed >= _MAX_LISTED:
+                contents.forget_lists()
             made = contents.kept[key] = self._assemble_indices(contents, *key)
+            contents.listed += 0 if made.memory is None else made.count
         return made
 
     def _assemble_vertices(self, primitive: Primitive, first: int, count: int) -> Assembly[T]:

@@ -87,12 +87,14 @@ class Batch:
         Raises:
             pyopencl.Error: out of memory for boxes; the draws are lost.
         """
-        state, alone, words = self.state, self._alone, self.rows[:]
+        try:
+            state, alone, words = self.state, self._alone, self.rows[:]
+            views = b"".join(self.views)
+        finally:  # also if an interrupt comes: rows of prepared draws are used again from here on
+            self._alone = None
+            del self.rows[:]
+            del self.views[:]
         assert state is not None
-        views = b"".join(self.views)
-        self._alone = None
-        del self.rows[:]
-        self.views.clear()
         if alone is None:
             return GatheredDraws(state, self._tabulate(state, words), views, 0)
         draws, row, counters = alone

@@ -3,25 +3,27 @@
 - A draw that is repeated, in whichever array, finds its prepared draw by its arguments. All draws of an array are
   looked up at once, since the visible objects of a scene change from frame to frame. An array that is repeated as a
   whole, with the same counters, finds its tables by its bytes.
-- Prepared draws hold for one version of the indices; with other indices, draws are prepared anew.
+- Prepared draws hold for one version of the indices. With other indices draws are prepared anew, and the old ones are
+  dropped, as all are that belong to a vertex array when it is destroyed.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.pieces import DrawList
 from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
-from rhi.contract.descriptors import DRAW
+from rhi.contract.descriptors import DRAW, Id, Primitive
 
 __rhi_internal__ = True
 
-_MAX_KNOWN: Final = 1 << 16
-"""Limit of the number of cached draws, and of the number of draws in cached arrays."""
+_MAX_KNOWN: Final = 1 << 17
+"""Limit of the number of cached draws and of draws in cached arrays, together. A longer array is alone in the cache."""
 _NAMES: Final = DRAW.names or ()
 _WORDS: Final = [word for word, name in enumerate(_NAMES) if name != "instances"]
 """The words of a draw that its prepared draw depends on: all but the number of instances."""
@@ -31,49 +33,74 @@ _FACTORS: Final = np.array(
 """Factors of the hash of a draw's words: odd numbers with evenly distributed bits."""
 
 
+_Bytes: TypeAlias = tuple[bytes, bytes | None]
+
+
+@dataclass(slots=True)
+class _Part:
+    """The cache for one vertex array and primitive, valid for one version of the indices."""
+
+    version: int
+    draws: _KnownDraws
+    arrays: dict[_Bytes, DrawList]
+    listed: int = 0  # draws in `arrays`, and one for each
+
+
 class DrawListCache:
     """The cache of one device."""
 
     def __init__(self, prepared: PreparedDraws) -> None:
         self._prepared = prepared
-        self._draws: dict[object, _KnownDraws] = {}
-        self._placed = 0  # cached draws of all keys
-        self._arrays: dict[object, DrawList] = {}
-        self._listed = 0  # draws of all cached arrays
+        self._parts: dict[Id, dict[Primitive, _Part]] = {}  # by vertex array
+        self._size = 0  # cached draws, and draws of cached arrays
 
     def find(
-        self, key: object, draws: NDArray[Any], counters: NDArray[np.int64] | None, indexed: bool,
-        fill: Callable[..., None],
+        self, vertex_array: Id, primitive: Primitive, version: int, draws: NDArray[Any],
+        counters: NDArray[np.int64] | None, indexed: bool, fill: Callable[..., None],
     ) -> DrawList:  # fmt: skip
         """Return an array of draws with the numbers of their prepared draws.
 
         Args:
-            key: all that prepared draws depend on besides the draws themselves.
+            version: that of the vertex array's indices.
             draws: (n,) of `rhi.DRAW`, or without `indexed` of `rhi.DRAW_UNINDEXED`.
             counters: (n,) numbers of the draws' counters, or None.
             fill: fills in a prepared draw: `fill(slot, first, count, base_vertex, base_instance)`.
         """
-        whole = key, draws.tobytes(), None if counters is None else counters.tobytes()
-        list_of_all = self._arrays.get(whole)
+        part = self._find_part(vertex_array, primitive, version)
+        whole = draws.tobytes(), None if counters is None else counters.tobytes()
+        list_of_all = part.arrays.get(whole)
         if list_of_all is None:
-            numbers, places = self._find_each(key, draws, indexed, fill)
+            if self._size and self._size + 2 * len(draws) > _MAX_KNOWN:
+                self._parts.clear()
+                self._size = 0
+                part = self._find_part(vertex_array, primitive, version)
+            numbers, places = self._find_each(part.draws, draws, indexed, fill)
             instances = draws["instances"].astype(np.int64)
             list_of_all = DrawList(self._prepared, numbers, places, instances, counters)
-            self._listed += len(numbers)
-            if self._listed > _MAX_KNOWN:
-                self._arrays.clear()
-                self._listed = len(numbers)
-            self._arrays[whole] = list_of_all
+            part.arrays[whole] = list_of_all
+            part.listed += len(numbers) + 1
+            self._size += len(numbers) + 1
         return list_of_all
 
+    def forget(self, vertex_array: Id) -> None:
+        """Drop everything of a vertex array that is being destroyed."""
+        for part in self._parts.pop(vertex_array, {}).values():
+            self._size -= part.listed + len(part.draws.places)
+
+    def _find_part(self, vertex_array: Id, primitive: Primitive, version: int) -> _Part:
+        """Return the part of the cache for these indices; one for an earlier version is dropped."""
+        parts = self._parts.setdefault(vertex_array, {})
+        part = parts.get(primitive)
+        if part is None or part.version != version:
+            if part is not None:
+                self._size -= part.listed + len(part.draws.places)
+            part = parts[primitive] = _Part(version, _KnownDraws(), {})
+        return part
+
     def _find_each(
-        self, key: object, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
+        self, known: _KnownDraws, draws: NDArray[Any], indexed: bool, fill: Callable[..., None]
     ) -> tuple[NDArray[np.int64], object]:
         """Return the number of each draw's prepared draw, and the object that keeps the prepared draws alive."""
-        if self._placed + len(draws) > _MAX_KNOWN:
-            self._draws.clear()
-            self._placed = 0
-        known = self._draws.setdefault(key, _KnownDraws())
         words = np.ascontiguousarray(draws).view(np.uint32).reshape(-1, len(_NAMES))[:, _WORDS]
         hashes = (words * _FACTORS).sum(axis=1, dtype=np.uint64)
         numbers = known.find(words, hashes)
@@ -92,7 +119,7 @@ class DrawListCache:
                 fresh.append(i)
             numbers[i] = place.number
         known.add(words[fresh], hashes[fresh], numbers[fresh])
-        self._placed += len(fresh)
+        self._size += len(fresh)
         return numbers, known.places
 
 

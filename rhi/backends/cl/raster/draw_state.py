@@ -58,7 +58,9 @@ class DrawState:
         }
         self.has_clears = False  # whether some of the target may still have to be cleared
         self._formats: tuple[tuple[Format, ...], Format | None] = ((), None)
-        self._memo: dict[object, tuple[MergerKey, Kernel, bytes, dict[str, float]]] = {}
+        self._memo: dict[tuple[object, ...], tuple[MergerKey, Kernel, bytes, dict[str, float]]] = {}
+        # The tables of the memo, shared by entries that differ only in their views.
+        self._tables: dict[tuple[object, ...], dict[str, float]] = {}
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
         textures = self._textures
@@ -114,7 +116,9 @@ class DrawState:
         """Drop what is known of a program that is being destroyed."""
         if self.pipeline is pipeline:
             self.pipeline = None
-        self._memo = {key: value for key, value in self._memo.items() if key[0] is not pipeline}  # type: ignore[index]
+        for memo in (self._memo, self._tables):
+            for key in [key for key in memo if key[0] is pipeline]:
+                del memo[key]
 
     def look_up(
         self, pipeline: Pipeline, target: PassSurfaces
@@ -124,10 +128,15 @@ class DrawState:
         key = pipeline, target.size, target.samples, colors, depth, *self.values.values()
         known = self._memo.get(key)
         if known is None:
-            if len(self._memo) == _MAX_MEMO:
+            if len(self._memo) >= _MAX_MEMO:
                 self._memo.clear()
+                self._tables.clear()
             merger = make_key(pipeline.descriptor, self.values, colors, depth, target.samples)
             view = make_view(self.values, target.size, colors, depth).tobytes()
-            table = describe_batch(pipeline, target.size, merger)
-            known = self._memo[key] = merger, pipeline.find_raster(merger), view, table
+            raster = pipeline.find_raster(merger)
+            shared = pipeline, target.size, raster
+            table = self._tables.get(shared)
+            if table is None:
+                table = self._tables[shared] = describe_batch(pipeline, target.size, merger)
+            known = self._memo[key] = merger, raster, view, table
         return known

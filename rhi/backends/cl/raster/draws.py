@@ -108,6 +108,10 @@ class Draws:
 
         return draw
 
+    def forget(self, vertex_array: Id) -> None:
+        """Drop what is known of a vertex array that is being destroyed."""
+        self._lists.forget(vertex_array)
+
     def draw_indirect(
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
@@ -146,9 +150,9 @@ class Draws:
         def fill(slot: DrawSlot, *draw: int) -> None:
             self._prepare(slot, array, primitive, *draw)
 
-        key = vertex_array, primitive, array.version[0]
         indexed = bool(array.descriptor.index_buffer)
-        found = self._lists.find(key, draws, counters, indexed, fill)
+        version = array.version[0]
+        found = self._lists.find(vertex_array, primitive, version, draws, counters, indexed, fill)
         pipeline = self._begin(array)
         self._state.ready_for = None  # the next draw has to spread a list that is alone
         self._batch.gather(found, pipeline.pick(self._columns), start)

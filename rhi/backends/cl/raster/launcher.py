@@ -113,6 +113,11 @@ class Launcher:
         """The kernels that all batches share, built on first use."""
         return GeometryKernels(self._builds)
 
+    def release(self) -> None:
+        """Release all kernels and scratch memory; nothing is launched any more."""
+        vars(self).pop("geometry", None)
+        self._scratch.pools.clear()
+
     def launch(self, draws: GatheredDraws) -> cl.Event | None:
         """Rasterise the draws of a batch; return the event of the last kernel.
 

@@ -30,6 +30,7 @@ from rhi.contract.descriptors import Id, QueryKind
 __rhi_internal__ = True
 
 _PAGE_COUNTERS: Final = 512
+_MOST_PENDING: Final = 64  # batches, or segments of the running counter, that wait to be looked at
 
 
 class _CounterMemory:
@@ -148,8 +149,13 @@ class SampleQueries:
 
     def finish_batch(self, event: cl.Event) -> None:
         """Note that the gathered draws were submitted; `event`: their completion."""
-        self._batches.append((self.gathering, event))
+        batches = self._batches
+        batches.append((self.gathering, event))
         self.gathering += 1
+        if len(batches) > _MOST_PENDING:  # nobody may ever ask for an answer
+            complete = cl.command_execution_status.COMPLETE
+            while batches and batches[0][1].command_execution_status == complete:
+                self._done = batches.popleft()[0]
 
     def is_done(self, batch: int) -> bool:
         """Return whether a batch is complete, without waiting."""
@@ -258,6 +264,8 @@ class SampleQueries:
             ended.batch = self._find_latest()
         if counts and (ended is not None or total is not None):
             self._chain.append((ended, total or [None]))
+            if len(self._chain) > _MOST_PENDING:
+                self._add_up()
         if active is None and not counts:
             self._segment = None
             self._count_into(0)

@@ -80,8 +80,11 @@ class Rasteriser:
         )  # fmt: skip
 
     def close(self) -> None:
-        """End what is being built in the background."""
+        """End what is being built in the background, and release kernels and memory, which reference cycles would keep
+        until Python's next collection."""
         self._builds.close()
+        self._batch.state = self.state.ready_for = self.state.target = None
+        self._launcher.release()
 
     # -- programs and vertex arrays --------------------------------------------------------------------------
 

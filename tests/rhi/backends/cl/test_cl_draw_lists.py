@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 from rhi.backends.cl.raster import draw_lists
 from rhi.backends.cl.raster.draw_lists import DrawListCache
 from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
-from rhi.contract.descriptors import DRAW
+from rhi.contract.descriptors import DRAW, Primitive
+
+Key = tuple[int, Primitive, int]
+KEY: Key = (1, Primitive.TRIANGLES, 0)
+OTHER: Key = (2, Primitive.TRIANGLES, 0)
 
 
 class Lists:
@@ -22,13 +26,13 @@ class Lists:
         self.filled: dict[int, tuple[int, ...]] = {}
         self.fails = False
 
-    def find(self, draws: NDArray[Any], key: object = 0) -> NDArray[np.int64]:
+    def find(self, draws: NDArray[Any], key: Key = KEY) -> NDArray[np.int64]:
         def fill(place: DrawSlot, *draw: int) -> None:
             if self.fails:
                 raise MemoryError
             self.filled[place.number] = draw
 
-        found = self._lists.find(key, draws, None, True, fill)
+        found = self._lists.find(*key, draws, None, True, fill)
         assert [self.filled[number] for number in found.places.tolist()] == [told(draw) for draw in draws]
         return found.places
 
@@ -64,9 +68,10 @@ def test_the_number_of_instances_makes_no_other_place(draws: NDArray[Any]) -> No
     np.testing.assert_array_equal(lists.find(draws), lists.find(more))
 
 
-def test_another_key_makes_other_places(draws: NDArray[Any]) -> None:
+@pytest.mark.parametrize("other", [OTHER, (1, Primitive.LINES, 0), (1, Primitive.TRIANGLES, 1)])
+def test_another_key_makes_other_places(draws: NDArray[Any], other: Key) -> None:
     lists = Lists()
-    assert not np.intersect1d(lists.find(draws, "one"), lists.find(draws, "other")).size
+    assert not np.intersect1d(lists.find(draws), lists.find(draws, other)).size
 
 
 def test_a_draw_that_stands_twice_in_an_array_has_one_place(draws: NDArray[Any]) -> None:
@@ -102,7 +107,34 @@ def test_an_array_keeps_its_places_when_others_are_forgotten(
     monkeypatch.setattr(draw_lists, "_MAX_KNOWN", 310)
     prepared = PreparedDraws()
     lists = DrawListCache(prepared)
-    first = lists.find(0, draws, None, True, lambda *_: None)
-    other = lists.find(1, draws[:50], None, True, lambda *_: None)  # one too many: all is forgotten
+    first = lists.find(*KEY, draws, None, True, lambda *_: None)
+    other = lists.find(*OTHER, draws[:50], None, True, lambda *_: None)  # too many: all is forgotten
     prepared.recycle()
     assert not np.intersect1d(first.places, other.places).size
+
+
+def in_use(prepared: PreparedDraws) -> int:
+    prepared.recycle()
+    return len(prepared.draws) - len(prepared._free)
+
+
+def test_the_draws_of_old_indices_are_dropped_with_the_first_of_new_ones(draws: NDArray[Any]) -> None:
+    prepared = PreparedDraws()
+    lists = DrawListCache(prepared)
+    for version in range(5):
+        lists.find(1, Primitive.TRIANGLES, version, draws, None, True, lambda *_: None)
+        assert in_use(prepared) == 300
+
+
+def test_the_draws_of_a_destroyed_vertex_array_are_dropped_and_others_stay(draws: NDArray[Any]) -> None:
+    prepared = PreparedDraws()
+    lists = DrawListCache(prepared)
+    lists.find(*KEY, draws, None, True, lambda *_: None)
+    kept = lists.find(*OTHER, draws[:50], None, True, lambda *_: None)
+    lists.forget(KEY[0])
+    assert in_use(prepared) == 50
+    assert lists.find(*OTHER, draws[:50], None, True, lambda *_: None) is kept
+    lists.forget(KEY[0])  # it has none any more
+    lists.forget(OTHER[0])
+    del kept
+    assert in_use(prepared) == 0

@@ -4,6 +4,7 @@
 //   needs its corners. So one record suffices for any polygon, and primitives keep their order.
 // - Clipping is against the view's depth range and a guard band far outside the target, never against the target.
 
+#define MAX_POINT_SIZE 1024.0f  // texels; rhi.backends.cl.capabilities
 #define MAX_CORNERS 4
 
 // Return the signed distance of a clip position from a plane: near, far, then the four sides of the guard band.
@@ -28,9 +29,16 @@ INLINE int2 to_window(global const View *view, float4 p) {
     return (int2)(convert_int_rte((x - 0.5f) * SUBTEXELS), convert_int_rte((y - 0.5f) * SUBTEXELS));
 }
 
+// Return the size of a point in texels; NaN becomes 1.
+INLINE float load_point_size(global const Batch *batch, uint slot) {
+    if (batch->point_size < 0) return 1.0f;
+    float size = AT(const float, batch->varyings)[(long)slot * batch->varying_words + batch->point_size];
+    return size >= 1.0f ? fmin(size, MAX_POINT_SIZE) : 1.0f;
+}
+
 // Compute the corners of a line or a point in the window, in an order that makes its area positive. Return their number, or
-// 0 if nothing is left of it.
-INLINE int make_polygon(global const View *view, const float4 *clips, int primitive, int2 *points) {
+// 0 if nothing is left of it. `size`: that of a point.
+INLINE int make_polygon(global const View *view, const float4 *clips, int primitive, float size, int2 *points) {
     float4 corners[2];
     for (int i = 0; i < primitive; ++i) corners[i] = clips[i];
     for (int plane = 0; plane < 6; ++plane) {
@@ -45,10 +53,11 @@ INLINE int make_polygon(global const View *view, const float4 *clips, int primit
     int2 start = to_window(view, corners[0]);
     if (primitive == POINTS) {
         if (fabs(corners[0].x) > corners[0].w || fabs(corners[0].y) > corners[0].w) return 0;
-        points[0] = start + (int2)(-SUBTEXELS / 2, -SUBTEXELS / 2);
-        points[1] = start + (int2)(SUBTEXELS / 2, -SUBTEXELS / 2);
-        points[2] = start + (int2)(SUBTEXELS / 2, SUBTEXELS / 2);
-        points[3] = start + (int2)(-SUBTEXELS / 2, SUBTEXELS / 2);
+        int side = convert_int_rte(size * SUBTEXELS), before = -side / 2, behind = before + side;
+        points[0] = start + (int2)(before, before);
+        points[1] = start + (int2)(behind, before);
+        points[2] = start + (int2)(behind, behind);
+        points[3] = start + (int2)(before, behind);
         return 4;
     }
     // A line is a parallelogram, one texel high or wide, that contains its start and not its end. The fill rule includes

@@ -426,10 +426,13 @@ SINGLE raster(ulong address) {
 
         int2 points[MAX_CORNERS];
         int pieces = 1;
+        bool is_point = false;
         if (kind == POLYGON) {
             float4 clips[2];
             UNROLL for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, record[CLIPPED_SLOTS + i]);
-            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], points) - 2;
+            is_point = record[POLYGON_PRIMITIVE] == POINTS;
+            const float size = is_point ? load_point_size(batch, record[CLIPPED_SLOTS]) : 0.0f;
+            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], size, points) - 2;
         }
         Outline outline;
         Barycentrics precise;
@@ -568,7 +571,8 @@ SINGLE raster(ulong address) {
                     float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
                     Weights weights = thin ? find_thin_weights(&outline, &precise, x, y, inside)
                                            : find_weights(planes, away_x, away_y);
-                    clamp_weights(&weights.weight1, &weights.weight2, inside);
+                    // Those of a point are the place inside it, not shares of corners.
+                    if (!is_point) clamp_weights(&weights.weight1, &weights.weight2, inside);
                     clamp_weights(&weights.straight1, &weights.straight2, inside & -as_int(planes[IN_FRONT]));
                     uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
                     uint flat[VARYING_WORDS + 1];
@@ -580,7 +584,7 @@ SINGLE raster(ulong address) {
                     float16 depth = z;
                     int16 kept = rhi_fragment(
                         BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
-                        front, as_int(planes[NUMBER]), covered, outputs, &depth);
+                        front, as_int(planes[NUMBER]), weights.weight1, weights.weight2, covered, outputs, &depth);
                     kept = test_alpha(targets, state, kept, outputs);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         int16 mask = masks[sample] & kept;

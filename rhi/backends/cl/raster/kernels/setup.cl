@@ -207,6 +207,20 @@ void set_planes(
     planes[IN_FRONT] = as_float(in_front);
 }
 
+// Let the weights of corners 1 and 2 be the place inside a point, 0 to 1 from its top left: varyings don't depend on them,
+// since a point's corners are one vertex.
+INLINE void place_in_point(global const View *view, float4 clip, float size, int left, int top, float *planes) {
+    float near_w = 1.0f / clip.w, slope = near_w / size;
+    double x = (double)clip.x / clip.w * view->scale[0] + view->shift[0] - 0.5;
+    double y = (double)clip.y / clip.w * view->scale[1] + view->shift[1] - 0.5;
+    planes[WEIGHTS] = slope;
+    planes[WEIGHTS + 1] = 0.0f;
+    planes[WEIGHTS + 2] = (float)(0.5 + (left - x) / size) * near_w;
+    planes[WEIGHTS + 3] = 0.0f;
+    planes[WEIGHTS + 4] = slope;
+    planes[WEIGHTS + 5] = (float)(0.5 + (top - y) / size) * near_w;
+}
+
 // Return the signed distance of a point {x w, y w, w, clip z} from a plane: near, far, then the left, top, right and bottom
 // side of a box in subtexels.
 INLINE double find_distance(double4 p, int plane, int4 box) {
@@ -268,7 +282,8 @@ bool bound_polygon(global const Batch *batch, global const View *view, const uin
     float4 clips[2];
     int2 points[MAX_CORNERS];
     for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, slots[i]);
-    int count = make_polygon(view, clips, primitive, points);
+    const float size = primitive == POINTS ? load_point_size(batch, slots[0]) : 0.0f;
+    int count = make_polygon(view, clips, primitive, size, points);
     if (!count) return false;
     int2 low = points[0], high = points[0];
     for (int i = 1; i < count; ++i) {
@@ -322,6 +337,9 @@ bool set_up_clipped(
                 ((batch->width | batch->height) & 3);
     record[FLAGS] = PACK_FLAGS(draw_number, 0, cuts, !is_triangle || flipped != view->front, is_triangle ? CLIPPED : POLYGON);
     set_planes(batch, view, &outline, &weights, slots, primitive, number, false, record, planes);
+    if (primitive == POINTS) {
+        place_in_point(view, load_clip(batch, slots[0]), load_point_size(batch, slots[0]), box[0], box[1], planes);
+    }
     return true;
 }
 

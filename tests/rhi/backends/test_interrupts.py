@@ -1,0 +1,271 @@
+"""Ctrl-C at any step of any call: the device goes on as if the call had happened or not, and nothing is left behind.
+
+Each call is interrupted at each step at which Python could raise `KeyboardInterrupt` (`interrupts_kit`), or quickly at
+a few of them. Afterwards everything is closed, a fixed picture is drawn right, queries count right, and the backend has
+the resources that it had before (`house_kit`).
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from house_kit import CALLS, House, destroy_everything, make_things_to_destroy
+from interrupts_kit import EXEMPT, Interrupt
+
+import rhi
+from rhi import BlendColor, CullMode, Device, Format, Scissor
+from rhi.backends.null import NullBackend
+from rhi.device.core.interrupts import HeldInterrupts
+
+# Python prints what is raised in a destructor and goes on.
+pytestmark = pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+
+EXEMPT.add(__file__)
+QUICK = 10
+"""Steps that are tried of each call; all of them nightly."""
+
+
+@pytest.fixture(scope="module", params=["gl", "cl", "null"])
+def houses(request: pytest.FixtureRequest) -> Iterator[Callable[[], House]]:
+    """A function that returns the house of this backend: the same one until a test has damaged it."""
+    kept: list[House] = []
+
+    def get() -> House:
+        if not kept:
+            kept.append(House(rhi.create_device(request.param, record=False)))
+        return kept[0]
+
+    get.drop = kept.clear  # type: ignore[attr-defined]
+    yield get
+    for house in kept:
+        house.device.close()
+
+
+def interrupt(house: House, call: Callable[[House], None], at: int) -> str | None:
+    """Make a call that is interrupted at a step; return where, or None if it has fewer steps."""
+    if call is destroy_everything:
+        make_things_to_destroy(house)
+    interrupted = Interrupt(at)
+    try:
+        # An interrupt at the first step of a scope's end is repaired by the scope around it.
+        with house.device.states(BlendColor(1, 1, 1, 1)), interrupted:
+            call(house)
+    except KeyboardInterrupt:
+        assert at
+    return interrupted.where
+
+
+def count_steps(house: House, call: Callable[[House], None]) -> int:
+    if call is destroy_everything:
+        make_things_to_destroy(house)
+    with Interrupt() as counted:
+        call(house)
+    house.settle()
+    return counted.steps
+
+
+def try_steps(house: House, call: Callable[[House], None], steps: list[int]) -> None:
+    for at in steps:
+        where = interrupt(house, call, at)
+        try:
+            house.check()
+        except BaseException as error:
+            error.add_note(f"{call.__name__}, interrupted at step {at}: {where}")
+            raise
+
+
+@pytest.fixture(autouse=True)
+def default_handler() -> Iterator[None]:
+    before = signal.getsignal(signal.SIGINT)
+    yield
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
+def test_a_device_goes_on_after_an_interrupt(houses: Any, call: Callable[[House], None]) -> None:
+    house = houses()
+    if not house.can(call):
+        pytest.skip("nothing is rasterised")
+    steps = count_steps(house, call)
+    chosen = np.unique(np.linspace(1, steps, QUICK).astype(int)).tolist()
+    try:
+        try_steps(house, call, chosen)
+    except BaseException:
+        houses.drop()
+        raise
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("call", CALLS, ids=lambda call: call.__name__)
+def test_a_device_goes_on_after_an_interrupt_at_any_step(houses: Any, call: Callable[[House], None]) -> None:
+    house = houses()
+    if not house.can(call):
+        pytest.skip("nothing is rasterised")
+    try:
+        try_steps(house, call, list(range(1, count_steps(house, call) + 1)))
+    except BaseException:
+        houses.drop()
+        raise
+
+
+# -- blocks whose ends are cut off -----------------------------------------------------------------------
+
+
+def cut_off(block: Any, kind: type) -> None:
+    """Leave a block without its end, as an interrupt at the first step of `__exit__` does."""
+    enter, leave = kind.__enter__, kind.__exit__
+
+    def interrupted(self: object, *_: object) -> None:
+        raise KeyboardInterrupt
+
+    kind.__exit__ = interrupted  # type: ignore[method-assign, assignment]
+    try:
+        with pytest.raises(KeyboardInterrupt), block:
+            pass
+    finally:
+        kind.__exit__ = leave  # type: ignore[method-assign]
+    assert kind.__enter__ is enter
+
+
+def test_the_scope_around_repairs_one_whose_end_was_cut_off(null_device: Device) -> None:
+    states = null_device._core.states
+    default = states.wanted
+    with pytest.raises(KeyboardInterrupt), null_device.states(CullMode.NONE):
+        outer = states.wanted
+        with pytest.raises(ValueError, match="mine"), null_device.states(Scissor(1, 1, 2, 2)):
+            cut_off(null_device.states(CullMode.BACK), type(null_device.states(CullMode.BACK)))
+            assert states.depth == 3
+            raise ValueError("mine")
+        assert states.wanted is outer
+        assert states.depth == 1
+        raise KeyboardInterrupt
+    assert states.wanted is default
+    assert states.depth == 0
+
+
+def test_scopes_inside_each_other_end_one_by_one_without_errors(null_device: Device) -> None:
+    states, scope = null_device._core.states, null_device.states(CullMode.NONE)
+    with scope, scope:
+        with pytest.raises(ValueError, match="mine"), scope:
+            raise ValueError("mine")
+        assert states.depth == 2
+
+
+def test_the_pass_around_leaves_the_scopes_inside(null_device: Device) -> None:
+    image, states = null_device.texture((4, 4), Format.RGBA8), null_device._core.states
+    with null_device.states(CullMode.NONE):
+        outer = states.wanted
+        with pytest.raises(KeyboardInterrupt), null_device.render_pass(image):
+            scope = null_device.states(Scissor(1, 1, 2, 2))
+            cut_off(scope, type(scope))
+            raise KeyboardInterrupt
+        assert states.wanted is outer
+        assert states.depth == 1
+
+
+def test_a_pass_whose_end_was_cut_off_is_ended_by_the_next(null_device: Device) -> None:
+    image = null_device.texture((4, 4), Format.RGBA8)
+    cut_off(null_device.render_pass(image), rhi.RenderPass)
+    assert null_device._core.render_pass is not None
+    with null_device.render_pass(image):
+        pass
+    ops = [command.op for command in null_device.stream]
+    assert ops[-4:] == [rhi.Op.BEGIN_PASS, rhi.Op.END_PASS] * 2
+
+
+def test_a_pass_that_is_open_refuses_another(null_device: Device) -> None:
+    image = null_device.texture((4, 4), Format.RGBA8)
+    with null_device.render_pass(image):
+        with pytest.raises(rhi.ValidationError) as caught:
+            null_device.render_pass(image).__enter__()
+    assert caught.value.rule.id == "pass-nested"
+
+
+def test_a_lock_whose_end_was_cut_off_is_released(null_device: Device) -> None:
+    buffer = null_device.buffer(16)
+    lock = buffer.lock(rhi.Access.WRITE)
+    kind = type(lock)
+    del lock
+    cut_off(buffer.lock(rhi.Access.WRITE), kind)
+    assert null_device._core.locked
+    buffer.read()
+    assert not null_device._core.locked
+
+
+# -- held interrupts ---------------------------------------------------------------------------------------
+
+
+def raise_signal() -> None:
+    signal.raise_signal(signal.SIGINT)
+
+
+def test_an_interrupt_waits_for_the_end_of_a_block_that_holds_it() -> None:
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        with HeldInterrupts():
+            with HeldInterrupts():
+                raise_signal()
+                done.append("inner")
+            done.append("outer")
+    assert done == ["inner", "outer"]
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_a_second_interrupt_is_raised_at_once() -> None:
+    done = []
+    with pytest.raises(KeyboardInterrupt):
+        with HeldInterrupts():
+            raise_signal()
+            done.append("first")
+            raise_signal()
+            done.append("second")
+    assert done == ["first"]
+
+
+def test_without_an_interrupt_nothing_is_raised_and_the_handler_is_back() -> None:
+    with HeldInterrupts():
+        assert signal.getsignal(signal.SIGINT) is not signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_other_threads_hold_nothing() -> None:
+    seen = []
+
+    def run() -> None:
+        with HeldInterrupts():
+            seen.append(signal.getsignal(signal.SIGINT))
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert seen == [signal.default_int_handler]
+
+
+def test_a_resource_whose_creation_was_interrupted_is_destroyed(
+    null_device: Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = null_device.backend_as(NullBackend)
+    create = backend.create_buffer
+    came: list[Any] = []
+
+    def interrupted(*arguments: Any) -> None:
+        create(*arguments)
+        if not came:
+            came.append(arguments)
+            raise_signal()
+
+    monkeypatch.setattr(backend, "create_buffer", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        null_device.mesh({"position": np.zeros((3, 2))}, np.arange(3))
+    monkeypatch.undo()
+    null_device.finish()
+    null_device.finish()
+    made = [c["buffer"] for c in null_device.stream if c.op is rhi.Op.CREATE_BUFFER]
+    destroyed = [c["resource"] for c in null_device.stream if c.op is rhi.Op.DESTROY]
+    assert len(made) == 2
+    assert sorted(destroyed) == made
