@@ -74,6 +74,7 @@ class Covered:
     slope: float
     is_front: bool
     color: Interval  # (rows, columns, 4)
+    is_polygon: bool  # a point, or cut by the view
 
 
 def list_primitives(shape: Shape, part: Part) -> Iterator[tuple[tuple[int, ...], int]]:
@@ -120,7 +121,7 @@ def find_coverage(
         first_x, first_y = max(0, first_x - 1), max(0, first_y - 1)
     fine = np.stack([x, y], axis=1) * SUBTEXELS
     spots = np.rint(fine).astype(np.int64)
-    inside = ((np.abs(ndc[:, :2]) <= 1).all(axis=1) & (ndc[:, 2] >= 0) & (ndc[:, 2] <= 1)).all()
+    inside = bool(((np.abs(ndc[:, :2]) <= 1).all(axis=1) & (ndc[:, 2] >= 0) & (ndc[:, 2] <= 1)).all())
     certain = bool((np.abs(np.abs(fine - spots) - 0.5) > _TIE).all())
     margin = (0.0 if inside else rules.clip_margin) + (0.0 if certain else 1.0)
     # Two texels around the box, for the margin and for samples that lie off the centers.
@@ -142,7 +143,7 @@ def find_coverage(
         near &= (lawful & (center_y >= max(top, lawful_y)) & (center_y < top + high))[..., None]
         depth = Interval.of(np.full(hit.shape, z[0]))
         color = Interval.of(np.broadcast_to(colors[0], (*at_x.shape, 4)))
-        return Covered(rows, columns, Tested(near, hit), depth, -1.0, True, color)
+        return Covered(rows, columns, Tested(near, hit), depth, -1.0, True, color, True)
     (ax, ay), (bx, by), (cx, cy) = ((int(u), int(v)) for u, v in spots)
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if area == 0:
@@ -195,8 +196,10 @@ def find_coverage(
         mean = np.where(spread > 0, mean, colors[0])
         steep = max(abs(by - cy) + abs(bx - cx), abs(cy - ay) + abs(cx - ax), abs(ay - by) + abs(ax - bx))
         error = np.where(spread > 0, spread * (steep / abs(area) * 4 + 4e-6), 0.0)
+        if np.ptp(exact[:, 3]):  # divided and multiplied by w
+            error = error + 1e-6 * np.abs(colors[0])
         color = Interval.of(mean).widen(np.broadcast_to(error, mean.shape))
     else:
         color = Interval.of(np.broadcast_to(colors[0], (*at_x.shape, 4)))
     slope = max(abs(grad_x), abs(grad_y))
-    return Covered(rows, columns, Tested(must, may), depth, slope, is_front, color)
+    return Covered(rows, columns, Tested(must, may), depth, slope, is_front, color, not inside)

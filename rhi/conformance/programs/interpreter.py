@@ -378,15 +378,17 @@ class _Machine:
             ran = passed if early else full
             texels = Tested(np.asarray(ran.must.any(axis=2)), np.asarray(ran.may.any(axis=2)))
             self._count(color, texels, columns)
+            if context.effects & Effect.RERUN and covered.is_polygon:
+                self._cells["counts"][1, np.arange(columns.start, columns.stop) % CELLS] = np.inf
             if context.effects & Effect.SPILL:  # beside the target, whose fragments have effects
                 self._cells["counts"][1] += 1
                 self._cells["counts"][1, 0] += rows.stop - rows.start
                 most = np.floor(color.high[..., 0] * 16).max(initial=0)
                 self._cells["reds"][1] = np.maximum(self._cells["reds"][1], most)
         # -- targets
+        unknown = Interval(np.full(color.low.shape, -np.inf), np.full(color.low.shape, np.inf))
+        outputs += [unknown] * (len(step.colors) - len(outputs))  # a target without an output may become anything
         for number, place in enumerate(step.colors):
-            if number >= len(outputs):
-                break
             self._merge_color(context, covered, number, place, images[place.image].format, outputs[number], written)
         must = 0 if context.effects & (Effect.COUNT | Effect.COVERAGE) else int(passed.must.sum())
         may = float(passed.may.sum())

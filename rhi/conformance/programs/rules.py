@@ -12,13 +12,15 @@ from rhi.conformance.programs.steps import Draw, Pass, Program
 
 class Effect(enum.Flag):
     """What a fault of a driver makes unknown about a draw: the colors of one target, the answer of its query, what it
-    covers, the depths it writes, or whether it reaches a texel further to the left and upwards than it may (SPILL)."""
+    covers, the depths it writes, whether it reaches a texel further to the left and upwards than it may (SPILL), or how
+    often the fragments of points, and of triangles that the view cuts, run (RERUN)."""
 
     COLOR = enum.auto()
     COUNT = enum.auto()
     COVERAGE = enum.auto()
     DEPTH = enum.auto()
     SPILL = enum.auto()
+    RERUN = enum.auto()
 
 
 @dataclass(frozen=True, slots=True)

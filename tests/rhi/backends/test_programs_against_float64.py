@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from llvmpipe_faults import FAULTS, LLVMPIPE, SMALLEST
+from known_faults import CL, CL_SMALLEST, FAULTS, LLVMPIPE, SMALLEST
 
 import rhi
 from rhi import (
@@ -67,6 +67,8 @@ ALL_FORMATS = Capabilities("", "", "")
 
 
 def rules_of(device: Device) -> Rules:
+    if device.backend_name == "cl":
+        return CL
     return LLVMPIPE if "llvmpipe" in device.capabilities.device else EXACT
 
 
@@ -104,7 +106,17 @@ def test_a_fault_of_llvmpipe_is_still_there(llvmpipe: Device, fault: object) -> 
     assert check(llvmpipe, program, others)
     assert not check(llvmpipe, program, LLVMPIPE)
     with rhi.create_device("cl") as device:
-        assert not check(device, program)
+        assert not check(device, program, CL)
+
+
+@pytest.mark.parametrize("fault", CL.faults, ids=lambda fault: fault.name)
+def test_a_fault_of_the_opencl_backend_is_still_there(llvmpipe: Device, fault: object) -> None:
+    """Its smallest program differs if it isn't excepted, passes if it is, and passes on gl."""
+    program = CL_SMALLEST[fault]
+    with rhi.create_device("cl") as device:
+        assert check(device, program)
+        assert not check(device, program, CL)
+    assert not check(llvmpipe, program, replace(LLVMPIPE, faults=()))
 
 
 # -- the interpreter -----------------------------------------------------------------------------------------
