@@ -13,4 +13,5 @@ esac
 # shellcheck source=scripts/setup.sh
 . scripts/setup.sh
 setup renderer libegl1 libegl-mesa0 libgl1 libgl1-mesa-dri pocl-opencl-icd
+export RHI_KERNELS="${RHI_KERNELS:-optimised}"  # what is compared is the speed of a long run
 exec .venv/bin/python -m renderer demo "${1:-city}" --output out

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable
 from functools import partial
@@ -27,6 +28,8 @@ from typing import Any
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+
+os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
 
 import rhi
 from renderer.content import find_path, load_scene

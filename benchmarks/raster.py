@@ -24,6 +24,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -35,6 +36,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+
+os.environ.setdefault("RHI_KERNELS", "optimised")  # what is measured is the speed of a long run
 
 import rhi
 from rhi import CullMode, DepthTest, DepthWrite, Device, Format

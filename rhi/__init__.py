@@ -16,6 +16,7 @@ Drivers are loaded when a device is created, not when this package is imported.
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import Command, CommandStream, Op, Refusal
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.clip_space import convert_projection
 from rhi.contract.descriptors import (
     DRAW,
     DRAW_UNINDEXED,
@@ -71,6 +72,7 @@ from rhi.device.device import Device
 from rhi.device.encoder import Encoder, IndirectDraws
 from rhi.device.immediate import Immediate
 from rhi.device.passes import RenderPass
+from rhi.device.preparation import DrawPlan, Preparation
 from rhi.device.queries.occlusion import OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import TimerNode
@@ -114,6 +116,7 @@ __all__ = [
     "DepthWrite",
     "Device",
     "DeviceError",
+    "DrawPlan",
     "Drawable",
     "Encoder",
     "Filter",
@@ -128,6 +131,7 @@ __all__ = [
     "OcclusionQuery",
     "Op",
     "PolygonOffset",
+    "Preparation",
     "Primitive",
     "Program",
     "ProgramDescriptor",
@@ -170,6 +174,7 @@ __all__ = [
     "Viewport",
     "Wrap",
     "backend_names",
+    "convert_projection",
     "create_device",
     "refuse",
     "report",

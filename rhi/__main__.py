@@ -68,7 +68,7 @@ def _new_backend(arguments: Sequence[str]) -> int:
         description="Write a package that registers a new backend; all its methods still raise NotImplementedError.",
         epilog="example:\n  python -m rhi new-backend vulkan --folder ports\n"
         "  pip install --editable ports/rhi-vulkan\n"
-        "  pytest --pyargs rhi.conformance --rhi-backend vulkan --tb=line -q",
+        "  pytest --pyargs rhi.conformance --rhi-backend vulkan -q",
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("name", metavar="NAME", help="as in rhi.create_device(NAME)")
@@ -84,7 +84,7 @@ def _new_backend(arguments: Sequence[str]) -> int:
         return 2
     print(root)
     print(f"next: pip install --editable {root}, then let the conformance kit tell what to implement first:\n"
-          f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} --tb=line -q", file=sys.stderr)  # fmt: skip
+          f"  pytest --pyargs rhi.conformance --rhi-backend {options.name} -q", file=sys.stderr)  # fmt: skip
     return 0
 
 
@@ -129,7 +129,7 @@ def _as_text(reports: list[BackendReport]) -> str:
             f"{r.name:<6} {limits.device}",
             f"       {limits.driver}",
             f"       textures to {limits.max_texture_size}, {limits.max_color_targets} targets, "
-            f"{limits.max_samples} samples, work-groups to {limits.max_work_group_invocations}",
+            f"{'/'.join(map(str, limits.sample_counts))} samples, work-groups to {limits.max_work_group_invocations}",
             f"       lacks: {', '.join(lacking) or 'nothing'}",
             *(f"       passed over: {device}" for device in limits.passed_over),
             "",

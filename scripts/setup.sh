@@ -60,7 +60,11 @@ setup() {
     stamp=".venv/.setup-$extra-$(cksum <pyproject.toml | tr ' ' '-')"
     if [ ! -e "$stamp" ]; then
         say "installing Python packages: rhi[$extra]"
-        .venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[$extra]"
+        local told  # pip warns of what isn't ours to change, such as being root: shown only if it fails
+        told="$(.venv/bin/python -m pip install --quiet --disable-pip-version-check --editable ".[$extra]" 2>&1)" || {
+            printf '%s\n' "$told" >&2
+            exit 1
+        }
         rm -f .venv/.setup-"$extra"-*
         touch "$stamp"
     fi

@@ -1,6 +1,7 @@
 """Fixtures of the kit.
 
-- `device`: one device per backend and session. Tests leave it as they found it.
+- `device`: one device per backend and session. Tests leave it as they found it; after a failed test the next one gets a
+  new device, so that a fault of one command doesn't show in the tests of others.
 - `fresh_device`: a device for tests that change it permanently.
 - `recording`: a device for tests that read the command stream.
 """
@@ -12,7 +13,7 @@ from collections.abc import Iterator
 import pytest
 
 import rhi
-from rhi.conformance.plugin import PROPERTY
+from rhi.conformance.plugin import FAILED, PROPERTY
 from rhi.testing.plugin import get_backend_names
 
 
@@ -33,18 +34,60 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     item.user_properties.append((PROPERTY, (backend, group)))
 
 
-@pytest.fixture(scope="session")
-def shared_device(backend: str) -> Iterator[rhi.Device]:
-    """The session's device, with timers, and with validation: a driver's message fails the test that caused it."""
-    with rhi.create_device(backend, validation=True, timing=True) as device:
-        yield device
+class SharedDevices:
+    """The session's devices on one backend, created on first use and again after `renew`.
+
+    Attributes:
+        backend: the name of the backend.
+    """
+
+    def __init__(self, backend: str) -> None:
+        self.backend = backend
+        self._devices: dict[bool, rhi.Device] = {}
+
+    def get(self, record: bool) -> rhi.Device:
+        """Return the device that records its commands, or the other one, which has timers.
+
+        Both validate: a driver's message fails the test that caused it.
+        """
+        device = self._devices.get(record)
+        if device is None:
+            device = rhi.create_device(self.backend, validation=True, record=record, timing=not record)
+            self._devices[record] = device
+        return device
+
+    def renew(self) -> None:
+        """Close the devices; the next test creates new ones."""
+        while self._devices:
+            self._devices.popitem()[1].close()
 
 
 @pytest.fixture(scope="session")
-def recording_device(backend: str) -> Iterator[rhi.Device]:
+def shared_devices(backend: str) -> Iterator[SharedDevices]:
+    """The devices that the tests of a session share. A backend that can't create one ends the session."""
+    devices = SharedDevices(backend)
+    try:
+        devices.get(record=False)
+    except rhi.DeviceError as error:
+        pytest.exit(f"no device can be created on {backend!r}: {error}", pytest.ExitCode.TESTS_FAILED)
+    yield devices
+    devices.renew()
+
+
+@pytest.fixture
+def shared_device(request: pytest.FixtureRequest, shared_devices: SharedDevices) -> Iterator[rhi.Device]:
+    """The session's device, with timers."""
+    yield shared_devices.get(record=False)
+    if FAILED in request.node.stash:
+        shared_devices.renew()
+
+
+@pytest.fixture
+def recording_device(request: pytest.FixtureRequest, shared_devices: SharedDevices) -> Iterator[rhi.Device]:
     """A second device, which records its commands."""
-    with rhi.create_device(backend, validation=True, record=True) as device:
-        yield device
+    yield shared_devices.get(record=True)
+    if FAILED in request.node.stash:
+        shared_devices.renew()
 
 
 @pytest.fixture

@@ -1,4 +1,8 @@
-"""The kit's pytest plugin: its markers, the scoreboard, and what to implement next.
+"""The kit's pytest plugin: its markers, the order of its tests, the scoreboard, and what to implement next.
+
+- The tests run in the order of the steps of a port, so `pytest -x` stops at the first problem.
+- A test that fails because a method of the backend is missing is reported as "missing", apart from failures: the
+  scoreboard counts it, and no traceback is printed for it, which would say no more.
 
 Pytest loads it through an entry point. It also loads `rhi.testing.plugin`, with the fixtures for users' tests and the
 option `--rhi-backend`: pytest would not know the option if a conftest below `--pyargs` defined it.
@@ -8,7 +12,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Generator
-from typing import Final
+from typing import Any, Final
 
 import pytest
 
@@ -20,6 +24,8 @@ PROPERTY: Final = "rhi-conformance"
 """Key of the user property that holds the backend and group of a kit test."""
 MISSING: Final = "rhi-missing-method"
 """Key of the user property that holds the missing backend method of a failed test."""
+FAILED: Final = pytest.StashKey[bool]()
+"""Key of the stash of a kit test that has failed in any of its phases."""
 SHOWN: Final = 5
 
 
@@ -31,28 +37,74 @@ def pytest_configure(config: pytest.Config) -> None:
     )
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort the kit's tests of each backend by the steps of a port. Other tests keep their places."""
+    places: list[int] = []
+    found: list[tuple[str, int, pytest.Item]] = []
+    for place, item in enumerate(items):
+        key = _board_key(item)
+        if key is not None:
+            places.append(place)
+            found.append((key[0], step_of(key[1]), item))
+    order = list(dict.fromkeys(backend for backend, _, _ in found))
+    found.sort(key=lambda entry: (order.index(entry[0]), entry[1]))
+    for place, (_, _, item) in zip(places, found, strict=True):
+        items[place] = item
+
+
+def _board_key(entry: pytest.Item | pytest.TestReport) -> tuple[str, str] | None:
+    """Return the backend and group of a kit test, or None for another test."""
+    key: Any = dict(getattr(entry, "user_properties", ())).get(PROPERTY)
+    return None if key is None else (key[0], key[1])
+
+
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(
     item: pytest.Item, call: pytest.CallInfo[None]
 ) -> Generator[None, pytest.TestReport, pytest.TestReport]:
-    """Attach to a failed kit test the backend method that it is missing."""
+    """Attach to a failed kit test the backend method that it is missing.
+
+    Such a failure is replaced by a line with the method's name: formatting the tracebacks of 1,600 would take a minute.
+    """
+    method = ""
+    if call.excinfo is not None and _board_key(item) is not None:
+        method = find_missing(call.excinfo.value)
+        if method:
+            try:
+                pytest.fail(f"{method} is missing", pytrace=False)
+            except pytest.fail.Exception as missing:
+                call.excinfo = pytest.ExceptionInfo.from_exception(missing)
     report = yield
-    if report.failed and call.excinfo is not None and PROPERTY in dict(item.user_properties):
-        report.user_properties.append((MISSING, find_missing(call.excinfo.value)))
+    if report.failed and _board_key(item) is not None:
+        item.stash[FAILED] = True
+        report.user_properties.append((MISSING, method))
     return report
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_report_teststatus(report: pytest.CollectReport | pytest.TestReport) -> tuple[str, str, object] | None:
+    """Count a kit test that fails for a missing method as "missing"."""
+    if report.failed and dict(getattr(report, "user_properties", ())).get(MISSING):
+        return "missing", "m", ("MISSING", {"red": True})
+    return None
+
+
 class Board:
-    """The results of the kit's tests on one backend."""
+    """The results of the kit's tests on one backend. A test counts once, also if its teardown fails too."""
 
     def __init__(self) -> None:
+        self._counted: set[str] = set()
         self.groups: dict[str, Counter[str]] = defaultdict(Counter)
         self.reasons: Counter[str] = Counter()
         self.missing: dict[str, set[str]] = defaultdict(set)
         self.failed: dict[str, list[str]] = defaultdict(list)
 
     def add(self, outcome: str, group: str, report: pytest.TestReport) -> None:
-        """Count one report."""
+        """Count one report, the worst of a test first."""
+        if report.nodeid in self._counted:
+            return
+        self._counted.add(report.nodeid)
         self.groups[group][outcome] += 1
         if outcome == "skipped" and isinstance(report.longrepr, tuple):
             self.reasons[report.longrepr[-1].removeprefix("Skipped: ")] += 1
@@ -68,12 +120,11 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Genera
     """Print the scoreboard: per backend and group of the kit how many tests passed, failed and were skipped."""
     yield
     boards: dict[str, Board] = defaultdict(Board)
-    for outcome in ("passed", "failed", "error", "skipped"):
+    for outcome in ("failed", "error", "missing", "passed", "skipped"):
         for report in terminalreporter.stats.get(outcome, ()):
-            place = dict(getattr(report, "user_properties", ())).get(PROPERTY)
-            if place is not None:  # a test of the kit
-                backend, group = place
-                boards[backend].add(outcome, group, report)
+            key = _board_key(report)
+            if key is not None:
+                boards[key[0]].add(outcome, key[1], report)
     # The board that names the next step is printed last.
     for backend, board in sorted(boards.items(), key=lambda entry: entry[0] != "any"):
         terminalreporter.section(f"rhi conformance: {backend}")
@@ -96,7 +147,7 @@ def _write_board(reporter: pytest.TerminalReporter, board: Board) -> None:
 def _write_row(
     reporter: pytest.TerminalReporter, name: str, counts: Counter[str], *, bold: bool = False
 ) -> None:
-    failed = counts["failed"] + counts["error"]
+    failed = counts["failed"] + counts["error"] + counts["missing"]
     row = f"{name}  {counts['passed']:5} passed"
     row += f"  {failed:4} failed" if failed or bold else ""
     row += f"  {counts['skipped']:4} skipped" if counts["skipped"] or bold else ""

@@ -43,7 +43,7 @@ STEPS: Final = (
         "time and labels",
         ("signal", "completed", "wait", "create_query", "write_query", "read_query", "push_label", "pop_label",
          "present"),
-        ("operation · time", "operation · recording"),
+        ("operation · time",),
     ),
     Step(
         "compute",
@@ -55,7 +55,7 @@ STEPS: Final = (
         "draws",
         ("create_vertex_array", "set_states", "draw", "draw_indirect"),
         ("operation · orientation", "operation · rasterisation", "operation · topology", "operation · meshes",
-         "operation · transient", "operation · scopes"),
+         "operation · transient", "operation · scopes", "operation · recording", "operation · draw times"),
     ),
     Step(
         "depth, stencil, blending and targets",
@@ -63,7 +63,11 @@ STEPS: Final = (
         ("operation · depth", "operation · stencil", "operation · blending", "operation · targets",
          "operation · clears"),
     ),
-    Step("texture reads", ("bind_texture",), ("operation · sampling", "operation · fragments")),
+    Step(
+        "texture reads",
+        ("bind_texture",),
+        ("operation · textured draws", "operation · sampling", "operation · fragments"),
+    ),
     Step(
         "occlusion queries",
         ("begin_query", "end_query", "begin_conditional", "end_conditional"),
@@ -72,7 +76,8 @@ STEPS: Final = (
     Step(
         "all together",
         (),
-        ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities"),
+        ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities",
+         "validation · threads"),
     ),
 )  # fmt: skip
 

@@ -49,7 +49,7 @@ A backend of `rhi`. Install it; the kit then tells what to write next:
 
 ```sh
 pip install --editable .[test]
-pytest --pyargs rhi.conformance --rhi-backend {name} --tb=line -q
+pytest --pyargs rhi.conformance --rhi-backend {name} -q
 ```
 
 `rhi_{name}/backend.py` has the methods in the order to write them; docs/porting.md of `rhi` explains what each must do.

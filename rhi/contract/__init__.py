@@ -8,8 +8,10 @@ from rhi.contract.backend import (
     FOREVER,
     Backend,
     Capabilities,
+    HoldsContext,
     PreparedQueries,
     PreparesDraws,
+    PreparesKernels,
     PreparesQueries,
 )
 from rhi.contract.descriptors import (
@@ -158,6 +160,7 @@ __all__ = [
     "Format",
     "FragmentOutput",
     "FrontFace",
+    "HoldsContext",
     "HostType",
     "Id",
     "IndexFormat",
@@ -170,6 +173,7 @@ __all__ = [
     "PolygonOffset",
     "PreparedQueries",
     "PreparesDraws",
+    "PreparesKernels",
     "PreparesQueries",
     "Primitive",
     "ProgramDescriptor",

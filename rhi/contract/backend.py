@@ -16,6 +16,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -44,6 +45,10 @@ FOREVER: Final = 3600.0
 """Timeout in seconds of a wait that has no limit; a device that takes longer counts as lost."""
 
 
+SAMPLE_COUNTS: Final = (1, 2, 4, 8)
+"""Numbers of samples that textures of any device can have."""
+
+
 @dataclass(frozen=True, slots=True)
 class Capabilities:
     """The features and limits of a device. The front end refuses calls that need a feature whose flag is False."""
@@ -55,7 +60,8 @@ class Capabilities:
     max_texture_size: int = 16384
     max_texture_layers: int = 2048
     max_color_targets: int = 8
-    max_samples: int = 4
+    sample_counts: tuple[int, ...] = (1, 2, 4)
+    """Numbers of samples that textures can have, in ascending order: 1 and some of 2, 4 and 8."""
     max_vertex_attributes: int = 16
     max_uniform_bytes: int = 16384
     max_storage_bytes: int = 1 << 27
@@ -70,6 +76,9 @@ class Capabilities:
     max_anisotropy: float = 1.0
     uniform_alignment: int = 256
     storage_alignment: int = 256
+    copy_alignment: int = 1
+    """Offsets and sizes of `Backend.copy_buffer` are multiples of this number of bytes. Writes and reads aren't bound
+    by it."""
 
     compute: bool = True
     draws: bool = True
@@ -85,16 +94,26 @@ class Capabilities:
     conditional_rendering: bool = True
     timestamps: bool = True
     stencil: bool = True
+    stencil_per_face: bool = True
+    """Whether front and back faces can have different stencil references and masks. Functions and operations always
+    can."""
     alpha_test: bool = False
     alpha_to_coverage: bool = True
     depth_bias_clamp: bool = True
     blend_per_target: bool = True
+    border_colors: bool = True
+    """Whether samplers can have `Wrap.BORDER`, with any border color."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
     """Formats that color targets can't have."""
     passed_over: tuple[str, ...] = ()
     """Devices that were tried before this one, each with the reason why it can't be used."""
+
+    @property
+    def max_samples(self) -> int:
+        """The largest of `sample_counts`."""
+        return self.sample_counts[-1]
 
     @property
     def renders(self) -> bool:
@@ -123,6 +142,47 @@ class PreparesDraws(Protocol):
     def on_interruption(self, call: Callable[[], None]) -> None:
         """Register `call`, to be called whenever bindings are lost for a reason outside this device, such as another
         context of the process becoming current."""
+
+
+class HoldsContext(Protocol):
+    """Optional part of the contract, for platforms whose calls go to a context that is current on the calling thread,
+    and that any other code of the process may replace (OpenGL). These calls aren't commands; no recorder keeps them.
+    """
+
+    def resume(self) -> bool:
+        """Find out whether other code has made another context current (or none) since this backend was last used. If
+        so, do what `make_current` does and return True. The device calls this wherever the cost doesn't matter, never
+        for a draw.
+
+        Raises:
+            DeviceError: `device-context` if the platform refuses to make the context current.
+        """
+
+    def make_current(self) -> None:
+        """Make the context current on the calling thread, and set all of its state anew, whatever other code did to
+        it. Bindings may be lost, since the device binds everything again. Raises what `resume` raises."""
+
+    def release_current(self) -> None:
+        """Make the context current on no thread, so that another thread can call `make_current`."""
+
+
+class PreparesKernels(Protocol):
+    """Optional part of the contract: code for draws that is built before the first of them.
+
+    Platforms that build it with the program, or can't without a draw, leave it out.
+    """
+
+    def prepare_kernels(
+        self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
+        states: Sequence[StateChange],
+    ) -> Sequence[Future[None]]:  # fmt: skip
+        """Begin to build what draws of `program` need; return the ends of the builds, which never fail.
+
+        Args:
+            vertex_array: a vertex array of the program; 0 for none.
+            colors, depth, samples: the formats and samples of the targets; without any, they aren't known yet.
+            states: the value of every state type.
+        """
 
 
 class PreparedQueries(Protocol):

@@ -16,6 +16,7 @@ import numpy as np
 
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
+from rhi.errors.arguments import Fields
 
 __rhi_internal__ = True
 
@@ -147,6 +148,20 @@ class SamplerDescriptor:
     compare: Comparison | None = None
     max_anisotropy: float = 1.0
 
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.choices(Filter, "minify", "magnify")
+        fields.choices_or_none(Filter, "mip")
+        fields.choices(Wrap, "wrap_u", "wrap_v", "wrap_w")
+        fields.colors("border")
+        fields.choices_or_none(Comparison, "compare")
+        fields.numbers("max_anisotropy", least=1)
+
+    @property
+    def uses_border(self) -> bool:
+        """Whether any axis wraps to the border color."""
+        return Wrap.BORDER in (self.wrap_u, self.wrap_v, self.wrap_w)
+
 
 @dataclass(frozen=True, slots=True)
 class Region:
@@ -158,6 +173,9 @@ class Region:
     height: int
     layer: int = 0
     layers: int = 1
+
+    def __post_init__(self) -> None:
+        Fields(self).wholes("x", "y", "width", "height", "layer", "layers")
 
 
 # -- vertex arrays ---------------------------------------------------------------------------------------
@@ -367,11 +385,13 @@ class StageText:
     """The source text of one stage, and where each of its lines came from.
 
     `origins[i]` is the (file, line) of the Python source of line i of the text, counted from 0; ("", 0) where no
-    Python line stands behind it. Lines without an entry have no known origin.
+    Python line stands behind it. Lines without an entry have no known origin. `binary` is what the text was compiled
+    to, in a language that isn't text ("spirv").
     """
 
     text: str
     origins: tuple[tuple[str, int], ...] = ()
+    binary: bytes = b""
 
 
 @dataclass(frozen=True, eq=False)
@@ -381,7 +401,8 @@ class ProgramDescriptor:
     Attributes:
         emit: a function of (language, stage) that returns the `StageText` of a stage. Languages are "glsl" (4.30);
             "opencl16" (OpenCL C for 16 lanes, see `rhi.shading.opencl.stages`), for compute stages also "opencl1",
-            "opencl4" and "opencl8"; and for compute stages "numpy", a Python module.
+            "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for Vulkan) and
+            "spirv", its `binary`; and those of `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
         varyings: the varyings that the fragment stage reads, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.
@@ -404,6 +425,24 @@ class ProgramDescriptor:
     shared_bytes: int = 0
     checked: bool = False
     flushes_denormals: bool = False
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.text("name", self.name)
+        fields.members("stages", self.stages, frozenset, Stage)
+        fields.members("bindings", self.bindings, tuple, Binding)
+        fields.members("attributes", self.attributes, tuple, Attribute)
+        fields.members("outputs", self.outputs, tuple, FragmentOutput)
+        fields.members("varyings", self.varyings, tuple, StageVarying)
+        sizes = fields.members("work_group", self.work_group, tuple, int)
+        if len(sizes) != 3 or min(sizes) < 1:
+            fields.fail("work_group", sizes, "3 whole numbers, 1 or more")
+        if not callable(self.emit):
+            fields.fail("emit", self.emit, "a function of language and stage that returns a StageText")
+        fields.flags(
+            "writes_memory", "discards", "early_depth", "writes_depth", "checked", "flushes_denormals"
+        )  # fmt: skip
+        fields.wholes("shared_bytes", least=0)
 
 
 DRAW: Final = np.dtype(

@@ -14,18 +14,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import enum
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, NamedTuple, TypeAlias
 from weakref import WeakValueDictionary
 
-from rhi.errors import refuse
+from rhi.errors.arguments import Fields
 from rhi.errors.rules import STATE_VALUE
 
 __rhi_internal__ = True
 
 MAX_TARGETS: Final = 8
+MAX_VIEWPORT_SIZE: Final = 16_384
+MAX_VIEWPORT_OFFSET: Final = 32_767
+"""The largest viewport that every platform maps exactly; beyond it each would clamp in a way of its own."""
 
 
 class Comparison(enum.Enum):
@@ -172,20 +174,6 @@ else:
             return type(self), tuple(getattr(self, name) for name in type(self).__match_args__)
 
 
-def _check(condition: bool, value: object, allowed: str) -> None:
-    if not condition:
-        refuse(STATE_VALUE, type(value).__name__, _show(value), allowed)
-
-
-def _show(value: object) -> str:
-    parts = ", ".join(f"{f.name}={getattr(value, f.name)!r}" for f in dataclasses.fields(value))  # type: ignore[arg-type]
-    return f"{type(value).__name__}({parts})"
-
-
-def _is_finite(*numbers: float) -> bool:
-    return all(-3.4e38 < number < 3.4e38 for number in numbers)  # false for NaN too
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class AlphaReference(_Value):
     """The reference value of the alpha test, 0 to 1."""
@@ -193,7 +181,7 @@ class AlphaReference(_Value):
     value: float = 0.5
 
     def __post_init__(self) -> None:
-        _check(0.0 <= self.value <= 1.0, self, "0 to 1")
+        Fields(self, STATE_VALUE).numbers("value", least=0, most=1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -210,7 +198,9 @@ class ColorWrite(_Value):
     OFF: ClassVar[ColorWrite]
 
     def __post_init__(self) -> None:
-        _check(self.target is None or 0 <= self.target < MAX_TARGETS, self, f"target 0 to {MAX_TARGETS - 1}")
+        fields = Fields(self, STATE_VALUE)
+        fields.flags("red", "green", "blue", "alpha")
+        fields.wholes_or_none("target", least=0, most=MAX_TARGETS - 1)
 
     def at(self, target: int) -> ColorWrite:
         """Return this state for one color target."""
@@ -276,7 +266,12 @@ class BlendFunction(_Value):
     MULTIPLY: ClassVar[BlendFunction]
 
     def __post_init__(self) -> None:
-        _check(self.target is None or 0 <= self.target < MAX_TARGETS, self, f"target 0 to {MAX_TARGETS - 1}")
+        fields = Fields(self, STATE_VALUE)
+        fields.choices(BlendFactor, "source", "destination")
+        fields.choices(BlendOperation, "operation")
+        fields.choices_or_none(BlendFactor, "source_alpha", "destination_alpha")
+        fields.choices_or_none(BlendOperation, "operation_alpha")
+        fields.wholes_or_none("target", least=0, most=MAX_TARGETS - 1)
 
     def at(self, target: int) -> BlendFunction:
         """Return this state for one color target."""
@@ -326,7 +321,7 @@ class BlendColor(_Value):
     alpha: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(_is_finite(self.red, self.green, self.blue, self.alpha), self, "finite numbers")
+        Fields(self, STATE_VALUE).numbers("red", "green", "blue", "alpha")
 
 
 class StencilOperation(enum.Enum):
@@ -344,6 +339,12 @@ class StencilOperation(enum.Enum):
     __hash__ = object.__hash__
 
 
+def _check_face(state: StencilFront | StencilBack) -> None:
+    fields = Fields(state, STATE_VALUE)
+    fields.choices(Comparison, "function")
+    fields.choices(StencilOperation, "stencil_fail", "depth_fail", "both_pass")
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class StencilFront(_Value):
     """Stencil test of front faces, points and lines: the comparison `reference & mask OP stored & mask`, and how the
@@ -353,6 +354,9 @@ class StencilFront(_Value):
     stencil_fail: StencilOperation = StencilOperation.KEEP
     depth_fail: StencilOperation = StencilOperation.KEEP
     both_pass: StencilOperation = StencilOperation.KEEP
+
+    def __post_init__(self) -> None:
+        _check_face(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -364,6 +368,9 @@ class StencilBack(_Value):
     depth_fail: StencilOperation = StencilOperation.KEEP
     both_pass: StencilOperation = StencilOperation.KEEP
 
+    def __post_init__(self) -> None:
+        _check_face(self)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _StencilBytes(_Value):
@@ -371,7 +378,7 @@ class _StencilBytes(_Value):
     back: int
 
     def __post_init__(self) -> None:
-        _check(0 <= self.front <= 255 and 0 <= self.back <= 255, self, "0 to 255")
+        Fields(self, STATE_VALUE).wholes("front", "back", least=0, most=255)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -402,7 +409,8 @@ class StencilWriteMask(_StencilBytes):
 class Viewport(_Value):
     """The rectangle that clip space maps to, in texels from the target's top left corner, and its depth range.
 
-    `Viewport.TARGET`, the default, is the whole target of the current pass.
+    `Viewport.TARGET`, the default, is the whole target of the current pass. Width and height are at most 16,384, x and
+    y within ±32,767.
     """
 
     x: float = 0.0
@@ -415,9 +423,10 @@ class Viewport(_Value):
     TARGET: ClassVar[Viewport]
 
     def __post_init__(self) -> None:
-        _check(_is_finite(self.x, self.y, self.width, self.height), self, "finite numbers")
-        _check(self.width >= 0.0 and self.height >= 0.0, self, "width and height of 0 or more")
-        _check(0.0 <= self.near <= 1.0 and 0.0 <= self.far <= 1.0, self, "near and far from 0 to 1")
+        fields = Fields(self, STATE_VALUE)
+        fields.numbers("x", "y", least=-MAX_VIEWPORT_OFFSET, most=MAX_VIEWPORT_OFFSET)
+        fields.numbers("width", "height", least=0, most=MAX_VIEWPORT_SIZE)
+        fields.numbers("near", "far", least=0, most=1)
 
 
 Viewport.TARGET = Viewport()
@@ -438,8 +447,9 @@ class Scissor(_Value):
     OFF: ClassVar[Scissor]
 
     def __post_init__(self) -> None:
-        _check(self.width >= 0 and self.height >= 0, self, "width and height of 0 or more")
-        _check(abs(self.x) <= 1 << 30 and abs(self.y) <= 1 << 30, self, "x and y within 2**30")
+        fields = Fields(self, STATE_VALUE)
+        fields.wholes("x", "y", least=-(1 << 30), most=1 << 30)
+        fields.wholes("width", "height", least=0, most=1 << 30)
 
 
 Scissor.OFF = Scissor()
@@ -453,7 +463,7 @@ class DepthBias(_Value):
     units: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(_is_finite(self.units), self, "a finite number")
+        Fields(self, STATE_VALUE).numbers("units")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -465,7 +475,7 @@ class PolygonOffset(_Value):
     clamp: float = 0.0
 
     def __post_init__(self) -> None:
-        _check(_is_finite(self.slope, self.clamp), self, "finite numbers")
+        Fields(self, STATE_VALUE).numbers("slope", "clamp")
 
 
 State: TypeAlias = (

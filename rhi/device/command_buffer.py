@@ -36,17 +36,18 @@ from rhi.contract.states import AlphaTest, default_values
 from rhi.device.core.core import Core
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.device.encoder import Encoder, check_drawable, underlying_buffer
+from rhi.device.encoder import Encoder, check_drawable
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
-from rhi.device.resources.buffers import Buffer, StorageBuffer
+from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import Arena, TransientMemory
 from rhi.errors import RhiError, find_user_frame
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ARGUMENT,
@@ -193,31 +194,37 @@ class CommandBuffer(Encoder):
 
     def clear(self, buffer: Buffer | StorageBuffer[Any], value: int = 0) -> None:
         """Record a `Buffer.clear`."""
-        underlying_buffer(buffer)._clear(self._recorder, value)
+        check = Arguments("commands.clear", self._recorder.refuse)
+        check_buffer(check, "buffer", buffer)._clear(self._recorder, value)
 
     def copy_buffer(
         self, source: Buffer | StorageBuffer[Any], target: Buffer | StorageBuffer[Any], *, size: int | None = None,
         offset: int = 0, target_offset: int = 0,
     ) -> None:  # fmt: skip
         """Record a `Buffer.copy_to`."""
-        underlying_buffer(source)._copy(
-            self._recorder, underlying_buffer(target), size, offset, target_offset
-        )
+        check = Arguments("commands.copy_buffer", self._recorder.refuse)
+        check_buffer(check, "source", source)._copy(self._recorder, target, size, offset, target_offset)
 
     def copy_texture(
         self, source: Texture, target: Texture, *, level: int = 0, region: Region | None = None,
         target_level: int = 0, x: int = 0, y: int = 0, layer: int = 0,
     ) -> None:  # fmt: skip
         """Record a `Texture.copy_to`."""
+        self._check_texture("commands.copy_texture", "source", source)
         source._copy(self._recorder, target, level, region, target_level, x, y, layer)
 
     def resolve(self, source: Texture, target: Texture) -> None:
         """Record a `Texture.resolve_to`."""
+        self._check_texture("commands.resolve", "source", source)
         source._resolve(self._recorder, target)
 
     def generate_mipmaps(self, texture: Texture) -> None:
         """Record a `Texture.generate_mipmaps`."""
+        self._check_texture("commands.generate_mipmaps", "texture", texture)
         texture._generate_mipmaps(self._recorder)
+
+    def _check_texture(self, call: str, name: str, texture: Texture) -> None:
+        Arguments(call, self._recorder.refuse).instance(name, texture, Texture, "a Texture")
 
     def _resolve_program(self, program: object, call: str) -> Program[Any]:
         core = self._recorder
@@ -356,6 +363,8 @@ class RecordedQuery:
     def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:
         call = "commands.query"
         core.check_open()
+        allowed = "an OcclusionQuery from device.occlusion_query()"
+        Arguments(call, core.refuse).instance("query", query, OcclusionQuery, allowed)
         query.check_usable(core.device, call)
         self._core = core
         self._query = query

@@ -2,6 +2,7 @@
 
 - `Device` creates resources, opens passes and scopes, draws, and synchronises. It is the only module with policy:
   when resources are destroyed, how many frames the CPU may be ahead, how large rings are.
+- A device belongs to one thread, and on some platforms to the context that is current there (`Core.check_ready`).
 - The other half is a `Backend`; commands are calls of its methods. All checks are made here, before a call reaches
   the backend.
 """
@@ -9,9 +10,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, Self, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +30,6 @@ from rhi.contract.descriptors import (
     TextureKind,
 )
 from rhi.contract.formats import Format
-from rhi.contract.layout import Layout, element_dtype
 from rhi.contract.states import (
     AlphaFunction,
     AlphaReference,
@@ -37,34 +37,46 @@ from rhi.contract.states import (
     AlphaToCoverage,
     BlendFunction,
     PolygonOffset,
+    State,
+    StencilReadMask,
+    StencilReference,
     StencilTest,
+    StencilWriteMask,
 )
 from rhi.device.command_buffer import CommandBuffer, check_submissions
-from rhi.device.core.core import Core, Statistics
+from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
-from rhi.device.core.state_cache import StateCache
+from rhi.device.core.state_cache import StateCache, StateScope
 from rhi.device.encoder import Encoder
+from rhi.device.preparation import DrawPlan, Preparation, prepare
 from rhi.device.queries.occlusion import OcclusionQuery
-from rhi.device.queries.sets import QuerySet
+from rhi.device.queries.sets import MAX_ROWS, QuerySet
 from rhi.device.queries.timers import TimerNode, Timers
-from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer, match_layout
+from rhi.device.resources.buffers import (
+    Buffer,
+    StorageBuffer,
+    UniformArray,
+    UniformBuffer,
+    match_layout,
+    storage_dtype,
+)
 from rhi.device.resources.lifetime import destroy_on_error
 from rhi.device.resources.meshes import Drawable, Mesh, MeshData, VertexSource
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Sampler, Texture, full_levels
 from rhi.device.transient import TransientMemory
+from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_DTYPE,
-    DEVICE_ARGUMENT,
+    BUFFER_SIZE,
     DEVICE_CAPABILITY,
     DEVICE_NOT_RECORDING,
     LOCK_OPEN,
     PASS_OPEN,
-    RESOURCE_FOREIGN,
     TEXTURE_DATA,
     TEXTURE_SIZE,
 )
-from rhi.shading import Shader, Struct, compile_shader, value_type_of
+from rhi.shading import Shader, Struct, compile_shader
 
 __rhi_internal__ = True
 
@@ -77,21 +89,30 @@ B = TypeVar("B")
 class Device(Encoder):
     """A device, created by `rhi.create_device`. Use it in a `with` block, or call `close`."""
 
-    def __init__(self, backend: Backend, *, timing: bool = False, frames_in_flight: int = 2) -> None:
-        """Create a device on `backend`, which may be a `Recorder` in front of another backend."""
+    def __init__(
+        self, backend: Backend, *, validation: bool = False, timing: bool = False, frames_in_flight: int = 2
+    ) -> None:
+        """Create a device on `backend`, which may be a `Recorder` in front of another backend.
+
+        It belongs to the calling thread. With `validation` each draw checks this, too.
+        """
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
         states = StateCache(_unsupported_states(capabilities), refusals=refusals)
-        core = Core(backend, states, refusals)
+        core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs: dict[object, Program[Any]] = {}
         self._frames: deque[int] = deque()
-        self._frames_in_flight = max(1, frames_in_flight)
+        self._frames_in_flight = frames_in_flight
+        if validation:
+            self._scope = self._validated_scope
 
     # -- life --------------------------------------------------------------------------------------------
 
     def __enter__(self) -> Self:
+        """Call `make_current`; the device is closed at the end of the block."""
+        self.make_current()
         return self
 
     def __exit__(
@@ -104,17 +125,50 @@ class Device(Encoder):
 
         Raises:
             ValidationError: `lock-open` if a lock was never released (unless `quiet`); the device is
-                closed nevertheless.
+                closed nevertheless. `device-thread` on another thread; the device stays open.
         """
         core = self._core
+        quiet = Arguments("device.close", core.refuse).flag("quiet", quiet)
         if core.closed:
             return
+        if core.thread == NO_THREAD:
+            core.make_current()
+        core.check_thread("device.close")
+        core.resume()
         core.closed = True
         core.program = None
         self._backend.close()
         if core.locked and not quiet:
             shown = ", ".join(repr(owner) for owner in core.locked)
             core.refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
+
+    def make_current(self) -> None:
+        """Make the device ready for calls on this thread, after other code may have used the platform.
+
+        - On OpenGL: makes the device's context current and sets all of its states anew, whatever other code did to
+          them. Between passes the device finds out by itself that another context is current; inside a pass, call
+          this after such code. See docs/threads.md.
+        - A device that no thread owns (`release_current`) belongs to the calling thread from now on.
+
+        Raises:
+            ValidationError: `device-thread` if the device belongs to another thread.
+            DeviceError: `device-context` if the platform refuses, as OpenGL does while a context of GLX is current.
+        """
+        self._core.check_open()
+        self._core.make_current()
+
+    def release_current(self) -> None:
+        """Detach the device from its thread, so that another thread can call `make_current`. Until then every call of
+        the device is refused. On OpenGL no context is current on this thread afterwards, unless it was another's.
+
+        Raises:
+            ValidationError: `device-thread` on another thread than the device's, `pass-open` inside a render pass.
+        """
+        core = self._core
+        core.check_open()
+        if core.render_pass is not None:
+            core.refuse(PASS_OPEN, "device.release_current", "an open render pass")
+        core.release_current()
 
     @property
     def closed(self) -> bool:
@@ -159,6 +213,8 @@ class Device(Encoder):
         Raises:
             ValidationError: `device-capability` if the backend is not a `kind`.
         """
+        if not isinstance(kind, type):
+            Arguments("device.backend_as", self._core.refuse).fail("kind", kind, "the class of a backend")
         backend: object = self._backend
         while not isinstance(backend, kind) and hasattr(backend, "backend"):
             backend = backend.backend
@@ -182,22 +238,39 @@ class Device(Encoder):
         label: str = "",
     ) -> Buffer:
         """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
-        if isinstance(source, (int, np.integer)):
-            return Buffer(self._core, int(source), np.dtype(dtype or np.uint8), usage, label)
-        array = np.asarray(source)
-        if dtype is not None and array.dtype != np.dtype(dtype):
-            self._core.refuse(BUFFER_DTYPE, "device.buffer", str(array.dtype), str(np.dtype(dtype)))
+        check = Arguments("device.buffer", self._core.refuse)
+        wanted = None
+        if dtype is not None:
+            try:  # NumPy takes the dtype of any object that has one
+                kinds: Any = (np.dtype, type, str, list, tuple, dict)
+                wanted = np.dtype(check.instance("dtype", dtype, kinds, "a NumPy dtype"))
+            except (TypeError, ValueError) as error:
+                self._core.refuse(BUFFER_DTYPE, check.call, f"dtype={dtype!r}", f"a NumPy dtype ({error})")
+        count = as_whole(source)
+        if count is not None:
+            return Buffer(self._core, count, wanted or np.dtype(np.uint8), usage, label)
+        array = check.array("source", source)
+        if not array.ndim and array.dtype.names is None:
+            check.fail("source", source, "a number of elements, or an array")
+        if wanted is not None and array.dtype != wanted:
+            self._core.refuse(BUFFER_DTYPE, check.call, str(array.dtype), str(wanted))
         buffer = Buffer(self._core, array.size, array.dtype, usage, label)
         with destroy_on_error(buffer):
             buffer.write(array)
         return buffer
 
-    def uniform(self, value: S, *, label: str = "") -> UniformBuffer[S]:
-        """Create a buffer of constants: one struct, bound as `Uniform[S]`."""
-        if not isinstance(value, Struct):
-            self._core.refuse(
-                DEVICE_ARGUMENT, "device.uniform", repr(value), "a struct, e.g. Tint(scale=(1, 1, 1))"
-            )
+    @overload
+    def uniform(self, value: NDArray[Any], *, label: str = "") -> UniformBuffer[Any]: ...
+
+    @overload
+    def uniform(self, value: T, *, label: str = "") -> UniformBuffer[T]: ...
+
+    def uniform(self, value: Any, *, label: str = "") -> UniformBuffer[Any]:
+        """Create a buffer of constants, bound as `Uniform[T]`: a struct, or a single number, vector or matrix.
+
+        The value says what it is bound as: `uniform(0.5)` as `Uniform[float]`, `uniform(1)` as `Uniform[int]`, an array
+        of 4×4 floats as `Uniform[mat4]`, one of 3 floats as `Uniform[vec3]`.
+        """
         return UniformBuffer(self._core, value, label)
 
     def uniform_array(self, struct: type[S], count: int, *, label: str = "") -> UniformArray[S]:
@@ -213,21 +286,25 @@ class Device(Encoder):
         Raises:
             ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
         """
-        shading_type = value_type_of(element)
-        dtype = element_dtype(shading_type, Layout.STD430)
+        core = self._core
+        check = Arguments("device.storage", core.refuse)
+        dtype = storage_dtype(check, element)
+        check.text("label", label)
         if isinstance(source, Buffer):
-            if source.core is not self._core:
-                self._core.refuse(RESOURCE_FOREIGN, "device.storage", repr(source))
+            core.check_open()
+            core.check_usable(source, check.call)
+            if source.size < dtype.itemsize:
+                core.refuse(BUFFER_SIZE, check.call, f"{source!r}", f"at least {dtype.itemsize} bytes")
             return StorageBuffer(source, element, dtype)
-        count = int(source) if isinstance(source, (int, np.integer)) else 0
-        name = label or f"{getattr(element, '__name__', element)}[]"
-        if not isinstance(source, (int, np.integer)):
-            array = match_layout(self._core, source, dtype, "device.storage")
+        count, array = as_whole(source), None
+        if count is None:
+            array = match_layout(core, check.array("source", source), dtype, check.call)
+            if not array.ndim and array.dtype.names is None:
+                check.fail("source", source, "a number of elements, an array, or a Buffer")
             count = array.size // int(np.prod(dtype.shape, initial=1))
-        storage: StorageBuffer[T] = StorageBuffer(
-            Buffer(self._core, count, dtype, label=name), element, dtype
-        )
-        if not isinstance(source, (int, np.integer)):
+        name = label or f"{getattr(element, '__name__', element)}[]"
+        storage: StorageBuffer[T] = StorageBuffer(Buffer(core, count, dtype, label=name), element, dtype)
+        if array is not None:
             with destroy_on_error(storage):
                 storage.write(array)
         return storage
@@ -249,10 +326,13 @@ class Device(Encoder):
         channels), top row first, of the format's dtype. `levels` None means all mip levels down to 1×1; they are
         generated from an array's texels if the format can be filtered.
         """
-        if not isinstance(format, Format):
-            self._core.refuse(
-                DEVICE_ARGUMENT, "device.texture", f"format={format!r}", "an rhi.Format, such as Format.RGBA8"
-            )
+        check = Arguments("device.texture", self._core.refuse)
+        check.choice("format", format, Format)
+        check.choice("kind", kind, TextureKind)
+        layers = check.whole_or_none("layers", layers)
+        levels = check.whole_or_none("levels", levels)
+        samples = check.whole("samples", samples)
+        check.text("label", label)
         data = None
         if isinstance(source, np.ndarray):
             data = source
@@ -262,18 +342,17 @@ class Device(Encoder):
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
             layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
         else:
-            if len(source) != 2 or not all(isinstance(n, (int, np.integer)) for n in source):
+            size = tuple(as_whole(n) for n in source) if isinstance(source, (tuple, list)) else ()
+            if len(size) != 2 or None in size:
                 self._core.refuse(
-                    TEXTURE_SIZE, "device.texture", repr(source), "(width, height), two whole numbers"
+                    TEXTURE_SIZE, "device.texture", repr(source), "(width, height), two whole numbers, or an array"
                 )
-            width, height = source
+            width, height = cast("tuple[int, int]", size)
         if layers is None:
             layers = 6 if kind is TextureKind.CUBE else 1
         if levels is None:
             levels = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
-        descriptor = TextureDescriptor(
-            (int(width), int(height)), format, kind, layers, levels, samples, label
-        )
+        descriptor = TextureDescriptor((width, height), format, kind, layers, levels, samples, label)
         texture = Texture(self._core, descriptor)
         if data is not None:
             with destroy_on_error(texture):
@@ -285,6 +364,8 @@ class Device(Encoder):
     def sampler(self, descriptor: SamplerDescriptor) -> Sampler:
         """Create a sampler, to read textures through: `texture.sampled(sampler)`."""
         self._core.check_open()
+        check = Arguments("device.sampler", self._core.refuse)
+        check.instance("descriptor", descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
         return Sampler(self._core.sampler(descriptor), descriptor)
 
     def mesh(
@@ -307,6 +388,9 @@ class Device(Encoder):
         Raises:
             ValidationError: `mesh-data` (not structured, empty, NaN), `mesh-index` (out of range).
         """
+        check = Arguments("device.mesh", self._core.refuse)
+        check.choice("primitive", primitive, Primitive)
+        check.text("label", label)
         data = MeshData(self._core, vertices, indices, instances, label)
         return Mesh(data, primitive, 0, data.vertex_count if data.index_count is None else data.index_count)
 
@@ -323,6 +407,12 @@ class Device(Encoder):
             ShaderError: the shader does not type-check, or the driver refuses it.
         """
         self._core.check_open()
+        if not isinstance(shader, ProgramDescriptor) and not (
+            isinstance(shader, type) and issubclass(shader, Shader)
+        ):
+            Arguments("device.program", self._core.refuse).fail(
+                "shader", shader, "a class derived from Shader, or a ProgramDescriptor"
+            )
         program = self._programs.get(shader)
         if program is None or program.destroyed:
             if isinstance(shader, ProgramDescriptor):
@@ -344,6 +434,39 @@ class Device(Encoder):
     if not TYPE_CHECKING:
         draw = _draw  # typed by `Encoder.draw`; its *args, always empty, would cost 80 ns a call
 
+    @overload
+    def prepare(
+        self, program: Program[Any], mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        states: Sequence[State] = (),
+    ) -> Preparation: ...  # fmt: skip
+
+    @overload
+    def prepare(self, program: Sequence[DrawPlan]) -> Preparation: ...
+
+    def prepare(
+        self, program: Any, mesh: Mesh | None = None, *, targets: Sequence[Texture | Format] = (),
+        states: Sequence[State] = (),
+    ) -> Preparation:  # fmt: skip
+        """Begin to build what draws need on this platform, so that no frame has to wait for it or run slower.
+
+        Args:
+            program: the program, or a list of `DrawPlan`, each of which stands for the arguments.
+            mesh: a mesh like those that it will draw.
+            targets: the textures that it will draw into, or their formats.
+            states: the states that it will be drawn with, on top of the scopes that are open now.
+
+        Returns:
+            A future with `progress`; `result()` waits. Draws needn't wait for it.
+
+        Raises:
+            ValidationError: as the draw would; nothing was begun then.
+        """
+        plans = [DrawPlan(program, mesh, targets, states)] if isinstance(program, Program) else program
+        self._core.check_ready()
+        check = Arguments("device.prepare", self._core.refuse)
+        allowed = "a Program from device.program(…), or a list of rhi.DrawPlan"
+        return prepare(self._core, check.instance("program", plans, (list, tuple), allowed))
+
     def record(self, *, label: str = "") -> CommandBuffer:
         """Create a command buffer: `with device.record() as commands:` records commands, `submit` executes them.
 
@@ -351,6 +474,7 @@ class Device(Encoder):
         per buffer. `label` is put on all of its commands.
         """
         self._core.check_open()
+        Arguments("device.record", self._core.refuse).text("label", label)
         return CommandBuffer(self._core, label)
 
     def submit(self, *buffers: CommandBuffer) -> None:
@@ -365,29 +489,38 @@ class Device(Encoder):
                 for a condition inside another; nothing was executed then.
         """
         core = self._core
-        core.check_open()
+        core.check_ready()
         if core.render_pass is not None:
             core.refuse(PASS_OPEN, "device.submit", "an open render pass")
         check_submissions(buffers, core)
         for buffer in buffers:
             buffer.execute()
 
+    def _validated_scope(self, states: tuple[State, ...]) -> StateScope:
+        """Create a scope of states, with validation."""
+        self._core.check_ready()
+        return self._core.states.scope(states)
+
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self) -> int:
         """Signal the fence at this point of the command stream; return the value to `wait` for."""
-        self._core.check_open()
+        self._core.check_ready()
         return self._core.signal()
 
     @property
     def completed(self) -> int:
         """The last signalled value that the GPU has reached; never blocks."""
-        self._core.check_open()
+        self._core.check_ready()
         return self._core.timeline.completed
 
     def wait(self, value: int, seconds: float | None = None) -> bool:
         """Block until the GPU has reached `value`, for at most `seconds`; return whether it has."""
-        self._core.check_open()
+        self._core.check_ready()
+        check = Arguments("device.wait", self._core.refuse)
+        value = check.whole("value", value)
+        if seconds is not None:
+            seconds = check.number("seconds", seconds, 0)
         reached = self._core.timeline.wait(value, seconds)
         self._core.timeline.collect()
         return reached
@@ -399,11 +532,13 @@ class Device(Encoder):
 
     def occlusion_query(self, *, emulated: bool = False) -> OcclusionQuery:
         """Create a counter of visible samples; `emulated` requests the thesis's emulation (4.4.2)."""
-        return OcclusionQuery(self._core, emulated)
+        check = Arguments("device.occlusion_query", self._core.refuse)
+        return OcclusionQuery(self._core, check.flag("emulated", emulated))
 
     def query_set(self, size: int, *, emulated: bool = False) -> QuerySet:
         """Create `size` counters of visible samples, used together in one call: `device.draw_counted(…, queries)`."""
-        return QuerySet(self._core, size, emulated)
+        check = Arguments("device.query_set", self._core.refuse)
+        return QuerySet(self._core, check.whole("size", size, 0, MAX_ROWS), check.flag("emulated", emulated))
 
     @property
     def timing(self) -> bool:
@@ -412,6 +547,7 @@ class Device(Encoder):
 
     @timing.setter
     def timing(self, on: bool) -> None:
+        on = Arguments("device.timing", self._core.refuse).flag("on", on)
         if on and not self._core.capabilities.timestamps:
             self._core.refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
         self._timers.enabled = on
@@ -420,6 +556,7 @@ class Device(Encoder):
     def timers(self) -> list[TimerNode]:
         """The event tree of the latest frame whose timestamps are available."""
         if not self._core.closed:
+            self._core.check_ready()
             self._timers.collect()
         return self._timers.latest
 
@@ -430,11 +567,13 @@ class Device(Encoder):
         is reused once the GPU has executed the frame.
         """
         core = self._core
-        core.check_open()
+        core.check_ready()
         if core.render_pass is not None:
             core.refuse(PASS_OPEN, "device.present", "an open render pass")
         if image is not None:
-            core.check_usable(image, "device.present")
+            check = Arguments("device.present", core.refuse)
+            check.instance("image", image, Texture, "a Texture, or None")
+            core.check_usable(image, check.call)
         core.backend.present(image.id if image is not None else 0)
         self._timers.end_frame()
         self._frames.append(core.end_frame())
@@ -450,6 +589,8 @@ def _unsupported_states(capabilities: Capabilities) -> dict[type, str]:
         lacking |= dict.fromkeys((AlphaTest, AlphaFunction, AlphaReference), "alpha_test")
     if not capabilities.stencil:
         lacking[StencilTest] = "stencil"
+    if not capabilities.stencil_per_face:
+        lacking |= dict.fromkeys((StencilReference, StencilReadMask, StencilWriteMask), "stencil_per_face")
     if not capabilities.alpha_to_coverage:
         lacking[AlphaToCoverage] = "alpha_to_coverage"
     if not capabilities.blend_per_target:

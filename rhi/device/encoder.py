@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +23,12 @@ from rhi.device.passes import Clear, RenderPass, RenderTarget
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import EventScope, Timers
-from rhi.device.resources.buffers import Buffer, StorageBuffer
+from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.meshes import Drawable, Mesh, check_draws
 from rhi.device.resources.programs import Program
 from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
+from rhi.errors.arguments import Arguments, Fields, as_whole
 from rhi.errors.rules import (
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
@@ -40,6 +41,7 @@ from rhi.errors.rules import (
 __rhi_internal__ = True
 
 P = ParamSpec("P")
+_ONES: Final = (1, 1, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,13 @@ class IndirectDraws:
     stride: int = DRAW.itemsize
     count: Buffer | StorageBuffer[Any] | None = None
     count_offset: int = 0
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        check_buffer(fields, "buffer", self.buffer)
+        if self.count is not None:
+            check_buffer(fields, "count", self.count)
+        fields.wholes("draws", "offset", "stride", "count_offset")
 
 
 class Encoder:
@@ -123,7 +132,7 @@ class Encoder:
         raise NotImplementedError
 
     def draw_many(
-        self, program: Program[P], mesh: Mesh, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
+        self, program: Program[P], mesh: Drawable, draws: NDArray[Any], /, *args: P.args, **bindings: P.kwargs
     ) -> None:
         """Draw parts of `mesh`, given as an array of `rhi.DRAW` (see `mesh.draws`), in one call.
 
@@ -132,7 +141,7 @@ class Encoder:
         """
         call = f"{self.NAME}.draw_many"
         own = self._resolve_program(program, call)
-        check_mesh(self._core, mesh, call)
+        check_drawable(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
         if mesh.primitive is Primitive.QUADS:
             self._core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
@@ -151,7 +160,7 @@ class Encoder:
     def draw_counted(
         self,
         program: Program[P],
-        mesh: Mesh,
+        mesh: Drawable,
         draws: NDArray[Any],
         queries: QuerySet,
         rows: NDArray[Any] | Sequence[int] | None = None,
@@ -174,10 +183,10 @@ class Encoder:
         """
         call = f"{self.NAME}.draw_counted"
         own = self._resolve_program(program, call)
-        check_mesh(self._core, mesh, call)
+        check_drawable(self._core, mesh, call)
         array = check_draws(self._core, mesh, draws, call)
-        if not isinstance(queries, QuerySet):
-            self._core.refuse(DEVICE_ARGUMENT, call, repr(queries), "a QuerySet from device.query_set(…)")
+        check = Arguments(call, self._core.refuse)
+        check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
         self._check_query_set(queries, call)
         each = queries.check_rows(rows, len(array), call)
         vertex_array = self._bind_draws(own, mesh, bindings)
@@ -197,7 +206,7 @@ class Encoder:
     def draw_indirect(
         self,
         program: Program[P],
-        mesh: Drawable,
+        mesh: Mesh,
         arguments: IndirectDraws,
         /,
         *args: P.args,
@@ -206,10 +215,12 @@ class Encoder:
         """Draw with arguments that the GPU reads from a buffer when it executes the command."""
         call = f"{self.NAME}.draw_indirect"
         own = self._resolve_program(program, call)
-        check_drawable(self._core, mesh, call)
+        check_mesh(self._core, mesh, call)
         core = self._core
-        buffer = underlying_buffer(arguments.buffer)
-        count = None if arguments.count is None else underlying_buffer(arguments.count)
+        check = Arguments(call, core.refuse)
+        check.instance("arguments", arguments, IndirectDraws, "an rhi.IndirectDraws")
+        buffer = check_buffer(check, "buffer", arguments.buffer)
+        count = None if arguments.count is None else check_buffer(check, "count", arguments.count)
         core.check_usable(buffer, call)
         end = arguments.offset + (arguments.draws - 1) * arguments.stride + DRAW.itemsize
         if arguments.draws < 1 or arguments.offset < 0 or end > buffer.size:
@@ -261,14 +272,20 @@ class Encoder:
         """
         call = f"{self.NAME}.dispatch"
         own = self._resolve_program(program, call)
-        sizes = (int(groups),) if isinstance(groups, (int, np.integer)) else tuple(int(n) for n in groups)
-        sizes = (*sizes, 1, 1)[:3] if len(sizes) < 3 else sizes
-        most = self._core.capabilities.max_dispatch
-        if len(sizes) != 3 or any(not 0 <= size <= limit for size, limit in zip(sizes, most, strict=True)):
-            self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 numbers from 0 to {most}")
+        self._core.check_ready()
+        several = isinstance(groups, (tuple, list)) or (isinstance(groups, np.ndarray) and groups.ndim)
+        given: Any = groups if several else (groups,)
+        sizes: list[int | None] = [*map(as_whole, given), *_ONES[len(given) :]]
+        x, y, z, *more = sizes
+        most_x, most_y, most_z = most = self._core.capabilities.max_dispatch
+        if (
+            more or not len(given) or x is None or y is None or z is None
+            or not (0 <= x <= most_x and 0 <= y <= most_y and 0 <= z <= most_z)
+        ):  # fmt: skip
+            self._core.refuse(DISPATCH_SIZE, call, repr(groups), f"1 to 3 whole numbers from 0 to {most}")
         own.bind(own.check_can_dispatch, None, bindings)
-        if 0 not in sizes:
-            self._core.backend.dispatch(*sizes)
+        if x and y and z:
+            self._core.backend.dispatch(x, y, z)
             self._core.dispatches += 1
 
     def dispatch_indirect(
@@ -283,7 +300,10 @@ class Encoder:
         """Dispatch as many work-groups as the GPU then reads from three uint32 at byte `offset` of `buffer`."""
         call = f"{self.NAME}.dispatch_indirect"
         own = self._resolve_program(program, call)
-        source = underlying_buffer(buffer)
+        check = Arguments(call, self._core.refuse)
+        source = check_buffer(check, "buffer", buffer)
+        offset = check.whole("offset", offset)
+        self._core.check_ready()
         self._core.check_usable(source, call)
         if offset < 0 or offset % 4 or offset + 12 > source.size:
             self._core.refuse(
@@ -300,9 +320,10 @@ class Encoder:
 
         The vertices that are added inside are drawn at its end.
         """
-        return Immediate(
-            self._transient, self._resolve_program(program, f"{self.NAME}.immediate"), primitive, bindings
-        )  # fmt: skip
+        call = f"{self.NAME}.immediate"
+        own = self._resolve_program(program, call)
+        Arguments(call, self._core.refuse).choice("primitive", primitive, Primitive)
+        return Immediate(self._transient, own, primitive, bindings)
 
     @property
     def transient(self) -> TransientMemory:
@@ -343,11 +364,6 @@ def check_drawable(core: Core, mesh: object, call: str) -> None:
 
 
 def check_mesh(core: Core, mesh: object, call: str) -> None:
-    """Refuse anything but a `Mesh`; a transient mesh has no parts to draw."""
+    """Refuse anything but a `Mesh`: arguments in a buffer can't know where a transient one lies."""
     if not isinstance(mesh, Mesh):
         core.refuse(DEVICE_ARGUMENT, call, f"{mesh!r} as mesh", "a Mesh from device.mesh(…)")
-
-
-def underlying_buffer(buffer: Buffer | StorageBuffer[Any]) -> Buffer:
-    """Return the buffer behind a storage buffer, or the buffer itself."""
-    return buffer.owner if isinstance(buffer, StorageBuffer) else buffer

@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Primitive
-from rhi.device.resources.meshes import check_finite
+from rhi.device.resources.meshes import as_structured, check_finite
 from rhi.device.resources.programs import Program
-from rhi.device.transient import EMPTY_MESH, TransientMemory, match_vertices, vertex_dtype
+from rhi.device.transient import EMPTY_MESH, TransientMemory, VertexArrays, pack_vertices, vertex_dtype
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import IMMEDIATE_VERTEX
 
 if TYPE_CHECKING:
@@ -29,7 +30,8 @@ S = TypeVar("S", bound="Struct")
 class Immediate(Generic[S]):
     """A `with device.immediate(program, Primitive.QUADS, …) as quads:` block; `quads.vertex(position=…)` fills it."""
 
-    __slots__ = ("_arrays", "_bindings", "_dtype", "_memory", "_open", "_primitive", "_program", "_rows")
+    __slots__ = ("_arrays", "_attributes", "_bindings", "_dtype", "_instances", "_memory", "_open", "_primitive",
+                 "_program", "_rows")  # fmt: skip
 
     def __init__(
         self, memory: TransientMemory, program: Program[Any], primitive: Primitive, bindings: dict[str, Any]
@@ -42,7 +44,9 @@ class Immediate(Generic[S]):
         self._program = program
         self._primitive = primitive
         self._bindings = bindings
-        self._dtype = vertex_dtype(program.descriptor.attributes)
+        self._attributes = program.descriptor.attributes
+        self._dtype = vertex_dtype(self._attributes)
+        self._instances: NDArray[Any] | None = None
         self._rows: list[tuple[Any, ...]] = []
         self._arrays: list[NDArray[Any]] = []
         self._open = False
@@ -55,29 +59,51 @@ class Immediate(Generic[S]):
         """
         names = self._dtype.names or ()
         try:
-            row = tuple(fields[name] for name in names)
+            row: tuple[Any, ...] | None = tuple(fields[name] for name in names)
         except KeyError:
-            row = ()
-        if len(row) != len(fields) or not self._open:
+            row = None
+        if row is None or len(row) != len(fields) or not self._open:
             given = ", ".join(fields) if self._open else "a closed block"
             allowed = ", ".join(names) + " inside the `with` block"
             self._program.core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", given, allowed)
         self._rows.append(row)
 
-    def vertices(self, array: NDArray[Any]) -> None:
-        """Add many vertices: a structured array with the program's vertex fields."""
-        program = self._program
-        if not self._open:
-            program.core.refuse(
-                IMMEDIATE_VERTEX, "Immediate.vertices", "a closed block", "inside the `with` block"
-            )
-        matched = np.array(
-            match_vertices(program.core, program, array)
-        )  # a copy: the caller may change its array
-        self._arrays += [self._collect(), matched]
+    def vertices(self, arrays: VertexArrays) -> None:
+        """Add many vertices: a structured array with the program's vertex fields, or a dict of arrays by their names.
+
+        Raises:
+            ValidationError: `immediate-vertex`, as for `Device.mesh`.
+        """
+        core = self._program.core
+        self._check_open("Immediate.vertices")
+        packed = pack_vertices(core, self._attributes, self._dtype, arrays, "Immediate.vertices")
+        self._arrays += [self._collect(), packed]
+
+    def instances(self, arrays: VertexArrays) -> None:
+        """Draw the vertices once for each element of these arrays, which hold some of the program's vertex fields.
+
+        It comes before the first vertex; the vertices have the other fields.
+
+        Raises:
+            ValidationError: `immediate-vertex` for arrays without such a field, after a vertex, or a second time.
+        """
+        core, call = self._program.core, "Immediate.instances"
+        self._check_open(call)
+        if self._rows or self._arrays or self._instances is not None:
+            given = "other instances before" if self._instances is not None else "vertices before"
+            core.refuse(IMMEDIATE_VERTEX, call, given, "instances once, and before the first vertex")
+        array = as_structured(core, arrays, IMMEDIATE_VERTEX, call)
+        have = array.dtype.names or ()
+        taken = tuple(attribute for attribute in self._attributes if attribute.name in have)
+        if not taken:
+            need = ", ".join(attribute.name for attribute in self._attributes)
+            core.refuse(IMMEDIATE_VERTEX, call, f"fields {', '.join(have)}", f"at least one of {need}")
+        self._instances = pack_vertices(core, taken, vertex_dtype(taken), array, call)
+        self._attributes = tuple(a for a in self._attributes if a not in taken)
+        self._dtype = vertex_dtype(self._attributes)
 
     def __enter__(self) -> Self:
-        self._program.core.check_open()
+        self._program.core.check_command()
         self._open = True
         return self
 
@@ -90,6 +116,10 @@ class Immediate(Generic[S]):
                 return
             array = np.concatenate([*self._arrays, self._collect()])
         finally:
+            instances, self._instances = self._instances, None
+            if instances is not None:  # the block may be used again
+                self._attributes = self._program.descriptor.attributes
+                self._dtype = vertex_dtype(self._attributes)
             self._rows.clear()
             self._arrays.clear()
         if not len(array):
@@ -97,18 +127,37 @@ class Immediate(Generic[S]):
         # Everything is checked before the vertices are uploaded.
         program, core = self._program, self._program.core
         program.bind(program.check_can_draw, EMPTY_MESH, self._bindings)
-        mesh = self._memory.place_mesh(program, array, None, self._primitive)
+        vertices = array if array.dtype.names else None  # without fields only their number counts
+        mesh = self._memory.place_mesh(program, len(array), vertices, None, instances, self._primitive)
         core.flush_states()
-        program.draw_unprepared(mesh, 1)
+        program.draw_unprepared(mesh, 1 if instances is None else len(instances))
         core.draws += 1
 
     def _collect(self) -> NDArray[Any]:
         """Return the single vertices added since the latest array; they are kept if one of them is refused."""
-        core = self._program.core
-        try:
-            array = np.array(self._rows, self._dtype)
-        except (TypeError, ValueError) as error:
-            core.refuse(IMMEDIATE_VERTEX, "Immediate.vertex", str(error), str(self._dtype))
-        check_finite(core, array, IMMEDIATE_VERTEX, "Immediate.vertex")
+        core, call = self._program.core, "Immediate.vertex"
+        check = Arguments(call, core.refuse, IMMEDIATE_VERTEX)
+        array = np.empty(len(self._rows), self._dtype)
+        if not self._rows:
+            return array
+        for number, name in enumerate(self._dtype.names or ()):
+            column = array[name]
+            values = check.array(name, [row[number] for row in self._rows])
+            if values.shape != column.shape or values.dtype.kind not in ("iu" if column.dtype.kind in "iu" else "iuf"):
+                core.refuse(IMMEDIATE_VERTEX, call, f"{name}: {values[-1]!r}", str(self._dtype[name]))
+            if column.dtype.kind in "iu" and not _fits(values, column.dtype):
+                core.refuse(IMMEDIATE_VERTEX, call, f"{name}: {values!r}", str(self._dtype[name]))
+            with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+                column[...] = values
+        check_finite(core, array, IMMEDIATE_VERTEX, call)
         self._rows.clear()
         return array
+
+    def _check_open(self, call: str) -> None:
+        if not self._open:
+            self._program.core.refuse(IMMEDIATE_VERTEX, call, "a closed block", "inside the `with` block")
+
+
+def _fits(values: NDArray[Any], dtype: np.dtype[Any]) -> bool:
+    limits = np.iinfo(dtype)
+    return bool(limits.min <= values.min() and values.max() <= limits.max)

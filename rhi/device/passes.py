@@ -6,7 +6,7 @@ also after an exception.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
 
@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
-from rhi.device.core.core import Core, describe_object
+from rhi.device.core.core import Core, describe_object, lost_pass
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     PASS_CLEAR,
@@ -32,8 +33,8 @@ __rhi_internal__ = True
 
 T = TypeVar("T")
 RenderTarget: TypeAlias = Texture | TextureTarget
-Color: TypeAlias = "Sequence[float] | NDArray[Any]"
-Clear: TypeAlias = "Color | Sequence[Color | None] | None"
+Color: TypeAlias = Sequence[float] | NDArray[Any]
+Clear: TypeAlias = Color | Sequence[Color | None] | None
 
 _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
@@ -55,8 +56,17 @@ class RenderPass:
         label: str,
     ) -> None:
         self._core = core
+        check = Arguments("device.render_pass", core.refuse)
+        check.text("label", label)
+        if clear_depth is not None:
+            clear_depth = Arguments(check.call, core.refuse, PASS_CLEAR).number("clear_depth", clear_depth)
+        if clear_stencil is not None:
+            clear_stencil = Arguments(check.call, core.refuse, PASS_CLEAR).whole("clear_stencil", clear_stencil)
         colors = [_as_render_target(core, t) for t in _as_list(color)]
         resolves: list[Texture | None] = list(_as_list(resolve)) or [None] * len(colors)
+        for texture in resolves:
+            if texture is not None:
+                check.instance("resolve", texture, Texture, "a Texture for each color target, or None")
         depth_target = None if depth is None else _as_render_target(core, depth)
         self._textures = [t.texture for t in colors] + ([depth_target.texture] if depth_target else [])
         self._resolves = [texture for texture in resolves if texture is not None]
@@ -82,7 +92,7 @@ class RenderPass:
 
     def __enter__(self) -> None:
         core = self._core
-        core.check_open()
+        core.check_ready()
         if core.render_pass is not None:
             core.refuse(PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
@@ -97,13 +107,17 @@ class RenderPass:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         core = self._core
+        core.check_thread("the end of a render pass")
         core.render_pass = None
         core.targets = frozenset()
         core.target_kinds = ()
         core.program = None
+        lost = core.resume_pass()
         abandoned = core.abandon_query()
         if not core.closed:
             core.backend.end_pass()
+        if lost and kind is None:
+            core.refusals.fail(lost_pass())
         if abandoned and kind is None:
             core.refuse(
                 QUERY_STATE,
@@ -202,8 +216,9 @@ def _as_list(value: T | Sequence[T] | Sequence[T | None] | None) -> list[T | Non
 
 
 def _as_render_target(core: Core, value: object) -> TextureTarget:
-    if isinstance(value, TextureTarget):
-        return value
+    if isinstance(value, TextureTarget) and isinstance(value.texture, Texture):
+        level, layer = value.texture._check("device.render_pass", value.level, value.layer, core)
+        return TextureTarget(value.texture, level, layer)
     if isinstance(value, Texture):
         return TextureTarget(value)
     core.refuse(
@@ -218,21 +233,13 @@ def _clear_values(core: Core, clear: Clear, count: int) -> list[Vec4 | None]:
     """Return one clear value per target; `clear` is one value for all targets, one for each, or None."""
     if clear is None:
         return [None] * count
-    if not isinstance(clear, Iterable):
-        core.refuse(PASS_CLEAR, "device.render_pass", f"clear={clear!r}", _CLEAR)
+    call = "device.render_pass"
+    check = Arguments(call, core.refuse, PASS_CLEAR)
+    if not (isinstance(clear, (list, tuple)) or (isinstance(clear, np.ndarray) and clear.ndim)):
+        check.fail("clear", clear, _CLEAR)
     parts: list[Any] = list(clear)
     several = any(part is None or isinstance(part, (list, tuple, np.ndarray)) for part in parts)
     each = parts if several else [parts] * count
-    call = "device.render_pass"
     if len(each) != count:
         core.refuse(PASS_CLEAR, call, f"{len(each)} clear values", f"one, or {count}: one per color target")
-    values: list[Vec4 | None] = []
-    for part in each:
-        if part is None:
-            values.append(None)
-            continue
-        numbers = tuple(n.item() if isinstance(n, np.generic) else n for n in part)
-        if len(numbers) != 4 or not all(isinstance(n, (int, float)) and abs(n) < 1e39 for n in numbers):
-            core.refuse(PASS_CLEAR, call, f"clear={clear!r}", _CLEAR)
-        values.append(cast(Vec4, numbers))
-    return values
+    return [None if part is None else check.color("clear", part) for part in each]

@@ -80,6 +80,9 @@ class RecordingCore(Core):
                 RECORD_STATE, "commands", "a command buffer outside its `with` block", "commands inside it"
             )
 
+    check_command = check_open
+    check_ready = check_open
+
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device; otherwise note its use."""
         if isinstance(owner, TransientOwner):

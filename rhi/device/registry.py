@@ -24,6 +24,7 @@ from rhi.commands.recorder import Recorder
 from rhi.contract.backend import Backend, Capabilities
 from rhi.device.device import Device
 from rhi.errors import DeviceError, RhiError, refuse
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import DEVICE_ARGUMENT, DEVICE_DRIVER, DEVICE_UNKNOWN
 
 __rhi_internal__ = True
@@ -59,7 +60,8 @@ def create_device(
     Args:
         name: a backend's name, or `module:function` for one that is not installed; None uses `RHI_BACKEND`
             from the environment, or else the first backend that works.
-        validation: also turn the driver's own error messages into exceptions (slower).
+        validation: also turn the driver's own error messages into exceptions, and check thread and context at each
+            draw (slower).
         record: keep every command with the line it came from (`device.stream`); None: only on the null device.
         timing: take timestamps in `device.event` blocks.
         frames_in_flight: how many frames the CPU may be ahead of the GPU.
@@ -70,15 +72,27 @@ def create_device(
         DeviceError: `device-unknown` if no backend has this name, `device-driver` if its driver
             can't be used, with a tip about what to install.
     """
+    check = Arguments("rhi.create_device")
+    if name is not None:
+        check.text("name", name)
+    validation, timing = check.flag("validation", validation), check.flag("timing", timing)
+    if record is not None:
+        record = check.flag("record", record)
+    frames_in_flight = check.whole("frames_in_flight", frames_in_flight, 1)
     name = name or os.environ.get("RHI_BACKEND") or None
     backend = _create_named(name, validation, options) if name else _create_first(validation, options)
     if record is None:
         record = backend.capabilities.backend == "null"
-    return Device(Recorder(backend) if record else backend, timing=timing, frames_in_flight=frames_in_flight)
+    return Device(
+        Recorder(backend) if record else backend,
+        validation=validation,
+        timing=timing,
+        frames_in_flight=frames_in_flight,
+    )
 
 
 def _create_named(name: str, validation: bool, options: Mapping[str, object]) -> Backend:
-    create = _find_function(name)
+    create = find_function(name)
     if options:
         accepted = list(inspect.signature(create).parameters.keys() - {"validation"})
         unknown = sorted(options.keys() - accepted)
@@ -88,8 +102,12 @@ def _create_named(name: str, validation: bool, options: Mapping[str, object]) ->
     return create(validation=validation, **options)
 
 
-def _find_function(name: str) -> Callable[..., Backend]:
-    """Return the function that creates the backend of this name."""
+def find_function(name: str) -> Callable[..., Backend]:
+    """Return the function that creates the backend of this name; it isn't called.
+
+    Raises:
+        DeviceError: `device-unknown` if no backend has this name, or its module can't be imported.
+    """
     point = _entry_points().get(name)
     if ":" in name:
         point = EntryPoint(name, name, GROUP)

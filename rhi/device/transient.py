@@ -1,48 +1,48 @@
 """Transient memory: constants, vertices and indices that live for one frame (thesis 4.3).
 
 - `TransientMemory` uploads them to rings; its ranges and meshes are valid until the frame is presented.
-- Vertices are laid out as the program's vertex stage reads them.
+- Meshes are checked and read as those of `device.mesh`, by the same functions, and have the same views.
 - A command buffer has transient memory of its own, with the same lifetime: an `Arena` instead of the rings.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final, NoReturn, TypeVar
+from collections.abc import Mapping
+from typing import Any, Final, NamedTuple, NoReturn, TypeAlias, TypeVar, cast, overload
 
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
-from rhi.contract.descriptors import (
-    Attribute,
-    Id,
-    Primitive,
-    VertexArrayDescriptor,
-    VertexAttribute,
-    VertexFormat,
-    VertexStream,
-)
+from rhi.contract.descriptors import Attribute, Id, Primitive, VertexArrayDescriptor
 from rhi.contract.formats import IndexFormat
-from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core
 from rhi.device.core.ring import Ring
-from rhi.device.resources.meshes import Drawable, check_finite, match_indices
-from rhi.device.resources.programs import Program
+from rhi.device.resources.buffers import as_constants, as_storage, storage_dtype
+from rhi.device.resources.meshes import (
+    Drawable,
+    StreamSource,
+    as_structured,
+    attribute_shape,
+    describe_streams,
+    match_indices,
+)
+from rhi.device.resources.programs import Program, check_program
 from rhi.errors import RhiError
-from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE, RESOURCE_DESTROYED
-from rhi.shading.language.bindings import UniformRange
-
-if TYPE_CHECKING:
-    from rhi.shading import Struct
+from rhi.errors.arguments import Arguments, as_whole
+from rhi.errors.rules import IMMEDIATE_VERTEX, MESH_ATTRIBUTE
+from rhi.shading import Struct
+from rhi.shading.language.bindings import StorageRange, UniformRange
 
 __rhi_internal__ = True
 
-S = TypeVar("S", bound="Struct")
+T = TypeVar("T")
+MAX_LAYOUTS: Final = 1024
 
-_FLOAT_FORMATS = {f.components: f for f in VertexFormat if f.code == "f4"}
-_INT_FORMATS = {f.components: f for f in VertexFormat if f.code == "i4"}
-_UINT_FORMATS = {f.components: f for f in VertexFormat if f.code == "u4" and not f.normalized}
-_BY_SCALAR = {"float": _FLOAT_FORMATS, "int": _INT_FORMATS, "uint": _UINT_FORMATS}
+VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]]
+"""Vertices or instances: a structured array, or arrays by attribute name."""
+
+_VertexArrayKey: TypeAlias = tuple[Id, tuple[StreamSource, ...], Id, IndexFormat]
 
 
 class TransientOwner:
@@ -94,8 +94,8 @@ class TransientMemory:
         arguments: the ring for the arrays of draws of `device.draw_many`.
     """
 
-    __slots__ = ("_constants", "_core", "_indices", "_mesh_owner", "_owner", "_owner_generation", "_vertex_arrays",
-                 "_vertices", "arguments")  # fmt: skip
+    __slots__ = ("_constants", "_core", "_indices", "_layouts", "_mesh_owner", "_owner", "_owner_generation",
+                 "_vertex_arrays", "_vertices", "arguments")  # fmt: skip
 
     def __init__(self, core: Core, capacity: int = 1 << 16, arena: Arena | None = None) -> None:
         """Allocate from rings of initially `capacity` bytes each, or everything from one arena."""
@@ -103,14 +103,16 @@ class TransientMemory:
         memories: list[Ring | Arena] = [arena] * 4 if arena is not None else []
         if arena is None:
             for label in ("transient constants", "transient vertices", "transient indices", "draw arguments"):
-                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label)
+                ring = Ring(core.backend, core.timeline, core.new_id, capacity, label, check=core.check_ready)
                 core.frame_rings.append(ring)
                 memories.append(ring)
+            core.frame_rings.append(self)
         self._constants, self._vertices, self._indices, self.arguments = memories
         self._owner: TransientOwner | None = None
         self._owner_generation = 0
-        self._mesh_owner = TransientOwner(core, "transient vertices")
-        self._vertex_arrays: dict[tuple[object, ...], Id] = {}
+        self._mesh_owner = TransientOwner(core, "transient memory")
+        self._vertex_arrays: dict[_VertexArrayKey, Id] = {}
+        self._layouts: set[tuple[object, ...]] = set()  # that were found to fit their program
 
     @property
     def capacity(self) -> int:
@@ -120,13 +122,24 @@ class TransientMemory:
         }
         return sum(memory.capacity for memory in memories.values() if memory.buffer)
 
-    def uniform(self, value: S) -> UniformRange[S]:
-        """Upload constants for the draws of this frame."""
+    @overload
+    def uniform(self, value: NDArray[Any]) -> UniformRange[Any]: ...
+
+    @overload
+    def uniform(self, value: T) -> UniformRange[T]: ...
+
+    def uniform(self, value: Any) -> UniformRange[Any]:
+        """Upload constants for the draws of this frame: a struct, or a single value; see `Device.uniform`."""
         core = self._core
-        core.check_open()
+        core.check_command()
+        kind: Any = type(value)
         try:
-            data = value.to_bytes()
-        except RhiError as error:  # a struct without a layout in memory
+            if isinstance(value, Struct):
+                data = value.to_bytes()
+            else:
+                kind, constants = as_constants(Arguments("transient.uniform"), value)
+                data = constants.to_bytes()
+        except RhiError as error:  # also of structs, which may have no layout in memory
             core.refusals.note(error)
             raise
         core.upload_bytes += len(data)
@@ -136,100 +149,204 @@ class TransientMemory:
             # makes draws bind the new buffer.
             self._owner = TransientOwner(core, "transient constants", self._constants.buffer)
             self._owner_generation = self._constants.generation
-        return UniformRange(self._constants.buffer, offset, len(data), type(value), self._owner)
+        return UniformRange(self._constants.buffer, offset, len(data), kind, self._owner)
+
+    def storage(self, element: type[T], source: int | NDArray[Any]) -> StorageRange[T]:
+        """Upload an array that the draws and dispatches of this frame read as `Storage[T]`; see `Device.storage`.
+
+        Shaders can't write it: it can't be bound as `StorageRW[T]`.
+
+        Raises:
+            ValidationError: `layout-mismatch` if the array's dtype is not the element's std430 dtype.
+        """
+        core = self._core
+        core.check_command()
+        check = Arguments("transient.storage", core.refuse)
+        dtype = storage_dtype(check, element)
+        data = as_storage(check, core, source, dtype, core.capabilities.max_storage_bytes)
+        core.upload_bytes += data.nbytes
+        offset = self._constants.write(
+            data.reshape(-1).view(np.uint8).data, data.nbytes, core.capabilities.storage_alignment
+        )
+        count = data.nbytes // dtype.itemsize
+        return StorageRange(self._constants.buffer, offset, data.nbytes, element, count, self._mesh_owner)
 
     def mesh(
         self,
         program: Program[Any],
-        vertices: NDArray[Any],
+        vertices: VertexArrays | int,
         indices: NDArray[Any] | None = None,
         primitive: Primitive = Primitive.TRIANGLES,
+        *,
+        instances: VertexArrays | None = None,
     ) -> TransientMesh:
-        """Upload a mesh for one program, valid in this frame.
+        """Upload a mesh for one program, valid in this frame; arrays are checked and read as those of `Device.mesh`.
 
         Args:
-            vertices: (n,), a structured array with the program's vertex fields.
+            vertices: a structured array, a dict of arrays by attribute name, or a number of vertices without any.
             indices: integers into `vertices`; the largest uint16 or uint32 restarts a strip.
+            instances: as for `vertices`, with one element per instance.
 
         Raises:
-            ValidationError: `immediate-vertex`, `mesh-index`.
+            ValidationError: `immediate-vertex` if the arrays don't provide the inputs of the program's vertex stage,
+                or contain NaN; `mesh-index`.
         """
-        self._core.check_open()
-        array = match_vertices(self._core, program, vertices)
+        call = "transient.mesh"
+        core = self._core
+        core.check_command()
+        check = Arguments(call, core.refuse)
+        check_program(core, program, call)
+        check.choice("primitive", primitive, Primitive)
+        count = as_whole(vertices)
+        vertex_array = instance_array = index_array = None
+        if count is None:
+            vertex_array = as_structured(core, cast("VertexArrays", vertices), IMMEDIATE_VERTEX, call)
+            count = len(vertex_array)
+        elif not 1 <= count < 1 << 31:
+            core.refuse(IMMEDIATE_VERTEX, call, f"{count} vertices", "1 to 2**31 - 1")
+        if instances is not None:
+            instance_array = as_structured(core, instances, IMMEDIATE_VERTEX, call)
         if indices is not None:
-            indices = match_indices(self._core, indices, len(array), "transient.mesh")
-        return self.place_mesh(program, array, indices, primitive)
+            index_array = match_indices(core, indices, count, call)
+        return self.place_mesh(program, count, vertex_array, index_array, instance_array, primitive)
 
     def place_mesh(
-        self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None, primitive: Primitive
+        self, program: Program[Any], vertex_count: int, vertices: NDArray[Any] | None, indices: NDArray[Any] | None,
+        instances: NDArray[Any] | None, primitive: Primitive,
     ) -> TransientMesh:  # fmt: skip
-        """Upload a mesh whose arrays come from `match_vertices` and `match_indices`."""
-        vertex_array, first, base = self._place(program, vertices, indices)
-        count = len(vertices) if indices is None else len(indices)
-        return TransientMesh(
-            self._core, {program: vertex_array}, primitive, first, count, base, self._mesh_owner
-        )
-
-    def _place(
-        self, program: Program[Any], vertices: NDArray[Any], indices: NDArray[Any] | None
-    ) -> tuple[Id, int, int]:
-        """Upload vertices and indices to the rings; return (vertex array, first, base vertex)."""
-        core = self._core
-        stride = vertices.dtype.itemsize
-        core.upload_bytes += vertices.nbytes
-        start = self._vertices.write(vertices.view(np.uint8).data, vertices.nbytes, stride) // stride
+        """Upload a mesh whose arrays were checked."""
+        core, attributes = self._core, program.descriptor.attributes
+        given = [(array, per) for array, per in ((vertices, False), (instances, True)) if array is not None]
+        layout = (program.id, *((array.dtype, per_instance) for array, per_instance in given))
+        if layout not in self._layouts:  # before anything is uploaded: do they have the fields that the program reads?
+            parts = [StreamSource(0, array.dtype, per_instance) for array, per_instance in given]
+            describe_streams(core, parts, attributes, IMMEDIATE_VERTEX, "transient.mesh")
+            self._layouts.add(layout)
+        sources, start = [], 0
+        for array, per_instance in given:
+            stride = array.dtype.itemsize
+            offset = self._upload(self._vertices, array, stride)
+            # Vertices are counted from the start of the ring, so that all meshes of a layout share a vertex array.
+            # Instances would then be, too, and shaders count them: they get one that begins where they begin.
+            if not per_instance:
+                start = offset // stride
+            sources.append(
+                StreamSource(self._vertices.buffer, array.dtype, per_instance, offset if per_instance else 0)
+            )
         first, base, index_buffer, index_format = start, 0, 0, IndexFormat.UINT32
         if indices is not None:
             size = indices.dtype.itemsize
-            core.upload_bytes += indices.nbytes
-            first = self._indices.write(indices.view(np.uint8).data, indices.nbytes, size) // size
-            base, index_buffer = start, self._indices.buffer
+            first, base = self._upload(self._indices, indices, size) // size, start
+            index_buffer = self._indices.buffer
             index_format = IndexFormat.UINT16 if size == 2 else IndexFormat.UINT32
-        key = (program.id, self._vertices.buffer, index_buffer, index_format)
+        vertex_array = self._find_vertex_array(program, tuple(sources), index_buffer, index_format)
+        count = vertex_count if indices is None else len(indices)
+        whole = TransientWhole(core, first, base, count, indices is not None, self._mesh_owner)
+        return TransientMesh(whole, {program: vertex_array}, primitive, first, count, base, 0)
+
+    def _upload(self, memory: Ring | Arena, array: NDArray[Any], alignment: int) -> int:
+        """Copy an array to memory and return its offset there."""
+        self._core.upload_bytes += array.nbytes
+        return memory.write(np.ascontiguousarray(array).view(np.uint8).data, array.nbytes, alignment)
+
+    def _find_vertex_array(
+        self, program: Program[Any], sources: tuple[StreamSource, ...], index_buffer: Id, index_format: IndexFormat
+    ) -> Id:
+        """Return the vertex array for a program that reads these sources, creating it if there is none."""
+        core, key = self._core, (program.id, sources, index_buffer, index_format)
         vertex_array = self._vertex_arrays.get(key)
         if vertex_array is None:
-            self._drop_outdated()
+            core.check_ready()
+            streams = describe_streams(core, sources, program.descriptor.attributes, IMMEDIATE_VERTEX, "transient.mesh")
             vertex_array = core.new_id()
             core.backend.create_vertex_array(
-                vertex_array,
-                VertexArrayDescriptor(
-                    program.id,
-                    (VertexStream(self._vertices.buffer, 0, stride, False,
-                                  vertex_attributes(program.descriptor.attributes)),),
-                    index_buffer,
-                    index_format,
-                ),
-            )  # fmt: skip
+                vertex_array, VertexArrayDescriptor(program.id, streams, index_buffer, index_format)
+            )
             self._vertex_arrays[key] = vertex_array
-        return vertex_array, first, base
+        return vertex_array
 
-    def _drop_outdated(self) -> None:
-        """Destroy the vertex arrays of buffers that a grown ring has replaced."""
+    def mark(self, fence: int) -> None:
+        """End the frame: destroy the vertex arrays that no later frame uses, as `Ring.mark` frees the rings' memory.
+
+        They are those of buffers that a grown ring has replaced, and those of instances.
+        """
+        if len(self._layouts) > MAX_LAYOUTS:
+            self._layouts.clear()
         current = (self._vertices.buffer, self._indices.buffer, 0)
-        for key in [k for k in self._vertex_arrays if k[1] != current[0] or k[2] not in current[1:]]:
-            self._core.timeline.retire(self._vertex_arrays.pop(key))
+        for key in list(self._vertex_arrays):
+            _, sources, index_buffer, _ = key
+            if index_buffer not in current[1:] or any(
+                source.buffer != current[0] or source.per_instance for source in sources
+            ):
+                self._core.timeline.retire(self._vertex_arrays.pop(key))
+
+
+class TransientWhole(NamedTuple):
+    """What the views of a transient mesh share: where the whole lies in its rings, and how large it is."""
+
+    core: Core
+    first: int
+    base_vertex: int
+    element_count: int
+    is_indexed: bool
+    owner: TransientOwner
 
 
 class TransientMesh(Drawable):
-    """A mesh in transient memory, laid out for one program."""
+    """A mesh in transient memory, for one program, or a part of it; created by `device.transient.mesh`.
 
-    __slots__ = ("_core",)
+    `first` and `base_vertex` count from the start of the frame's memory, since that is what a draw needs.
+    """
+
+    __slots__ = ("_whole",)
 
     def __init__(
-        self, core: Core, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int,
-        base_vertex: int, *owners: TransientOwner,
+        self, whole: TransientWhole, vertex_arrays: dict[object, Id], primitive: Primitive, first: int, count: int,
+        base_vertex: int, base_instance: int,
     ) -> None:  # fmt: skip
-        super().__init__(primitive, first, count, base_vertex, 0, owners, vertex_arrays)
-        self._core = core
+        super().__init__(primitive, first, count, base_vertex, base_instance, (whole.owner,), vertex_arrays)
+        self._whole = whole
 
     def __repr__(self) -> str:
-        return f"TransientMesh({self.primitive.name}, {self.first}+{self.count})"
+        return f"TransientMesh({self.primitive.name}, {self.first - self._whole.first}+{self.count})"
+
+    @property
+    def core(self) -> Core:
+        """The core of its device or command buffer."""
+        return self._whole.core
+
+    @property
+    def is_indexed(self) -> bool:
+        """Whether the mesh has indices."""
+        return self._whole.is_indexed
+
+    @property
+    def element_count(self) -> int:
+        """Number of indices or, without indices, of vertices; a view's is that of the whole mesh."""
+        return self._whole.element_count
+
+    def place_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
+        """Return draws as the backend needs them: counted from the start of the frame's memory."""
+        placed = draws.copy()
+        placed["first"] += self._whole.first
+        if self.is_indexed:
+            placed["base_vertex"] += self._whole.base_vertex
+        return placed
+
+    def _part(
+        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
+    ) -> TransientMesh:
+        whole = self._whole
+        return TransientMesh(
+            whole, self.vertex_arrays, primitive, whole.first + first, count, whole.base_vertex + base_vertex,
+            base_instance,
+        )  # fmt: skip
 
     def create_vertex_array(
         self, key: object, program: Id, name: str, attributes: tuple[Attribute, ...]
     ) -> NoReturn:
-        """Refuse the draw: transient vertices are laid out for one program, and this is another one."""
-        self._core.refuse(
+        """Refuse the draw: transient vertices are matched to one program, and this is another one."""
+        self.core.refuse(
             MESH_ATTRIBUTE,
             f"draw of program {name!r}",
             "a transient mesh that was made for another program",
@@ -241,54 +358,39 @@ EMPTY_MESH: Final = Drawable(Primitive.TRIANGLES, 0, 0, 0, 0, (), {})
 """Stands in for a mesh in checks that run before its vertices are uploaded."""
 
 
-def vertex_attributes(attributes: tuple[Attribute, ...]) -> tuple[VertexAttribute, ...]:
-    """Return the formats and offsets of attributes in tightly packed vertices."""
-    packed, offset = [], 0
-    for attribute in attributes:
-        components, scalar = _shape(attribute)
-        packed.append(VertexAttribute(attribute.location, _BY_SCALAR[scalar][components], offset))
-        offset += 4 * components
-    return tuple(packed)
-
-
 def vertex_dtype(attributes: tuple[Attribute, ...]) -> np.dtype[Any]:
     """Return the NumPy dtype of tightly packed vertices with these attributes."""
     codes = {"float": "<f4", "int": "<i4", "uint": "<u4"}
     fields: list[Any] = []
     for attribute in attributes:
-        components, scalar = _shape(attribute)
+        components, scalar = attribute_shape(attribute)
         fields.append((attribute.name, codes[scalar], (components,)) if components > 1
                       else (attribute.name, codes[scalar]))  # fmt: skip
     return np.dtype(fields)
 
 
-def match_vertices(core: Core, program: Program[Any], array: NDArray[Any]) -> NDArray[Any]:
-    """Return an array's fields as tightly packed vertices of the program.
+def pack_vertices(
+    core: Core, attributes: tuple[Attribute, ...], dtype: np.dtype[Any], source: VertexArrays, call: str
+) -> NDArray[Any]:
+    """Return arrays as a copy of tightly packed vertices with these attributes, converted as a draw would read them.
+
+    Args:
+        dtype: the attributes' `vertex_dtype`.
 
     Raises:
-        ValidationError: `immediate-vertex` if a field is missing or has another shape.
+        ValidationError: `immediate-vertex` if a field is missing or has a type that the vertex stage can't read.
     """
-    if program.destroyed:
-        core.refuse(RESOURCE_DESTROYED, "vertices", repr(program))
-    dtype = vertex_dtype(program.descriptor.attributes)
-    given = np.asarray(array)
-    names = dtype.names or ()
-    if given.ndim != 1 or not given.dtype.names or any(
-        name not in given.dtype.names or given.dtype[name].shape != dtype[name].shape for name in names
-    ):  # fmt: skip
-        core.refuse(IMMEDIATE_VERTEX, "vertices", f"shape {given.shape} of {given.dtype}", str(dtype))
-    check_finite(core, given, IMMEDIATE_VERTEX, "vertices")
+    given = as_structured(core, source, IMMEDIATE_VERTEX, call, least=0)
     if given.dtype == dtype:
-        return np.ascontiguousarray(given)
+        return np.array(given)
+    describe_streams(core, [StreamSource(0, given.dtype, False)], attributes, IMMEDIATE_VERTEX, call)
     packed = np.empty(len(given), dtype)
-    for name in names:
-        packed[name] = given[name]
+    for attribute in attributes:
+        field, column = given[attribute.name], packed[attribute.name]
+        if field.ndim > 1:
+            field = field[:, : column.shape[1]] if column.ndim > 1 else field[:, 0]
+        if attribute_shape(attribute)[1] == "float" and field.dtype.kind in "iu":  # normalised
+            column[...] = np.maximum(field / np.float32(np.iinfo(field.dtype).max), -1.0)
+        else:
+            column[...] = field
     return packed
-
-
-def _shape(attribute: Attribute) -> tuple[int, str]:
-    """Return an attribute's number of components and the name of its scalar type."""
-    vector = attribute.type
-    if isinstance(vector, VectorType):
-        return vector.size, str(vector.scalar)
-    return 1, str(vector)

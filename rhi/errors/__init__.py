@@ -112,8 +112,11 @@ class DeviceError(RhiError, RuntimeError):
 
 
 def refuse(rule: Rule, call: str, given: object = "", allowed: object = "", tip: str = "") -> NoReturn:
-    """Raise a `ValidationError` for `rule` at the user's line."""
-    raise ValidationError(rule, call, _as_text(given), _as_text(allowed), tip)
+    """Raise a `ValidationError` for `rule` at the user's line.
+
+    It has no context: Python errors on the way to it say nothing that it doesn't say.
+    """
+    raise ValidationError(rule, call, _as_text(given), _as_text(allowed), tip) from None
 
 
 def _as_text(value: object) -> str:

@@ -26,7 +26,6 @@ STATE_VALUE: Final = Rule("state-value", "the value of a state is out of range")
 STATE_TYPE: Final = Rule(
     "state-type", "not a render state", "states are values such as CullMode.NONE or Viewport(…)"
 )
-STATE_NOTHING: Final = Rule("state-nothing", "a scope needs at least one state")
 STATE_DUPLICATE: Final = Rule(
     "state-duplicate", "a scope sets the same state twice", "nest two scopes to set it twice"
 )
@@ -52,6 +51,16 @@ DEVICE_ANSWER: Final = Rule(
 DEVICE_CLOSED: Final = Rule("device-closed", "the device was closed", "use it inside its `with` block only")
 DEVICE_DEBUG: Final = Rule(
     "device-debug", "the driver reported an error", "such errors are reported with validation=True only"
+)
+DEVICE_THREAD: Final = Rule(
+    "device-thread",
+    "the device belongs to another thread",
+    "let that thread do it, or move the device: release_current() there, then make_current() here",
+)
+DEVICE_CONTEXT: Final = Rule(
+    "device-context",
+    "the device's context is not current on this thread",
+    "call device.make_current() after code that makes another context current",
 )
 SHADER_DRIVER: Final = Rule("shader-driver", "the driver refused a program's source")
 

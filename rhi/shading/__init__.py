@@ -9,6 +9,7 @@ descriptor of a program. See docs/shading.md.
 from typing import TYPE_CHECKING, Any
 
 from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
+from rhi.shading.emitters import ShaderCode, register_language
 from rhi.shading.language import functions, textures, vectors
 from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
 from rhi.shading.language.bindings import (
@@ -23,6 +24,7 @@ from rhi.shading.language.bindings import (
 from rhi.shading.language.builtins import Precision
 from rhi.shading.language.function import function, native
 from rhi.shading.language.functions import *  # noqa: F403
+from rhi.shading.language.modules import from_source
 from rhi.shading.language.shader import Shader, shared
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.textures import *  # noqa: F403
@@ -66,6 +68,7 @@ __all__ = [
     "NumpyKernel",
     "Precision",
     "Shader",
+    "ShaderCode",
     "Storage",
     "StorageRW",
     "StorageRange",
@@ -75,9 +78,11 @@ __all__ = [
     "UniformRange",
     "compile_shader",
     "evaluate",
+    "from_source",
     "function",
     "native",
     "opencl_kernel",
+    "register_language",
     "run_compute",
     "run_fragment",
     "run_vertex",

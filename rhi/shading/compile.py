@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import weakref
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
 
-from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText, StageVarying
+from rhi.contract.descriptors import Binding, BindingKind, ProgramDescriptor, Stage, StageText
 from rhi.contract.layout import Layout, place, stride_of
 from rhi.errors import ShaderError, find_call_site
-from rhi.shading.glsl.stages import StageOptions, write_stage
+from rhi.shading.emitters import WIDTHS, ShaderCode, make_depth_error
+from rhi.shading.glsl.stages import StageOptions
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface
 from rhi.shading.language import rules
@@ -34,14 +34,6 @@ from rhi.shading.parser.unused import check_bindings_are_used
 
 __rhi_internal__ = True
 
-# Lane code and OpenCL C are imported when a shader first needs them: they would take a tenth of the time of
-# `import rhi`.
-if TYPE_CHECKING:
-    from rhi.shading.ir.lanes import Code
-
-WIDTHS: Final = (1, 4, 8, 16)
-_COMPUTE_WIDTHS: Final = {f"opencl{width}": width for width in WIDTHS} | {"numpy": 0}
-
 _compiled: weakref.WeakKeyDictionary[type[Shader], ProgramDescriptor] = weakref.WeakKeyDictionary()
 
 
@@ -57,6 +49,8 @@ def compile_shader(shader: type[Shader]) -> ProgramDescriptor:
             known = _compiled[shader] = _compile(shader)
         except ShaderError as error:  # it shows the line, which the compiler's own traceback would bury
             raise error.with_traceback(None) from error.__cause__
+        except RecursionError:
+            raise make_depth_error(shader.__qualname__) from None
     return known
 
 
@@ -99,10 +93,10 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         needs_lane_check = has_lane_code(compute)
         checked = checked and needs_lane_check
     varyings = varyings_read(fragment, interface.varyings) if fragment is not None else ()
-    emitter = _StageEmitter(stages, options, bindings, varyings, shader.precision, checked)
+    code = ShaderCode(stages, options, bindings, varyings, shader.precision, checked)
     if needs_lane_check:
         # Finds barriers that part of a work-group may not reach, and races.
-        emitter.lower_compute(max(WIDTHS))
+        code.lower_compute(max(WIDTHS))
     return ProgramDescriptor(
         name=options.name,
         stages=frozenset(stages),
@@ -110,7 +104,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         attributes=interface.attributes,
         outputs=interface.outputs,
         work_group=options.work_group if Stage.COMPUTE in stages else (1, 1, 1),
-        emit=emitter.emit,
+        emit=code.emit,
         writes_memory=any(binding.writes for binding in bindings),
         discards=fragment is not None and fragment.discards,
         early_depth=shader.early_depth,
@@ -138,103 +132,6 @@ def opencl_kernel(shader: type[Shader], width: int = 16) -> StageText:
         call = f"opencl_kernel({shader.__name__}, …)"
         raise ShaderError(rules.STAGES, call, given, f"a compute stage, width {WIDTHS}")
     return descriptor.emit(f"opencl{width}", Stage.COMPUTE)
-
-
-class _StageEmitter:
-    """The `emit` of a shader's descriptor: writes texts when they are first requested.
-
-    - Texts are kept by language and stage, because several devices may request them.
-    - Lane code is kept only until its text is written: nothing reads it afterwards. It is kept at all because a compute
-      stage is lowered for 16 lanes when it is checked, long before its text may be requested.
-    """
-
-    def __init__(
-        self, stages: dict[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
-        varyings: tuple[StageVarying, ...], precision: Precision, checked: bool,
-    ) -> None:  # fmt: skip
-        self._stages = stages
-        self._options = options
-        self._bindings = bindings
-        self._varyings = varyings
-        self._precision = precision
-        self._checked = checked
-        self._texts: dict[tuple[str, Stage], StageText] = {}
-        self._lane_code: dict[int, Code] = {}  # of the compute stage, by width
-
-    def emit(self, language: str, stage: Stage) -> StageText:
-        """Return a stage's text in a language, writing it on first use.
-
-        Args:
-            language: "glsl"; for compute stages also "opencl1", "opencl4", "opencl8" and "opencl16", a kernel for that
-                many lanes, and "numpy" (`rhi.shading.numpy.kernel`); for the others also "opencl16"
-                (`rhi.shading.opencl.stages`).
-
-        Raises:
-            ShaderError: `shading-native`: the stage can't be had in this language.
-        """
-        text = self._texts.get((language, stage))
-        if text is None:
-            text = self._texts[language, stage] = self._write(language, stage)
-        return text
-
-    def lower_compute(self, width: int) -> Code:
-        """Return the lane code of the compute stage for `width` lanes, or for whole arrays with 0.
-
-        Raises:
-            ShaderError: a rule that only lane code can check, such as one about barriers.
-        """
-        code = self._lane_code.get(width)
-        if code is None:
-            from rhi.shading.lowering.functions import lower_compute
-
-            stage, options = self._stages[Stage.COMPUTE], self._options
-            code = lower_compute(stage, options.name, options.work_group, width, self._checked)
-            self._lane_code[width] = code
-        return code
-
-    def _write(self, language: str, stage: Stage) -> StageText:
-        if language == "glsl":
-            return write_stage(self._stages[stage], self._options)
-        if stage is Stage.COMPUTE and language in _COMPUTE_WIDTHS:
-            width = _COMPUTE_WIDTHS[language]
-            text = self._write_kernel(width) if width else self._write_numpy()
-            self._lane_code.pop(width, None)
-            return text
-        if stage is not Stage.COMPUTE and language == "opencl16":
-            return self._write_function(stage)
-        call = f"{self._options.name}: emit({language!r}, {stage})"
-        others = _COMPUTE_WIDTHS if stage is Stage.COMPUTE else ["opencl16"]
-        raise ShaderError(rules.NATIVE, call, language, ", ".join(["glsl", *others]))
-
-    def _write_kernel(self, width: int) -> StageText:
-        """Write the compute stage as an OpenCL C kernel for `width` lanes."""
-        from rhi.shading.ir.lanes import Code
-        from rhi.shading.opencl.writer import write_opencl_kernel
-
-        entry, options = self._stages[Stage.COMPUTE].entry, self._options
-        if f"opencl{width}" in entry.native:
-            empty = Code(options.name, width, [], (), work_group=options.work_group)
-            return write_opencl_kernel(empty, self._bindings, self._precision, entry)
-        return write_opencl_kernel(self.lower_compute(width), self._bindings, self._precision)
-
-    def _write_numpy(self) -> StageText:
-        """Write the compute stage as a NumPy module."""
-        from rhi.shading.numpy.kernel import write_numpy_kernel
-
-        return StageText(write_numpy_kernel(self.lower_compute(0)))
-
-    def _write_function(self, stage: Stage) -> StageText:
-        """Write a vertex or fragment stage as an OpenCL C function for 16 lanes."""
-        from rhi.shading.lowering.bounds import bound_positions
-        from rhi.shading.lowering.stages import lower_stage
-        from rhi.shading.opencl.stages import write_opencl_stage
-
-        options = self._options
-        code = lower_stage(
-            self._stages[stage], options.name, options.interface, self._varyings, checked=self._checked
-        )
-        bounds = bound_positions(code) if stage is Stage.VERTEX else None
-        return write_opencl_stage(self._stages[stage], code, bounds, self._bindings, self._precision)
 
 
 def _entries(shader: type[Shader]) -> dict[Stage, Callee]:

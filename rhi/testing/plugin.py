@@ -13,7 +13,8 @@ from typing import Final
 
 import pytest
 
-from rhi import CommandStream, Device, create_device
+from rhi import CommandStream, Device, DeviceError, create_device
+from rhi.device.registry import find_function
 
 OPTION: Final = "--rhi-backend"
 
@@ -28,10 +29,36 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    """Stop at once, with one line, if `--rhi-backend` names a backend that isn't there."""
+    for name in config.getoption(OPTION) or ():
+        _check_name(name, OPTION)
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Stop with one line if tests are to run on the backend of `RHI_BACKEND`, and it isn't there."""
+    name = os.environ.get("RHI_BACKEND")
+    if name and not config.getoption(OPTION) and any(_backend_of(item) == name for item in items):
+        _check_name(name, "RHI_BACKEND")
+
+
 def get_backend_names(config: pytest.Config, default: str) -> list[str]:
     """Return the names of the backends to run on, without duplicates."""
     names = config.getoption(OPTION) or [os.environ.get("RHI_BACKEND") or default]
     return list(dict.fromkeys(names))
+
+
+def _backend_of(item: pytest.Item) -> object:
+    parameters = getattr(getattr(item, "callspec", None), "params", {})
+    return parameters.get("backend", parameters.get("rhi_device"))
+
+
+def _check_name(name: str, where: str) -> None:
+    try:
+        find_function(name)
+    except DeviceError as error:
+        known = f" (known: {error.allowed})" if error.allowed else ""
+        raise pytest.UsageError(f"{where}: there is no backend {error.given}{known}; {error.tip}") from None
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:

@@ -71,7 +71,7 @@ def replay(source: Trace | Device | CommandStream, *, on: Device) -> Replay:
     """
     trace = as_trace(source)
     core = on._core
-    core.check_open()
+    core.check_ready()
     if core.render_pass is not None:
         refuse(PASS_OPEN, "rhi.trace.replay", "a device with an open render pass")
     stream = trace.stream

@@ -416,8 +416,8 @@ def _limit_texture(limits: Capabilities, values: Any) -> Iterator[str]:
         yield f"textures up to {limits.max_texture_size}"
     if descriptor.layers > limits.max_texture_layers:
         yield f"up to {limits.max_texture_layers} layers"
-    if descriptor.samples > limits.max_samples:
-        yield f"up to {limits.max_samples} samples"
+    if descriptor.samples not in limits.sample_counts:
+        yield f"{', '.join(map(str, limits.sample_counts))} samples"
     if descriptor.format in limits.unsupported_formats:
         yield f"formats other than {descriptor.format.name}"
 
@@ -425,6 +425,8 @@ def _limit_texture(limits: Capabilities, values: Any) -> Iterator[str]:
 def _limit_sampler(limits: Capabilities, values: Any) -> Iterator[str]:
     if values[1].max_anisotropy > limits.max_anisotropy:
         yield f"anisotropy up to {limits.max_anisotropy:g}"
+    if values[1].uses_border and not limits.border_colors:
+        yield "needs capabilities.border_colors"
 
 
 def _limit_query(limits: Capabilities, values: Any) -> Iterator[str]:

@@ -17,7 +17,7 @@ from rhi import (
     Primitive,
     SamplerDescriptor,
 )
-from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, vec2, vec4
+from rhi.shading import Shader, Storage, Struct, Texture2D, Uniform, mat4, vec2, vec4
 
 
 class Corner(Struct):
@@ -49,6 +49,14 @@ class Plain(Shader):
         pass
 
 
+class Scaled(Shader):
+    scale: Uniform[float]
+    turn: Uniform[mat4]
+
+    def compute(self) -> None:
+        pass
+
+
 def use(device: rhi.Device) -> None:
     flat, plain = device.program(Flat), device.program(Plain)
     mesh = device.mesh({"position": np.zeros((3, 2), np.float32)}, primitive=Primitive.QUADS)
@@ -66,6 +74,9 @@ def use(device: rhi.Device) -> None:
         flat.draw(mesh, 2, tint=objects[0], many=many, albedo=image.sampled(smooth))
         passing = device.transient.mesh(flat, np.zeros(3, Corner.dtype))
         device.draw(flat, passing, tint=objects[1], many=many, albedo=image)
+        brief = device.transient.storage(Tint, 4)
+        device.draw(flat, passing.view(0, 3), tint=objects[1], many=brief, albedo=image)
+        device.draw_many(flat, passing, passing.draws(), tint=tint, many=brief, albedo=image)
         device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)
         counted = device.query_set(2)
         device.draw_counted(flat, mesh, mesh.draws(), counted, [1], tint=tint, many=many, albedo=image)
@@ -73,6 +84,7 @@ def use(device: rhi.Device) -> None:
         with device.immediate(flat, Primitive.QUADS, tint=tint, many=many, albedo=image) as quads:
             quads.vertex(position=(0, 0))
     device.dispatch(plain, (1, 1, 1))
+    device.dispatch(device.program(Scaled), 1, scale=device.uniform(0.5), turn=device.transient.uniform(np.eye(4)))
     with device.record() as commands, commands.render_pass(image), commands.states(CullMode.NONE):
         constants = commands.transient.uniform(Tint(color=(0, 0, 0, 1)))
         commands.draw(flat, mesh, 3, tint=constants, many=many, albedo=image)

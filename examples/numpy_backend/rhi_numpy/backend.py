@@ -41,7 +41,7 @@ class NumpyBackend:
             backend="numpy",
             device="NumPy",
             driver=f"NumPy {np.__version__}",
-            max_samples=1,
+            sample_counts=(1,),
             max_texture_slots=0,
             max_image_slots=0,
             uniform_alignment=16,
@@ -127,7 +127,7 @@ class NumpyBackend:
         self._memory.clear_targets(descriptor)
 
     def end_pass(self) -> None:
-        """Do nothing: `max_samples` is 1, so there is nothing to resolve."""
+        """Do nothing: there is only 1 sample, so there is nothing to resolve."""
 
     # -- 3: time and labels ------------------------------------------------------------------------------
 

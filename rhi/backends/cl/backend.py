@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from functools import wraps
 from typing import Concatenate, Final, ParamSpec, TypeVar
 
@@ -42,6 +43,7 @@ from rhi.contract.descriptors import (
     TextureDescriptor,
     VertexArrayDescriptor,
 )
+from rhi.contract.formats import Format
 from rhi.contract.states import StateChange
 
 __rhi_internal__ = True
@@ -112,6 +114,7 @@ class ClBackend:
         finally:
             for resource in list(self._destroyers):
                 self.destroy(resource)
+            self._rasteriser.close()
 
     # -- resources ---------------------------------------------------------------------------------------
 
@@ -270,6 +273,14 @@ class ClBackend:
         return self._draws.prepare_draw(
             vertex_array, primitive, first, count, base_vertex, base_instance
         )
+
+    def prepare_kernels(
+        self, program: Id, vertex_array: Id, colors: Sequence[Format], depth: Format | None, samples: int,
+        states: Sequence[StateChange],
+    ) -> Sequence[Future[None]]:  # fmt: skip
+        """See `rhi.contract.backend.PreparesKernels`."""
+        values = dict(states)
+        return self._rasteriser.prepare_kernels(program, vertex_array, values, colors, depth, samples)
 
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         """See `rhi.contract.backend.PreparesQueries`."""

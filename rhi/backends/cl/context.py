@@ -20,6 +20,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from rhi.backends.cl.cache import KernelCache, choose_folder
 from rhi.backends.cl.errors import shorten
 from rhi.backends.cl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
@@ -33,6 +34,14 @@ _ALLOWED: Final = "an OpenCL device that compiles and runs a kernel"
 _INSTALL: Final = "on Debian: apt install pocl-opencl-icd"
 _OUTDATED: Final = "this PoCL's compiler is older than the CPU (the wheel's is from 2022); "
 _UNWRITABLE: Final = "PoCL has none if it can't write its cache: set POCL_CACHE_DIR to a folder that can be written"
+_POCL: Final = "Portable Computing Language"
+QUICK: Final = ("-cl-opt-disable", "-Dalways_inline=noinline")
+"""Build options: compile fast, for kernels that run once or seldom."""
+FLUSHES_DENORMALS: Final = "-cl-denorms-are-zero"
+"""Build option: numbers below 2^-126 count as 0. CPUs may take a hundred cycles for a product that small, as powers of
+cosines often are."""
+SILENT: Final = "-w"
+"""Build option: no warnings, which PoCL would count on standard error and pyopencl repeat."""
 PAGE: Final = 4096
 """Alignment in bytes of host memory that drivers use in place."""
 _COUNT: Final = 64
@@ -56,6 +65,7 @@ class ClContext:
         probe: the program of the probe kernel, and of the kernels that find addresses.
         shares_memory: whether kernels read and write the host memory of a `USE_HOST_PTR` buffer in place.
         passed_over: the devices that were tried before, each with the reason why it can't be used.
+        cache: the compiled programs of this device.
     """
 
     device: cl.Device
@@ -64,6 +74,11 @@ class ClContext:
     probe: cl.Program
     shares_memory: bool
     passed_over: tuple[str, ...]
+    cache: KernelCache
+
+    def compile(self, source: str, options: Sequence[str] = ()) -> cl.Program:
+        """Build a program (`build`), which is looked for and kept in the cache."""
+        return compile_cached(self.context, self.cache, source, options)
 
 
 def open_context() -> ClContext:
@@ -73,6 +88,7 @@ def open_context() -> ClContext:
         DeviceError: `device-driver`, with the reason why each device was passed over, and what to install.
     """
     threads = list_threads()
+    folder = choose_folder()
     devices = find_devices()
     wanted = os.environ.get(ENVIRONMENT, "")
     if wanted:
@@ -82,14 +98,16 @@ def open_context() -> ClContext:
         try:
             context = cl.Context([device])
             queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-            program, shares_memory = probe(context, queue)
+            driver = f"{describe(device)} {device.driver_version}"
+            cache = KernelCache(folder if caches_kernels(device) else None, driver)
+            program, shares_memory = probe(context, queue, cache)
         except (cl.Error, RuntimeError) as error:
             passed_over.append(f"{describe(device)}: {shorten(error)}")
         else:
             begun = list_threads() - threads
             if len(begun) == device.max_compute_units:  # PoCL starts workers with its first device
                 spread_threads(begun)
-            return ClContext(device, context, queue, program, shares_memory, tuple(passed_over))
+            return ClContext(device, context, queue, program, shares_memory, tuple(passed_over), cache)
     if not devices:
         _refuse_nothing()
     given = "\n".join(passed_over)
@@ -148,7 +166,12 @@ def choose_device(wanted: str, devices: Sequence[cl.Device]) -> cl.Device:
     raise DeviceError(DEVICE_DRIVER, _CALL, f"{ENVIRONMENT}={wanted!r}; the devices are{rows}", tip=tip)
 
 
-def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool]:
+def caches_kernels(device: cl.Device) -> bool:
+    """Return whether the driver keeps compiled kernels in a folder (`rhi.backends.cl.cache`)."""
+    return device.platform.name == _POCL and os.environ.get("POCL_KERNEL_CACHE", "1") != "0"
+
+
+def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tuple[cl.Program, bool]:
     """Build a kernel and run it twice, on host memory that changes in between. Return the program, and whether kernel
     and host saw each other's writes.
 
@@ -156,7 +179,7 @@ def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool
         pyopencl.Error: the kernel can't be built or run.
         RuntimeError: the kernel computes wrong numbers.
     """
-    program = build(context, _PROBE)
+    program = compile_cached(context, cache, _PROBE, QUICK)
     kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
@@ -178,24 +201,28 @@ def probe(context: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool
     return program, shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
-def build(context: cl.Context, source: str, flushes_denormals: bool = False) -> cl.Program:
-    """Build a program. Compiled kernels are cached on disk by PoCL, or by pyopencl for drivers that have no cache, both
-    under a key of source, options, device and driver. Compiler warnings are suppressed.
+def compile_cached(context: cl.Context, cache: KernelCache, source: str, options: Sequence[str]) -> cl.Program:
+    """Build a program, which is looked for and kept in the cache."""
+    key = cache.identify(source, options)
+    text = cache.mark(source, key)
+    if cache.knows(key):
+        return build(context, text, options)
+    with cache.writing(key):
+        program = build(context, text, options)
+        cache.record(key)
+    return program
 
-    Args:
-        flushes_denormals: whether numbers below 2^-126 count as 0. CPUs may take a hundred cycles for a product that
-            small, as powers of cosines often are.
-    """
-    with warnings.catch_warnings():
+
+def build(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
+    """Build a program. Compiler warnings are suppressed."""
+    with warnings.catch_warnings():  # of drivers that give some in spite of the option
         warnings.simplefilter("ignore", cl.CompilerWarning)
-        return build_again(context, source, flushes_denormals)
+        return build_again(context, source, options)
 
 
-def build_again(context: cl.Context, source: str, flushes_denormals: bool) -> cl.Program:
+def build_again(context: cl.Context, source: str, options: Sequence[str]) -> cl.Program:
     """Build a program that built before. Unlike `build` safe in any thread, since warning filters are process-wide."""
-    built: cl.Program = cl.Program(context, source).build(
-        ["-cl-denorms-are-zero"] if flushes_denormals else []
-    )
+    built: cl.Program = cl.Program(context, source).build([SILENT, *options])
     return built
 
 

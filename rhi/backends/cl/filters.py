@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import ClContext, build
+from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.planes import TexelPlane
 from rhi.contract.formats import ChannelKind, Format
@@ -161,7 +161,7 @@ class Filters:
     def _run(self, name: str, size: tuple[int, ...], *arguments: Any) -> None:
         if not self._kernels:
             with translate_errors("the kernels of mip levels and resolves"):
-                program = build(self._context.context, _write_source())
+                program = self._context.compile(_write_source())
             self._kernels = {each: cl.Kernel(program, each) for each in ("halve", "resolve")}
         kernel = self._kernels[name]
         kernel.set_args(*arguments)

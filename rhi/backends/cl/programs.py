@@ -21,7 +21,7 @@ import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.buffers import Buffers
-from rhi.backends.cl.context import ClContext, build
+from rhi.backends.cl.context import FLUSHES_DENORMALS, ClContext
 from rhi.backends.cl.errors import translate_errors
 from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import CommandState
@@ -103,7 +103,7 @@ class ComputeProgram:
     def __init__(self, context: ClContext, descriptor: ProgramDescriptor, arguments: KernelArguments) -> None:
         source = descriptor.emit(f"opencl{count_lanes(context.device)}", Stage.COMPUTE)
         try:
-            program = build(context.context, source.text, descriptor.flushes_denormals)
+            program = context.compile(source.text, [FLUSHES_DENORMALS] if descriptor.flushes_denormals else [])
             (kernel,) = program.all_kernels()
         except cl.Error as error:
             raise make_shader_error(descriptor, Stage.COMPUTE, source, str(error)) from error

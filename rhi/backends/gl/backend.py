@@ -5,8 +5,9 @@
 - Conventions: each vertex stage ends by negating y, so texel rows, window y and gl_FragCoord.y count from the top.
   For GL the image is mirrored, so the two windings and the origin of point coordinates are swapped. Clip control
   could flip y too, but it would change Mesa's fill rule from top-left to bottom-left. It is used for depth 0…1 only.
-- A context is current per thread, and a process may hold several. Each method therefore first checks whether its own
-  context is current (5 ns). Only one thread at a time may use a backend.
+- A context is current per thread, and a process may hold several. Each method therefore first checks whether another
+  backend of this process has taken the thread (5 ns). Code outside of this package takes it unseen: `resume` asks the
+  driver, where the device has time for that. A backend is used on one thread at a time.
 - Memory order: a full memory barrier follows each dispatch, and each draw of a program that writes memory.
 """
 
@@ -16,6 +17,7 @@ import ctypes
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
+from threading import get_ident
 from typing import Any, Final
 
 import moderngl
@@ -26,8 +28,10 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.gl import enums
 from rhi.backends.gl.buffers import Buffers
 from rhi.backends.gl.capabilities import query_capabilities
+from rhi.backends.gl.context import make_current_context_query
 from rhi.backends.gl.draws import MODES, DrawCalls, Draws
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.errors import drain_errors
 from rhi.backends.gl.fence import Fence
 from rhi.backends.gl.framebuffers import Framebuffers
 from rhi.backends.gl.heap import keep_freed_memory
@@ -53,6 +57,8 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import ChannelKind
 from rhi.contract.states import AlphaFunction, AlphaReference, AlphaTest, StateChange
+from rhi.errors import DeviceError
+from rhi.errors.rules import DEVICE_CONTEXT
 
 __rhi_internal__ = True
 
@@ -60,9 +66,15 @@ _QUADS: Final = Primitive.QUADS
 _TESTS_ALPHA: Final = AlphaTest.ON
 _MAX_LABELS: Final = 60  # open at a time; GL guarantees 64
 _MAX_LABEL_BYTES: Final = 255
+_UNUSED_FEATURES: Final = (
+    enums.RASTERIZER_DISCARD, enums.COLOR_LOGIC_OP, enums.DEPTH_CLAMP, enums.LINE_SMOOTH, enums.POLYGON_SMOOTH,
+    enums.POLYGON_OFFSET_LINE, enums.POLYGON_OFFSET_POINT, enums.SAMPLE_ALPHA_TO_ONE, enums.SAMPLE_COVERAGE,
+    enums.SAMPLE_MASK, enums.SAMPLE_SHADING, *range(enums.CLIP_DISTANCE0, enums.CLIP_DISTANCE0 + 8),
+)  # fmt: skip
+"""Features that this backend never enables, but other code might."""
 
-_current: GlBackend | None = None
-"""The backend whose context is current."""
+_holders: dict[int, GlBackend] = {}
+"""By thread, the backend that made its context current there last."""
 
 
 class GlBackend:
@@ -74,40 +86,34 @@ class GlBackend:
     """
 
     def __init__(self, context: moderngl.Context) -> None:
-        global _current
-        if _current is not None:
-            _current._interrupted()
-        _current = self
+        self._find_current = make_current_context_query(context)
+        self._handle = self._find_current()
+        self._is_current = True
+        self._interrupted: Callable[[], None] = lambda: None
+        self._take_thread()
         self.context = context
         gl = self.gl = EntryPoints(context.mglo._context.load)
         self._capabilities = query_capabilities(gl, context.version_code, context.extensions)
         if "llvmpipe" in self._capabilities.device:
             keep_freed_memory()
-        gl.ClipControl(enums.LOWER_LEFT, enums.ZERO_TO_ONE)
-        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, since y is flipped
-        gl.ProvokingVertex(enums.FIRST_VERTEX_CONVENTION)
-        gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl enables it, and it restarts at 0xFFFFFFFF only
-        gl.Enable(enums.PRIMITIVE_RESTART_FIXED_INDEX)
-        gl.Enable(enums.PROGRAM_POINT_SIZE)
-        gl.Enable(enums.FRAMEBUFFER_SRGB)
-        gl.Disable(enums.DITHER)
+        self._set_conventions()
 
         self._buffers = Buffers(context, gl)
         self._textures = Textures(gl)
         self._samplers = Samplers(gl)
         self._framebuffers = Framebuffers(gl, self._textures)
-        self._arrays = VertexArrays(context, gl, self._buffers)
+        self._arrays = VertexArrays(context, gl, self._buffers, self.check_context)
         self._programs = Programs(context, gl, self._arrays)
         self._queries = Queries(gl)
         self._fence = Fence(gl)
         self._draws = Draws(context, gl, self._arrays, self._buffers)
         self._destroyers: dict[Id, Callable[[Id], None]] = {}
 
-        self._interrupted: Callable[[], None] = lambda: None
         self._program: Id = 0
         self._bound_program: LinkedProgram = None  # type: ignore[assignment]  # nothing draws before bind_program
         self._tests_alpha = False
         self._pass = PassDescriptor((0, 0))
+        self._framebuffer = 0
         self._condition: tuple[Id, bool] | None = None
         self._labels = 0
         self._states = RenderStates(gl, self._capabilities.depth_bias_clamp, self._change_alpha_test)
@@ -120,71 +126,153 @@ class GlBackend:
     def capabilities(self) -> Capabilities:
         return self._capabilities
 
-    def _activate(self) -> None:
-        global _current
-        if _current is not None:
-            _current._interrupted()
-        self.context.mglo.__enter__()
-        _current = self
-
     def on_interruption(self, call: Callable[[], None]) -> None:
         self._interrupted = call
 
+    def close(self) -> None:
+        self._activate()
+        self._queries.stop()
+        self.release_current()  # a current context would survive its release
+        self.context.release()  # releases all its objects too
+
+    # -- the context on its thread -------------------------------------------------------------------------
+
     def activate(self) -> None:
-        """Make this backend's context current."""
-        if _current is not self:
+        """Make this backend's context current if another backend's is."""
+        if not self._is_current:
             self._activate()
 
-    def close(self) -> None:
-        global _current
-        if _current is not self:
-            self._activate()
-        self._queries.stop()
-        self.context.mglo.__exit__()  # a current context would survive its release
-        self.context.release()  # releases all its objects too
-        _current = None
+    def _activate(self) -> None:
+        self._take_thread()
+        self.context.mglo.__enter__()  # ignores errors
+        if self._find_current() != self._handle:
+            raise DeviceError(
+                DEVICE_CONTEXT,
+                "device.make_current",
+                "a context that the driver refuses to make current here",
+                "no context of GLX on this thread, and the device's own on no other thread",
+                "let toolkits create windows with EGL, or release their context; release_current() on the other thread",
+            )
+        self._is_current = True
+
+    def _take_thread(self) -> None:
+        """Tell the backend whose context is current on this thread that it isn't any more."""
+        thread = get_ident()
+        holder = _holders.get(thread)
+        if holder is not None and holder is not self:
+            holder._is_current = False
+            holder._interrupted()
+        _holders[thread] = self
+
+    def resume(self) -> bool:
+        """See `rhi.contract.backend.HoldsContext`."""
+        if not self._is_current:
+            self._activate()  # another backend had the thread, which every method checks: nothing is lost
+        elif self._find_current() != self._handle:
+            self.make_current()
+            return True
+        return False
+
+    def check_context(self) -> None:
+        """Refuse to create objects in another context, for those that draws create on first use.
+
+        Raises:
+            DeviceError: `device-context`; the own context is current now.
+        """
+        if self.resume():
+            given = "another context, made current by other code since the device's last check"
+            raise DeviceError(DEVICE_CONTEXT, "draw", given)
+
+    def make_current(self) -> None:
+        """See `rhi.contract.backend.HoldsContext`."""
+        self._is_current = False
+        self._activate()
+        self._restore_state()
+
+    def release_current(self) -> None:
+        """See `rhi.contract.backend.HoldsContext`."""
+        if self._find_current() == self._handle:
+            self.context.mglo.__exit__()
+        if _holders.get(get_ident()) is self:
+            del _holders[get_ident()]
+        self._is_current = False
+
+    def _set_conventions(self) -> None:
+        """Set the state that stays the same for the life of the context."""
+        gl = self.gl
+        gl.ClipControl(enums.LOWER_LEFT, enums.ZERO_TO_ONE)
+        gl.PointParameteri(enums.POINT_SPRITE_COORD_ORIGIN, enums.LOWER_LEFT)  # the top, since y is flipped
+        gl.ProvokingVertex(enums.FIRST_VERTEX_CONVENTION)
+        gl.Disable(enums.PRIMITIVE_RESTART)  # moderngl enables it, and it restarts at 0xFFFFFFFF only
+        gl.Enable(enums.PRIMITIVE_RESTART_FIXED_INDEX)
+        gl.Enable(enums.PROGRAM_POINT_SIZE)
+        gl.Enable(enums.FRAMEBUFFER_SRGB)
+        gl.Disable(enums.DITHER)
+
+    def _restore_state(self) -> None:
+        """Set all state of the context anew, except for bindings: other code may have changed any of it, and some calls
+        may have gone to another context."""
+        gl = self.gl
+        for feature in _UNUSED_FEATURES:
+            gl.Disable(feature)
+        gl.PolygonMode(enums.FRONT_AND_BACK, enums.FILL)
+        self._set_conventions()
+        self._textures.set_transfers()
+        self._states.apply_all()
+        gl.BindFramebuffer(enums.FRAMEBUFFER, self._framebuffer)
+        self._queries.restore(self._condition)
+        self._restore_labels()
+        drain_errors(gl)
+
+    def _restore_labels(self) -> None:
+        gl, wanted = self.gl, min(self._labels, _MAX_LABELS)
+        depth = gl.get_integer(enums.DEBUG_GROUP_STACK_DEPTH) - 1
+        for _ in range(wanted, depth):
+            gl.PopDebugGroup()
+        for _ in range(depth, wanted):
+            gl.PushDebugGroup(enums.DEBUG_SOURCE_APPLICATION, 0, -1, b"restored")
 
     # -- resources ---------------------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._buffers.create(buffer, descriptor)
         self._destroyers[buffer] = self._buffers.destroy
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._textures.create(texture, descriptor)
         self._destroyers[texture] = self._destroy_texture
 
     def create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._samplers.create(sampler, descriptor)
         self._destroyers[sampler] = self._samplers.destroy
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._programs.create(program, descriptor)
         self._destroyers[program] = self._destroy_program
 
     def create_vertex_array(self, vertex_array: Id, descriptor: VertexArrayDescriptor) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._arrays.descriptors[vertex_array] = descriptor
         self._programs[descriptor.program].prepare(vertex_array)
         self._destroyers[vertex_array] = self._destroy_vertex_array
 
     def create_query(self, query: Id, kind: QueryKind) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._queries.create(query, kind)
         self._destroyers[query] = self._queries.destroy
 
     def destroy(self, resource: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._destroyers.pop(resource)(resource)
 
@@ -204,32 +292,32 @@ class GlBackend:
     # -- memory ------------------------------------------------------------------------------------------
 
     def write_buffer(self, buffer: Id, offset: int, data: BytesLike) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._buffers.write(buffer, offset, data)
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         return self._buffers.read(buffer, offset, size)
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._buffers.copy(source, source_offset, target, target_offset, size)
 
     def clear_buffer(self, buffer: Id, offset: int, size: int, value: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._buffers.clear(buffer, offset, size, value)
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._textures.write(texture, level, region, data)
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         return self._textures.read(texture, level, region, stencil)
 
@@ -237,12 +325,12 @@ class GlBackend:
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
     ) -> None:  # fmt: skip
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
     def resolve_texture(self, source: Id, target: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         width, height = self._textures[source].descriptor.size
         with self._unmasked(False, False, False):
@@ -252,7 +340,7 @@ class GlBackend:
             )  # fmt: skip
 
     def generate_mipmaps(self, texture: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         with self._unmasked(False, False, False):
             self.gl.GenerateTextureMipmap(self._textures[texture].name)
@@ -260,14 +348,16 @@ class GlBackend:
     # -- passes, state, binding --------------------------------------------------------------------------
 
     def begin_pass(self, descriptor: PassDescriptor) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
-        self.gl.BindFramebuffer(enums.FRAMEBUFFER, self._framebuffers.find(descriptor))
+        self._framebuffer = self._framebuffers.find(descriptor)
+        self.gl.BindFramebuffer(enums.FRAMEBUFFER, self._framebuffer)
         self._pass = descriptor
         self._states.set_target_size(descriptor.size)
         self._clear(descriptor)
 
     def end_pass(self) -> None:
+        self._framebuffer = 0  # a framebuffer lives no longer than its textures
         for color in self._pass.colors:
             if color.resolve:
                 self.resolve_texture(color.texture, color.resolve)
@@ -314,12 +404,12 @@ class GlBackend:
                 self.begin_conditional(*condition)
 
     def set_states(self, changes: Sequence[StateChange]) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._states.set(changes)
 
     def bind_program(self, program: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._program = program
         if self._tests_alpha:
@@ -339,23 +429,23 @@ class GlBackend:
             self._bound_program = self._programs[self._program]
 
     def bind_uniform(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._bind_uniform[buffer](slot, offset, size)
 
     def bind_storage(self, slot: int, buffer: Id, offset: int, size: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._bind_storage[buffer](slot, offset, size)
 
     def bind_texture(self, slot: int, texture: Id, sampler: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._bind_texture(slot, self._texture_names[texture])
         self._bind_sampler(slot, self._sampler_names[sampler])
 
     def bind_image(self, slot: int, texture: Id, level: int, layer: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         image = self._textures[texture]
         self.gl.BindImageTexture(
@@ -368,7 +458,7 @@ class GlBackend:
         self, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int, base_vertex: int,
         base_instance: int,
     ) -> None:  # fmt: skip
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         if base_vertex or base_instance or primitive is _QUADS:
             self._draws.draw(
@@ -391,7 +481,7 @@ class GlBackend:
         self, program: Id, vertex_array: Id, primitive: Primitive, first: int, count: int, base_vertex: int,
         base_instance: int,
     ) -> Callable[[int], object]:  # fmt: skip
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         if base_vertex or base_instance or primitive is _QUADS:
             return lambda instances: self.draw(
@@ -405,7 +495,7 @@ class GlBackend:
 
     def prepare_calls(self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any]) -> DrawCalls:
         """Return `Draws.prepare_calls` for the bound program."""
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         return self._draws.prepare_calls(self._bound_program, vertex_array, primitive, draws)
 
@@ -413,7 +503,7 @@ class GlBackend:
         self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, draws: int, stride: int,
         count_buffer: Id, count_offset: int,
     ) -> None:  # fmt: skip
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._draws.draw_indirect(
             self._bound_program,
@@ -428,7 +518,7 @@ class GlBackend:
         )
 
     def dispatch(self, x: int, y: int, z: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         if self._condition is None:
             self._bound_program.dispatch(x, y, z)
@@ -437,7 +527,7 @@ class GlBackend:
                 self._bound_program.dispatch(x, y, z)
 
     def dispatch_indirect(self, buffer: Id, offset: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         if self._condition is None:
             self._bound_program.dispatch_indirect(self._buffers.objects[buffer], offset)
@@ -448,54 +538,54 @@ class GlBackend:
     # -- time --------------------------------------------------------------------------------------------
 
     def signal(self, value: int) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._fence.signal(value)
 
     def completed(self) -> int:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         return self._fence.poll()
 
     def wait(self, value: int, seconds: float) -> bool:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         return self._fence.wait(value, seconds)
 
     def begin_query(self, query: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._queries.begin(query)
 
     def end_query(self, query: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._queries.end(query)
 
     def write_query(self, query: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._queries.write(query)
 
     def read_query(self, query: Id) -> int | None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         return self._queries.read(query)
 
     def begin_conditional(self, query: Id, inverted: bool) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._condition = query, inverted
         self._queries.begin_conditional(query, inverted)
 
     def end_conditional(self) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._condition = None
         self._queries.end_conditional()
 
     def push_label(self, text: str) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self._labels += 1
         if self._labels <= _MAX_LABELS:
@@ -503,13 +593,13 @@ class GlBackend:
             self.gl.PushDebugGroup(enums.DEBUG_SOURCE_APPLICATION, 0, -1, label)
 
     def pop_label(self) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         if self._labels <= _MAX_LABELS:
             self.gl.PopDebugGroup()
         self._labels -= 1
 
     def present(self, texture: Id) -> None:
-        if _current is not self:
+        if not self._is_current:
             self._activate()
         self.gl.Flush()

@@ -9,7 +9,7 @@ from typing import Final
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import PIXEL_FORMATS
-from rhi.contract.backend import Capabilities
+from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.formats import COLOR_FORMATS, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -30,6 +30,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
     unsupported, unrenderable = _probe_formats(gl)
     timestamp_bits = ctypes.c_int()
     gl.GetQueryiv(enums.TIMESTAMP, enums.QUERY_COUNTER_BITS, ctypes.byref(timestamp_bits))
+    most_samples = smallest(enums.MAX_COLOR_TEXTURE_SAMPLES, enums.MAX_DEPTH_TEXTURE_SAMPLES)
     groups = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_SIZE, axis) for axis in range(3)]
     dispatches = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_COUNT, axis) for axis in range(3)]
     return Capabilities(
@@ -39,7 +40,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         max_texture_size=gl.get_integer(enums.MAX_TEXTURE_SIZE),
         max_texture_layers=smallest(enums.MAX_ARRAY_TEXTURE_LAYERS, enums.MAX_3D_TEXTURE_SIZE),
         max_color_targets=min(smallest(enums.MAX_DRAW_BUFFERS, enums.MAX_COLOR_ATTACHMENTS), MAX_TARGETS),
-        max_samples=smallest(enums.MAX_COLOR_TEXTURE_SAMPLES, enums.MAX_DEPTH_TEXTURE_SAMPLES),
+        sample_counts=tuple(count for count in SAMPLE_COUNTS if count <= most_samples),
         max_vertex_attributes=gl.get_integer(enums.MAX_VERTEX_ATTRIBS),
         max_uniform_bytes=gl.get_integer(enums.MAX_UNIFORM_BLOCK_SIZE),
         max_storage_bytes=gl.get_integer(enums.MAX_SHADER_STORAGE_BLOCK_SIZE),

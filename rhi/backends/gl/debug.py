@@ -92,8 +92,16 @@ class DebugGlBackend(GlBackend):
     def prepare_queries(self, queries: Sequence[Id]) -> PreparedQueries:
         return _CheckedQueries(super().prepare_queries(queries), self)
 
+    def make_current(self) -> None:
+        super().make_current()
+        self._debug.clear()  # of calls that restore what nobody changed, some are errors
+
     def check(self, call: Callable[..., object], name: str, *arguments: object) -> Any:
-        """Call a function and raise the errors that the driver reports during the call."""
+        """Call a function and raise the errors that the driver reports during the call.
+
+        The call is refused if other code has made another context current: earlier ones may be lost.
+        """
+        self.check_context()
         try:
             result = call(*arguments)
         except Exception:

@@ -45,7 +45,7 @@ class Draws:
         self._gl = gl
         self._arrays = arrays
         self._buffers = buffers
-        self._quads = QuadIndices(context)
+        self._quads = QuadIndices(context, arrays.check_context)
 
     def draw(
         self, linked: LinkedProgram, vertex_array: Id, primitive: Primitive, first: int, count: int, instances: int,
@@ -87,6 +87,7 @@ class Draws:
             gl.VertexArrayElementBuffer(name, self._quads.reserve(count // 6))
             draw(IndexFormat.UINT32, first)
             return
+        self._arrays.check_context()
         size = array.index_format.size
         indices = self._buffers.read(array.index_buffer, first * size, count // 6 * 4 * size)
         expanded = self._context.buffer(expand_indices(indices, array.index_format))

@@ -80,6 +80,7 @@ class EntryPoints:
     Scissor: Callable[[Int, Int, Int, Int], None]
     Viewport: Callable[[Int, Int, Int, Int], None]
     ViewportIndexedf: Callable[[Int, Real, Real, Real, Real], None]
+    PolygonMode: Callable[[Int, Int], None]
     PolygonOffset: Callable[[Real, Real], None]
     PolygonOffsetClamp: Callable[[Real, Real, Real], None]  # 4.6 or EXT_polygon_offset_clamp
     PointParameteri: Callable[[Int, Int], None]

@@ -52,9 +52,16 @@ _TITLES: Final = {
 
 
 class VertexArrays:
-    """All vertex arrays of one context. Their GL objects are created once for each linked program that uses them."""
+    """All vertex arrays of one context. Their GL objects are created once for each linked program that uses them.
 
-    def __init__(self, context: moderngl.Context, gl: EntryPoints, buffers: Buffers) -> None:
+    Attributes:
+        check_context: called before draws create something on first use; raises if another context is current.
+    """
+
+    def __init__(
+        self, context: moderngl.Context, gl: EntryPoints, buffers: Buffers, check_context: Callable[[], None]
+    ) -> None:
+        self.check_context = check_context
         self._context = context
         self._gl = gl
         self._buffers = buffers
@@ -62,6 +69,7 @@ class VertexArrays:
 
     def create(self, vertex_array: Id, program: GlProgram) -> moderngl.VertexArray:
         """Create moderngl's vertex array for one of moderngl's programs."""
+        self.check_context()
         gl, descriptor = self._gl, self.descriptors[vertex_array]
         objects = self._buffers.objects
         indices = objects[descriptor.index_buffer] if descriptor.index_buffer else None
@@ -212,6 +220,7 @@ class Programs:
 
     def _link(self, descriptor: ProgramDescriptor, fragment: StageText | None = None) -> LinkedProgram:
         """Compile and link a program. `fragment` replaces the source of its fragment stage."""
+        self._arrays.check_context()
         sources = {stage: descriptor.emit("glsl", stage) for stage in descriptor.stages}
         if fragment is not None:
             sources[Stage.FRAGMENT] = fragment

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import moderngl
@@ -18,14 +19,17 @@ CORNERS: Final = np.array([0, 1, 2, 0, 2, 3], np.uint32)
 class QuadIndices:
     """An index buffer shared by all quads without indices. A draw passes its first vertex as the base vertex."""
 
-    def __init__(self, context: moderngl.Context) -> None:
+    def __init__(self, context: moderngl.Context, check_context: Callable[[], None]) -> None:
+        """`check_context` raises if another context is current."""
         self._context = context
+        self._check_context = check_context
         self._buffer: moderngl.Buffer | None = None
         self._capacity = 0
 
     def reserve(self, quads: int) -> int:
         """Return GL's name of a buffer with 32-bit indices for at least `quads` quads. Growth changes the name."""
         if self._buffer is None or quads > self._capacity:
+            self._check_context()
             if self._buffer is not None:
                 self._buffer.release()
             self._capacity = max(1024, 1 << (quads - 1).bit_length())

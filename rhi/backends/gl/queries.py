@@ -56,6 +56,11 @@ class SampleCounter:
     def is_running(self) -> bool:
         return self._active != 0
 
+    @property
+    def active(self) -> int:
+        """The name of the query that counts now, 0 while the counter is stopped."""
+        return self._active
+
     def start(self, active: int = 0) -> CounterValue:
         """Begin counting. `active` is a query that is active already; it becomes the first segment."""
         count = self._mark()
@@ -89,6 +94,14 @@ class SampleCounter:
             self._total += samples
             for count in counts:
                 count.value = self._total
+
+    def restart(self) -> None:
+        """Begin a segment in place of all that have no result yet. Those count nothing, and none is active."""
+        for _, counts in self._closed:
+            for count in counts:
+                count.value = self._total
+        self._closed.clear()
+        self._active = self._begin()
 
     def _mark(self) -> CounterValue:
         if not self._closed:
@@ -196,6 +209,24 @@ class Queries:
         elif self._active is not None:
             self._end_segment()
         self._active = None
+
+    def restore(self, condition: tuple[Id, bool] | None) -> None:
+        """Make GL's active query and conditional rendering agree with this object again, after some calls may have
+        gone to another context. Counts that such calls began or ended are lost."""
+        gl, own, active = self._gl, self._active, ctypes.c_int()
+        gl.GetQueryiv(enums.SAMPLES_PASSED, enums.CURRENT_QUERY, ctypes.byref(active))
+        name = self._counter.active or (own.name if own is not None else 0)
+        if active.value != name:
+            if active.value:
+                self._end_segment()
+            if self._counter.is_running:
+                self._counter.restart()
+            elif own is not None:
+                self.renew(own)
+                gl.BeginQuery(enums.SAMPLES_PASSED, own.name)
+        gl.EndConditionalRender()
+        if condition is not None:
+            self.begin_conditional(*condition)
 
     def write(self, query: Id) -> None:
         gl_query = self._queries[query]

@@ -27,6 +27,13 @@ _TARGETS: Final = {
     TextureKind.D3: enums.TEXTURE_3D,
     TextureKind.CUBE: enums.TEXTURE_CUBE_MAP,
 }
+_TRANSFERS: Final = {
+    enums.PACK_ALIGNMENT: 1, enums.PACK_ROW_LENGTH: 0, enums.PACK_IMAGE_HEIGHT: 0, enums.PACK_SKIP_PIXELS: 0,
+    enums.PACK_SKIP_ROWS: 0, enums.PACK_SKIP_IMAGES: 0, enums.PACK_SWAP_BYTES: 0,
+    enums.UNPACK_ALIGNMENT: 1, enums.UNPACK_ROW_LENGTH: 0, enums.UNPACK_IMAGE_HEIGHT: 0,
+    enums.UNPACK_SKIP_PIXELS: 0, enums.UNPACK_SKIP_ROWS: 0, enums.UNPACK_SKIP_IMAGES: 0,
+    enums.UNPACK_SWAP_BYTES: 0,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,8 +57,14 @@ class Textures:
         self._gl = gl
         self._textures: dict[Id, GlTexture] = {}
         self.names: dict[Id, int] = {}
-        gl.PixelStorei(enums.PACK_ALIGNMENT, 1)
-        gl.PixelStorei(enums.UNPACK_ALIGNMENT, 1)
+        self.set_transfers()
+
+    def set_transfers(self) -> None:
+        """Set how texels are transferred: tightly packed, between GL and the CPU's memory."""
+        for parameter, value in _TRANSFERS.items():
+            self._gl.PixelStorei(parameter, value)
+        self._gl.BindBuffer(enums.PIXEL_PACK_BUFFER, 0)
+        self._gl.BindBuffer(enums.PIXEL_UNPACK_BUFFER, 0)
 
     def __getitem__(self, texture: Id) -> GlTexture:
         return self._textures[texture]

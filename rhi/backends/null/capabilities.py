@@ -4,6 +4,7 @@ The limits of the OpenGL profiles are the smallest that a specification allows (
 chapters 6 and 23; OpenGL ES 3.0.6, chapter 6), for a port that uses nothing beyond it. What runs within them runs on
 every such driver. There are two exceptions: multi-sampled targets have 4 samples, which the specifications guarantee
 for renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarsest alignment that a driver may require.
+`webgpu` has the default limits of the WebGPU specification (section 3.6.2), without optional features.
 """
 
 from __future__ import annotations
@@ -53,8 +54,15 @@ PROFILES: Final[Mapping[str, Capabilities]] = {
         max_storage_slots=0, max_image_slots=0, compute=False, occlusion_queries=False, conditional_rendering=False,
         timestamps=False, unsupported_formats=_UNORM16, unrenderable_formats=_SNORM | _UNORM16 | _FLOAT,
     ),
+    "webgpu": replace(
+        _device("webgpu"), max_texture_size=8192, max_texture_layers=256, max_uniform_bytes=1 << 16, max_image_slots=4,
+        max_work_group=(256, 256, 64), max_work_group_invocations=256, max_shared_bytes=16384, max_anisotropy=16.0,
+        sample_counts=(1, 4), copy_alignment=4, conditional_rendering=False, timestamps=False, stencil_per_face=False,
+        depth_bias_clamp=True, blend_per_target=True, border_colors=False, unsupported_formats=_UNORM16,
+        unrenderable_formats=_SNORM | _UNORM16,
+    ),
     "opencl-cpu": replace(
-        _device("opencl-cpu"), max_samples=1, max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),
+        _device("opencl-cpu"), sample_counts=(1,), max_uniform_bytes=1 << 16, max_work_group=(4096, 4096, 4096),
         max_work_group_invocations=4096, uniform_alignment=128, storage_alignment=128, sample_counter=True,
         conditional_rendering=False, alpha_to_coverage=False,
     ),

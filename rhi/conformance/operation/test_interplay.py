@@ -174,7 +174,7 @@ def test_a_condition_drops_draws_only(device: Device) -> None:
     """Clears, resolves, copies, mipmaps and writes inside a condition are executed."""
     data = np.full((8, 8, 4), 100, "u1")
     query = device.occlusion_query()
-    samples = min(4, device.capabilities.max_samples)
+    samples = max(count for count in device.capabilities.sample_counts if count <= 4)
     with (
         device.texture(SIZE, Format.RGBA8) as image,
         device.texture(SIZE, Format.RGBA8, samples=samples) as source,

@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
-from rhi import Device, Filter, Format, Region, SamplerDescriptor, Viewport, Wrap
+from rhi import Device, Format, Region, Viewport
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.shaders import Colored, Corner, Shade, TexturedVarying, TexturedVertex
+from rhi.conformance.shaders import Colored, Corner, Shade
 from rhi.conformance.shapes import WHITE, corners, rectangle
 from rhi.shading import (
     Image2D,
     Shader,
     StorageRW,
     Struct,
-    Texture2D,
     Uniform,
     ddx,
     ddy,
     fragment_coordinate,
     global_id,
     image,
-    ivec2,
     mat2,
     mat3,
     mat4,
@@ -34,15 +29,6 @@ from rhi.shading import (
 )
 
 pytestmark = [pytest.mark.needs("shading"), pytest.mark.recorded_too]
-
-NEAREST = SamplerDescriptor(Filter.NEAREST, Filter.NEAREST, None, Wrap.CLAMP, Wrap.CLAMP)
-
-
-def texels(width: int, height: int) -> NDArray[Any]:
-    """Return texels of distinct colors."""
-    y, x = np.mgrid[0:height, 0:width]
-    return np.stack([x, y, 255 - x, 255 - y], axis=-1).astype(np.uint8)
-
 
 @pytest.mark.needs("draws")
 def test_plus_y_is_up_and_row_0_is_the_top(device: Device) -> None:
@@ -73,60 +59,6 @@ def test_depth_has_its_top_row_first_too(device: Device) -> None:
         expected[0] = 0.5
         assert_same(target.read(), expected)
         assert_same(target.read(region=Region(0, 0, 4, 1)), 0.5)
-
-
-class Textured(Shader):
-    """Samples a texture at uv."""
-
-    source: Texture2D
-
-    def vertex(self, v: TexturedVertex) -> TexturedVarying:
-        return TexturedVarying(clip=v.position, uv=v.uv)
-
-    def fragment(self, v: TexturedVarying) -> vec4:
-        return self.source.sample(v.uv)
-
-
-def placed(uvs: object) -> NDArray[Any]:
-    """Return a full rectangle with these uv at its lower left, lower right, upper right and upper left corners."""
-    rows = np.zeros(6, TexturedVertex.dtype)
-    rows["position"] = rectangle()["position"]
-    rows["uv"] = np.asarray(uvs)[[0, 1, 2, 0, 2, 3]]
-    return rows
-
-
-UPRIGHT = [(0, 1), (1, 1), (1, 0), (0, 0)]
-
-
-@pytest.mark.needs("draws")
-def test_v_0_is_the_top_row(device: Device) -> None:
-    """A texture drawn with v = 0 at the top of the target comes out as it was written."""
-    data = texels(5, 3)
-    with (
-        device.texture(data, Format.RGBA8) as source,
-        device.texture((5, 3), Format.RGBA8) as target,
-        device.mesh(placed(UPRIGHT)) as mesh,
-    ):
-        with device.render_pass(target):
-            device.draw(device.program(Textured), mesh, source=source.sampled(NEAREST))
-        assert_same(target.read(), data)
-
-
-@pytest.mark.needs("draws")
-def test_a_drawn_texture_is_sampled_like_a_written_one(device: Device) -> None:
-    with (
-        device.texture((4, 4), Format.RGBA8) as drawn,
-        device.texture((4, 4), Format.RGBA8) as target,
-        device.mesh(rectangle(-1, 0, 0, 1)) as corner,
-        device.mesh(placed(UPRIGHT)) as whole,
-    ):
-        with device.render_pass(drawn, clear=(0, 0, 0, 0)):
-            device.draw(device.program(Colored), corner)
-        with device.render_pass(target):
-            device.draw(device.program(Textured), whole, source=drawn.sampled(NEAREST))
-        expected = np.zeros((4, 4, 4))
-        expected[:2, :2] = 255
-        assert_same(target.read(), expected)
 
 
 @pytest.mark.needs("draws")
@@ -194,31 +126,6 @@ def test_derivatives_point_right_and_down(device: Device) -> None:
         with device.render_pass(target):
             device.draw(device.program(Derivatives), mesh)
         assert_near(target.read(), (1, 0, 0, 2), 1e-4, "differences of interpolated float32 values")
-
-
-class Loads(Shader):
-    """Loads texels by integer coordinates."""
-
-    source: Texture2D
-
-    def vertex(self, v: Corner) -> Shade:
-        return Shade(clip=v.position, color=v.color)
-
-    def fragment(self, v: Shade) -> vec4:
-        return self.source.load(ivec2(fragment_coordinate().xy))
-
-
-@pytest.mark.needs("draws")
-def test_texel_loads_count_from_the_top_left(device: Device) -> None:
-    data = texels(5, 3)
-    with (
-        device.texture(data, Format.RGBA8) as source,
-        device.texture((5, 3), Format.RGBA8) as target,
-        device.mesh(rectangle()) as mesh,
-    ):
-        with device.render_pass(target):
-            device.draw(device.program(Loads), mesh, source=source)
-        assert_same(target.read(), data)
 
 
 class Marks(Shader):

@@ -25,6 +25,7 @@ from rhi import (
     ValidationError,
 )
 from rhi.conformance.compare import assert_same
+from rhi.conformance.formats import require_samples
 from rhi.conformance.patience import comes_true
 from rhi.conformance.reference import SUBTEXELS, rasterise
 from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
@@ -254,8 +255,7 @@ def test_an_answer_stays_until_the_next_begin(device: Device, query: OcclusionQu
 
 
 def test_multi_sampled_targets_count_samples(device: Device, query: OcclusionQuery) -> None:
-    if device.capabilities.max_samples < 4:
-        pytest.skip(f"{device.backend_name} declares max_samples {device.capabilities.max_samples}")
+    require_samples(device, 4)
     with device.texture(SIZE, Format.R8, samples=4) as image, device.mesh(rectangle(-1, -1, 0, 0)) as mesh:
         with device.render_pass(image), query:
             device.draw(device.program(Colored), mesh)

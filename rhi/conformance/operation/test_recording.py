@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 
-from rhi import CullMode, Device, Format, Op
+from rhi import CullMode, Device, Format, IndirectDraws, Op, Primitive
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
 
@@ -92,3 +92,25 @@ def test_a_redundant_bind_is_not_sent_again(recording: Device) -> None:
             recording.draw(program, mesh)
     after = [command.op for command in recording.stream[since:]]
     assert after[0] is Op.DRAW
+
+
+@pytest.mark.needs("draws")
+def test_each_call_that_draws_counts_as_one_draw(device: Device) -> None:
+    with (
+        device.texture((4, 4), Format.R8) as image,
+        device.mesh(rectangle()) as mesh,
+        device.buffer(mesh.draws([0, 3], 3)) as arguments,
+        device.render_pass(image),
+    ):
+        program = device.program(Colored)
+        before = device.statistics
+        device.draw(program, mesh)
+        program.draw(mesh, 5)
+        device.draw_many(program, mesh, mesh.draws([0, 3], 3))
+        device.draw_indirect(program, mesh, IndirectDraws(arguments, 2))
+        with device.immediate(program, Primitive.TRIANGLES) as triangles:
+            triangles.vertices(rectangle())
+        after = device.statistics
+        assert after.draws - before.draws == 5
+        device.reset_statistics()
+        assert device.statistics.draws == 0

@@ -288,7 +288,11 @@ def wrapped(index: NDArray[np.int64], wrap: Wrap, size: int) -> NDArray[np.int64
     return np.where((index >= 0) & (index < size), index, -1)
 
 
-@pytest.mark.parametrize("wrap", list(Wrap), ids=identity)
+@pytest.mark.parametrize(
+    "wrap",
+    [pytest.param(wrap, marks=[pytest.mark.needs("border_colors")] * (wrap is Wrap.BORDER)) for wrap in Wrap],
+    ids=identity,
+)
 @pytest.mark.parametrize("axis", [0, 1], ids=["u", "v"])
 def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis: int) -> None:
     index = np.arange(-9, 14)
@@ -308,6 +312,7 @@ def test_a_wrap_says_what_lies_beyond_the_edges(device: Device, wrap: Wrap, axis
     assert_same(back, expected)
 
 
+@pytest.mark.needs("border_colors")
 def test_a_border_mixes_in_under_a_linear_filter(device: Device) -> None:
     descriptor = SamplerDescriptor(
         Filter.LINEAR, Filter.LINEAR, None, Wrap.BORDER, Wrap.CLAMP, border=(1, 1, 1, 1)
@@ -674,6 +679,7 @@ def test_depth_arrays_and_cubes_are_compared(device: Device) -> None:
         assert_same(results.read(), [(0, 1, 0, 1)])
 
 
+@pytest.mark.needs("border_colors")
 def test_beyond_a_shadow_map_its_border_is_compared(device: Device) -> None:
     sampler = SamplerDescriptor(
         Filter.NEAREST,

@@ -58,7 +58,7 @@ def after(
 @pytest.mark.parametrize("function", list(Comparison), ids=lambda f: f.name)
 def test_a_stencil_function_compares_reference_with_stored(device: Device, function: Comparison) -> None:
     for reference in (99, 100, 101):
-        color, _ = after(device, StencilFront(function), StencilReference(reference), stored=100)
+        color, _ = after(device, StencilFront(function), StencilReference(reference, reference), stored=100)
         assert_same(color, 255 if compare(function, reference, 100) else 0)
 
 
@@ -67,7 +67,7 @@ def test_a_stencil_function_compares_reference_with_stored(device: Device, funct
 def test_an_operation_changes_what_is_stored(
     device: Device, operation: StencilOperation, stored: int
 ) -> None:
-    _, value = after(device, StencilFront(both_pass=operation), StencilReference(77), stored=stored)
+    _, value = after(device, StencilFront(both_pass=operation), StencilReference(77, 77), stored=stored)
     assert_same(value, stencil(operation, stored, 77))
 
 
@@ -85,7 +85,7 @@ def test_each_outcome_has_its_own_operation(
     device: Device, function: Comparison, depth: float, expected: int
 ) -> None:
     front = StencilFront(function, StencilOperation.REPLACE, StencilOperation.ZERO, StencilOperation.INVERT)
-    color, value = after(device, front, StencilReference(1), stored=0 if expected == 255 else 5, depth=depth)
+    color, value = after(device, front, StencilReference(1, 1), stored=0 if expected == 255 else 5, depth=depth)
     assert_same(value, expected)
     assert_same(color, 255 if expected == 255 else 0)
 
@@ -98,7 +98,7 @@ def test_when_stencil_is_off_nothing_is_tested_or_written(device: Device) -> Non
     ):
         with (
             device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=0.0, clear_stencil=9),
-            device.states(StencilFront(Comparison.NEVER, REPLACE, REPLACE, REPLACE), StencilReference(3)),
+            device.states(StencilFront(Comparison.NEVER, REPLACE, REPLACE, REPLACE), StencilReference(3, 3)),
         ):
             device.draw(device.program(Colored), mesh)
         assert_same(image.read(), 255)
@@ -107,20 +107,20 @@ def test_when_stencil_is_off_nothing_is_tested_or_written(device: Device) -> Non
 
 @pytest.mark.parametrize(("mask", "passes"), [(0xFF, False), (0x0F, True), (0x1F, False), (0x00, True)])
 def test_the_read_mask_applies_to_both_sides(device: Device, mask: int, passes: bool) -> None:
-    states = (StencilFront(Comparison.EQUAL), StencilReference(0x35), StencilReadMask(mask))
+    states = (StencilFront(Comparison.EQUAL), StencilReference(0x35, 0x35), StencilReadMask(mask, mask))
     color, _ = after(device, *states, stored=0x25)
     assert_same(color, 255 if passes else 0)
 
 
 @pytest.mark.parametrize("operation", list(StencilOperation), ids=lambda f: f.name)
 def test_the_write_mask_chooses_the_bits_that_change(device: Device, operation: StencilOperation) -> None:
-    states = (StencilFront(both_pass=operation), StencilReference(0xC3), StencilWriteMask(0x5A))
+    states = (StencilFront(both_pass=operation), StencilReference(0xC3, 0xC3), StencilWriteMask(0x5A, 0x5A))
     _, value = after(device, *states, stored=0xFF)
     assert_same(value, stencil(operation, 0xFF, 0xC3, 0x5A))
 
 
 def test_the_read_mask_does_not_touch_writes(device: Device) -> None:
-    states = (StencilFront(both_pass=REPLACE), StencilReference(0xC3), StencilReadMask(0x0F))
+    states = (StencilFront(both_pass=REPLACE), StencilReference(0xC3, 0xC3), StencilReadMask(0x0F, 0x0F))
     _, value = after(device, *states, stored=0)
     assert_same(value, 0xC3)
 
@@ -147,7 +147,16 @@ def test_back_faces_have_operations_of_their_own(device: Device, front_face: Fro
     assert_same(value, 10 - front)
 
 
-def test_back_faces_have_a_function_reference_and_masks_of_their_own(device: Device) -> None:
+def test_back_faces_have_a_function_of_their_own(device: Device) -> None:
+    states = (StencilFront(Comparison.NEVER), StencilBack(Comparison.EQUAL), StencilReference(0x31, 0x31))
+    color, _ = after(device, *states, stored=0x31, rows=rectangle()[::-1])
+    assert_same(color, 255)
+    color, _ = after(device, *states, stored=0x31)
+    assert_same(color, 0)
+
+
+@pytest.mark.needs("stencil_per_face")
+def test_back_faces_have_a_reference_and_masks_of_their_own(device: Device) -> None:
     states = (
         StencilFront(Comparison.NEVER),
         StencilBack(Comparison.EQUAL, both_pass=REPLACE),
@@ -185,7 +194,7 @@ def test_a_stencil_mask_cuts_out_what_is_drawn_through_it(device: Device) -> Non
     ):
         with (
             device.render_pass(image, target, clear=(0, 0, 0, 0), clear_depth=0.0, clear_stencil=0),
-            device.states(StencilTest.ON, StencilReference(1)),
+            device.states(StencilTest.ON, StencilReference(1, 1)),
         ):
             with device.states(StencilFront(both_pass=REPLACE), ColorWrite.OFF):
                 device.draw(device.program(Colored), mask)

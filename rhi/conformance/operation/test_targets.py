@@ -17,12 +17,14 @@ from rhi import (
     CullMode,
     DepthFunction,
     Device,
+    DrawPlan,
     Format,
     Primitive,
     TextureKind,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.formats import require_renderable, require_samples
+from rhi.conformance.patience import PATIENCE
 from rhi.conformance.reference import compare, encode, largest, rounding
 from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
@@ -406,3 +408,54 @@ def test_signed_integers_keep_their_sign(device: Device) -> None:
         with device.render_pass(image):
             device.draw(device.program(IntColored), mesh)
         assert_same(image.read(), (-5, 5, -1, 0))
+
+
+# -- preparation -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("names_targets", [True, False])
+def test_prepared_draws_draw_what_others_do(device: Device, names_targets: bool) -> None:
+    """`device.prepare` builds ahead what a draw needs, on platforms that can, and changes nothing else."""
+    states = BlendFunction.ADDITIVE, CullMode.NONE
+    pictures = []
+    for prepares in (False, True):
+        with (
+            device.texture(SIZE, Format.RGBA8) as image,
+            device.mesh(rectangle(color=(0.2, 0.4, 0.6, 0.8))) as mesh,
+        ):
+            program = device.program(Colored)
+            if prepares:
+                targets = (image,) if names_targets else ()
+                preparation = device.prepare(program, mesh, targets=targets, states=states)
+                assert not preparation.cancel()
+                assert preparation.result(PATIENCE * 60) is None
+                finished, total = preparation.progress
+                assert finished == total
+            with device.render_pass(image, clear=(0.25, 0.5, 0, 0)), device.states(*states):
+                device.draw(program, mesh)
+            pictures.append(image.read())
+    assert_same(*pictures)
+
+
+def test_many_plans_are_prepared_at_once(device: Device) -> None:
+    program = device.program(Colored)
+    with device.mesh(rectangle()) as mesh, device.texture(SIZE, Format.RGBA8) as image:
+        plans = [
+            DrawPlan(program, mesh, (image,)),
+            DrawPlan(program, mesh, (Format.RGBA8, Format.D32F), (DepthFunction.GREATER,)),
+            DrawPlan(program),
+        ]
+        preparation = device.prepare(plans)
+        preparation.result(PATIENCE * 60)
+        assert preparation.done()
+        assert device.prepare([]).done()
+
+
+def test_a_preparation_may_be_left_alone(device: Device) -> None:
+    """Draws needn't wait for it, and what it names may be destroyed."""
+    program = device.program(Colored)
+    with device.mesh(rectangle(color=(1, 0, 0, 1))) as mesh, device.texture(SIZE, Format.RGBA16F) as image:
+        device.prepare(program, mesh, targets=(image,), states=(BlendFunction.ALPHA,))
+        with device.render_pass(image):
+            device.draw(program, mesh)
+        assert_same(image.read().reshape(16, 4), (1, 0, 0, 1))

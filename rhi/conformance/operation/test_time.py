@@ -1,4 +1,4 @@
-"""Fences, frames, deferred destruction, timers, labels; few of these tests draw."""
+"""Fences, frames, deferred destruction, timers, labels. None of these tests draws."""
 
 from __future__ import annotations
 
@@ -8,11 +8,9 @@ import numpy as np
 import pytest
 
 import rhi
-from rhi import Access, Device, Format, IndirectDraws, Op, Primitive
+from rhi import Access, Device, Format, Op
 from rhi.conformance.compare import assert_same
 from rhi.conformance.patience import PATIENCE, comes_true
-from rhi.conformance.shaders import Colored
-from rhi.conformance.shapes import rectangle
 
 
 def test_signals_count_up(device: Device) -> None:
@@ -75,24 +73,6 @@ def test_a_fence_is_passed_only_after_the_work_before_it(device: Device) -> None
         a.copy_to(b)
         device.wait(device.signal())
         assert_same(b.read(0, 16), 1)
-
-
-@pytest.mark.needs("draws", "shading")
-def test_a_wait_lasts_as_long_as_the_work_before_it(device: Device) -> None:
-    """The work grows until its signal was seen unfinished twice: then it is too long to finish before the wait."""
-    unfinished = 0
-    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
-        program = device.program(Colored)
-        for instances in (8**n for n in range(4)):
-            with device.render_pass(image, clear=(0, 0, 0, 0)):
-                device.draw(program, mesh, instances)
-            value = device.signal()
-            unfinished += device.completed < value
-            assert device.wait(value)
-            device.signal()  # so `completed` has to query the backend, instead of returning the value waited for
-            assert device.completed >= value
-            if unfinished == 2:
-                break
 
 
 def test_finish_completes_everything(device: Device) -> None:
@@ -286,49 +266,3 @@ def test_a_device_says_what_it_is(device: Device, backend: str) -> None:
 
 
 # -- counters ----------------------------------------------------------------------------------------------
-
-
-@pytest.mark.needs("draws")
-def test_each_call_that_draws_counts_as_one_draw(device: Device) -> None:
-    with (
-        device.texture((4, 4), Format.R8) as image,
-        device.mesh(rectangle()) as mesh,
-        device.buffer(mesh.draws([0, 3], 3)) as arguments,
-        device.render_pass(image),
-    ):
-        program = device.program(Colored)
-        before = device.statistics
-        device.draw(program, mesh)
-        program.draw(mesh, 5)
-        device.draw_many(program, mesh, mesh.draws([0, 3], 3))
-        device.draw_indirect(program, mesh, IndirectDraws(arguments, 2))
-        with device.immediate(program, Primitive.TRIANGLES) as triangles:
-            triangles.vertices(rectangle())
-        after = device.statistics
-        assert after.draws - before.draws == 5
-        device.reset_statistics()
-        assert device.statistics.draws == 0
-
-
-@pytest.mark.needs("timestamps", "draws", "shading")
-def test_more_work_takes_more_time(device: Device) -> None:
-    """Whole passes are timed: within a pass, a device that works tile by tile has no separate time for each draw.
-
-    A busy machine can only add to a time. So the small work is the minimum of several runs, and the large work grows
-    until it takes longer in spite of that.
-    """
-    with device.texture((1024, 1024), Format.RGBA8) as image, device.mesh(rectangle()) as mesh:
-        program = device.program(Colored)
-
-        def measure(instances: int) -> float:
-            with device.event("pass"), device.render_pass(image):
-                device.draw(program, mesh.view(0, 3), instances)
-            device.present()
-            device.finish()
-            (node,) = device.timers
-            return node.gpu_milliseconds
-
-        device.present()  # earlier timings belong to the frame that ends here
-        little = min(measure(1) for _ in range(5))
-        assert little > 0
-        assert any(measure(16**n) > 4 * little for n in range(1, 5))

@@ -9,11 +9,25 @@ import pytest
 from numpy.typing import NDArray
 
 import rhi
-from rhi import BlendFunction, CullMode, Device, Format, Primitive
+from rhi import BlendFunction, CullMode, Device, Format, Primitive, ValidationError
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Tint, Tinted
+from rhi.conformance.shaders import Colored, Corner, FlatShade, Shade, Tint, Tinted, Weighted
 from rhi.conformance.shapes import centers, corners, rectangle, window_to_clip
+from rhi.shading import (
+    Shader,
+    Storage,
+    StorageRW,
+    Struct,
+    Uniform,
+    instance_index,
+    mat3,
+    mat4,
+    uint,
+    vec2,
+    vec3,
+    vec4,
+)
 
 pytestmark = [pytest.mark.needs("draws", "shading"), pytest.mark.recorded_too]
 
@@ -162,6 +176,384 @@ def test_frames_of_transient_vertices_around_the_wrap_are_intact(fresh_device: D
         device.present(image)
     for frame, image in enumerate(images):
         assert_same(image.read().reshape(-1), np.arange(512) + 1000 * frame)
+
+
+class Painted(Struct):
+    """A vertex as interface renderers pack it: a place, and a color in four bytes."""
+
+    position: vec2
+    color: vec4
+
+
+class Flagged(Struct):
+    """A color of the whole primitive, and a number that integers feed."""
+
+    position: vec2
+    number: int
+
+
+class PaintedShader(Shader):
+    """Draws vertices in their own colors."""
+
+    def vertex(self, v: Painted) -> Shade:
+        return Shade(clip=vec4(v.position, 0.5, 1.0), color=v.color)
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+class FlaggedShader(Shader):
+    """Draws vertices in the color of their number."""
+
+    def vertex(self, v: Flagged) -> FlatShade:
+        return FlatShade(clip=vec4(v.position, 0.5, 1.0), color=vec4(float(v.number)))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+PACKED = np.dtype([("position", "<f4", 2), ("uv", "<f4", 2), ("color", "u1", 4)])
+"""The vertices of an interface's draw lists, with a field that the program doesn't read."""
+
+
+def packed_points(count: int) -> NDArray[Any]:
+    """Return points on the first texels of a row, with a quarter of their numbers as color."""
+    rows = np.zeros(count, PACKED)
+    rows["position"] = centers(np.stack([np.arange(count), np.zeros(count)], axis=1), (count, 1))
+    rows["color"][:, 0] = np.arange(count) * 4
+    return rows
+
+
+@pytest.mark.parametrize("code", ["u1", "i1", "u2", "i2"])
+@pytest.mark.parametrize("way", ["mesh", "transient", "immediate"])
+def test_integers_that_feed_floats_are_normalised(device: Device, way: str, code: str) -> None:
+    """A transient vertex array with a vec4 of bytes draws what a mesh of it draws, not 255 times as much."""
+    components = 4 if code[1] == "1" else 2
+    values = np.array([0, 1, 100, np.iinfo(code).max, np.iinfo(code).min])
+    rows = np.zeros(5, np.dtype([("position", "<f4", 2), ("color", code, components)]))
+    rows["position"] = centers(np.stack([np.arange(5), np.zeros(5)], axis=1), (5, 1))
+    rows["color"][:, 0] = values
+    program = device.program(PaintedShader if components == 4 else PaintedTwice)
+    with device.texture((5, 1), Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image, clear=(9, 0, 0, 0)):
+            if way == "immediate":
+                with device.immediate(program, Primitive.POINTS) as points_block:
+                    points_block.vertices(rows)
+            else:
+                own = device.transient.mesh(program, rows, primitive=Primitive.POINTS)
+                device.draw(program, own if way == "transient" else mesh)
+        device.present()
+        expected = np.maximum(values / np.iinfo(code).max, -1)
+        assert_near(image.read()[0], expected, 1e-6, "a division in float32")
+
+
+class PaintedTwo(Struct):
+    """A color of two components."""
+
+    position: vec2
+    color: vec2
+
+
+class PaintedTwice(Shader):
+    """Draws vertices in their own two components."""
+
+    def vertex(self, v: PaintedTwo) -> Shade:
+        return Shade(clip=vec4(v.position, 0.5, 1.0), color=vec4(v.color, 0.0, 1.0))
+
+    def fragment(self, v: Shade) -> vec4:
+        return v.color
+
+
+@pytest.mark.parametrize("way", ["transient", "immediate"])
+def test_arrays_by_name_make_transient_vertices(device: Device, way: str) -> None:
+    """NumPy's float64 becomes float32, as in a mesh."""
+    rows = points(6, (6, 1))
+    arrays = {"position": rows["position"].astype(np.float64), "color": rows["color"]}
+    program = device.program(Colored)
+    with device.texture((6, 1), Format.R32F) as image:
+        with device.render_pass(image, clear=(9, 0, 0, 0)):
+            if way == "immediate":
+                with device.immediate(program, Primitive.POINTS) as block:
+                    block.vertices(arrays)
+            else:
+                device.draw(program, device.transient.mesh(program, arrays, primitive=Primitive.POINTS))
+        device.present()
+        assert_same(image.read()[0], np.arange(6))
+
+
+def test_floats_for_integer_attributes_are_refused(device: Device) -> None:
+    program = device.program(FlaggedShader)
+    rows = np.zeros(2, [("position", "<f4", 2), ("number", "<f4")])
+    right = np.zeros(2, [("position", "<f4", 2), ("number", "<i4")])
+    with device.texture((4, 4), Format.R32F) as image, device.render_pass(image):
+        with pytest.raises(ValidationError, match="immediate-vertex"):
+            device.transient.mesh(program, rows)
+        device.transient.mesh(program, right)
+        with device.immediate(program, Primitive.POINTS) as block:
+            with pytest.raises(ValidationError, match="immediate-vertex"):
+                block.vertices(rows)
+            block.vertices(right)
+        with pytest.raises(ValidationError, match="immediate-vertex"):
+            with device.immediate(program, Primitive.POINTS) as block:
+                block.vertex(position=(0, 0), number=1.5)
+        with device.immediate(program, Primitive.POINTS) as block:
+            block.vertex(position=(0, 0), number=np.int64(1))
+
+
+def test_views_of_a_transient_mesh_draw_its_parts(device: Device) -> None:
+    """The draw lists of an interface: one upload of vertices and indices a frame, and a view for each command."""
+    count, program = 48, device.program(PaintedShader)
+    rows = packed_points(count)
+    with device.texture((count, 1), Format.R32F) as image:
+        for _ in range(3):  # frames, so that the mesh lies at other places in its ring
+            with device.render_pass(image, clear=(9, 0, 0, 0)):
+                indices = np.arange(count // 2, dtype="u2")
+                mesh = device.transient.mesh(program, rows, indices, Primitive.POINTS)
+                for first, base in ((0, 0), (5, 24), (20, 1), (20, 24)):
+                    device.draw(program, mesh.view(first, 4, base_vertex=base))
+                plain = device.transient.mesh(program, rows, primitive=Primitive.TRIANGLES)
+                device.draw(program, plain.view(12, 3).view(13, 2, primitive=Primitive.POINTS))
+            device.present()
+            drawn = np.full(count, 9.0)
+            for texel in (*range(4), *range(29, 33), *range(21, 25), *range(44, 48), 13, 14):
+                drawn[texel] = texel * 4 / 255
+            assert_near(image.read()[0], drawn, 1e-6, "a division in float32")
+
+
+def test_draws_of_a_transient_mesh_count_from_its_own_start(device: Device) -> None:
+    count, program = 16, device.program(PaintedShader)
+    rows = packed_points(count)
+    with device.texture((count, 1), Format.R32F) as image:
+        with device.render_pass(image, clear=(9, 0, 0, 0)):
+            device.transient.mesh(program, rows[:3])  # so that the next ones don't lie at 0
+            plain = device.transient.mesh(program, rows, primitive=Primitive.POINTS)
+            device.draw_many(program, plain, plain.draws([0, 4], [1, 2]))
+            device.transient.mesh(program, rows[:3], np.arange(3))
+            indexed = device.transient.mesh(program, rows, np.arange(8, dtype="u2"), Primitive.POINTS)
+            device.draw_many(program, indexed, indexed.draws([2, 0], 2, base_vertex=[8, 7]))
+        device.present()
+        drawn = np.full(count, 9.0)
+        drawn[[0, 4, 5, 10, 11, 7, 8]] = np.array([0, 4, 5, 10, 11, 7, 8]) * 4 / 255
+        assert_near(image.read()[0], drawn, 1e-6, "a division in float32")
+
+
+class Instance(Struct):
+    """A point, moved by its instance and in the color of its number."""
+
+    position: vec2
+    shift: vec2
+
+
+class Instanced(Shader):
+    """Draws the number of each instance."""
+
+    def vertex(self, v: Instance) -> FlatShade:
+        return FlatShade(clip=vec4(v.position + v.shift, 0.5, 1.0), color=vec4(float(instance_index())))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+@pytest.mark.parametrize("way", ["transient", "immediate"])
+def test_transient_instances_are_counted_from_their_first(device: Device, way: str) -> None:
+    count, program = 12, device.program(Instanced)
+    shifts = np.zeros(count, [("shift", "<f4", 2)])
+    shifts["shift"][:, 0] = np.arange(count) * 2 / count
+    place = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
+    with device.texture((count, 1), Format.R32F) as image:
+        for _ in range(2):
+            with device.render_pass(image, clear=(99, 0, 0, 0)):
+                if way == "immediate":
+                    with device.immediate(program, Primitive.POINTS) as block:
+                        block.instances(shifts[:7])
+                        block.vertex(position=place[0])
+                else:
+                    whole = device.transient.mesh(
+                        program, {"position": place}, primitive=Primitive.POINTS, instances=shifts
+                    )
+                    device.draw(program, whole, 3)
+                    device.draw(program, whole.view(base_instance=3), 4)
+            device.present()
+            assert_same(image.read()[0], [*range(7), *[99] * 5])
+
+
+def test_vertices_follow_their_instances(device: Device) -> None:
+    program = device.program(Instanced)
+    shifts = {"shift": np.zeros((1, 2))}
+    with device.texture((4, 4), Format.R32F) as image, device.render_pass(image):
+        with device.immediate(program, Primitive.POINTS) as block:
+            with pytest.raises(ValidationError, match="immediate-vertex"):
+                block.instances({"tint": np.zeros((1, 2))})
+            block.instances(shifts)
+            with pytest.raises(ValidationError, match="immediate-vertex"):
+                block.instances(shifts)
+            with pytest.raises(ValidationError, match="immediate-vertex"):
+                block.vertex(position=(0, 0), shift=(0, 0))
+            block.vertex(position=(0, 0))
+        with device.immediate(program, Primitive.POINTS) as block:
+            block.vertex(position=(0, 0), shift=(0, 0))
+            with pytest.raises(ValidationError, match="immediate-vertex"):
+                block.instances(shifts)
+
+
+def test_a_mesh_made_before_its_ring_grew_is_drawn_after_it(fresh_device: Device) -> None:
+    """What the ring has outgrown lives until the end of the frame, also when the GPU has caught up meanwhile."""
+    device = fresh_device
+    program = device.program(Colored)
+    rows = points(4, (4, 1))
+    with device.texture((4, 1), Format.R32F) as image:
+        early = device.transient.mesh(program, rows, np.arange(4), Primitive.POINTS)
+        capacity = device.transient.capacity
+        while device.transient.capacity == capacity:
+            device.transient.mesh(program, points(512, (512, 1)), primitive=Primitive.POINTS)
+        device.transient.mesh(program, rows, np.arange(4))
+        device.finish()
+        device.signal()
+        device.finish()
+        with device.render_pass(image, clear=(9, 0, 0, 0)):
+            device.draw(program, early)
+        assert_same(image.read()[0], np.arange(4))
+
+
+class Weighed(Shader):
+    """Draws instances in colors from storage, scaled by one number."""
+
+    scale: Uniform[float]
+    weights: Storage[vec4]
+
+    def vertex(self, v: Instance) -> FlatShade:
+        place = vec4(v.position + v.shift, 0.5, 1.0)
+        return FlatShade(clip=place, color=self.weights[instance_index()] * self.scale)
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+def test_a_command_buffer_has_transient_geometry_of_its_own(device: Device) -> None:
+    """It lives as long as the buffer, so later frames may submit it again."""
+    count, program = 8, device.program(Weighed)
+    shifts = np.zeros(count, [("shift", "<f4", 2)])
+    shifts["shift"][:, 0] = np.arange(count) * 2 / count
+    place = centers(np.zeros((1, 2)), (count, 1)).astype(np.float32)
+    weights = np.repeat(np.arange(count, dtype="<f4")[:, None], 4, 1)
+    with device.texture((count, 1), Format.R32F) as image:
+        with device.record() as commands, commands.render_pass(image, clear=(99, 0, 0, 0)):
+            memory = commands.transient
+            bound: Any = {"scale": memory.uniform(2.0), "weights": memory.storage(vec4, weights)}
+            mesh = memory.mesh(
+                program, {"position": np.repeat(place, 3, 0)}, primitive=Primitive.POINTS, instances=shifts
+            )
+            commands.draw(program, mesh.view(1, 1), 2, **bound)
+            commands.draw(program, mesh.view(2, 1, base_instance=2), 3, **bound)
+            with commands.immediate(program, Primitive.POINTS, **bound) as block:
+                block.instances(shifts[:1])
+                block.vertex(position=place[0] + (2 * 6 / count, 0))
+        for _ in range(2):
+            device.submit(commands)
+            device.present()
+            assert_same(image.read()[0], [0, 2, 4, 6, 8, 99, 0, 99])
+
+
+# -- storage -----------------------------------------------------------------------------------------------
+
+
+class Accumulate(Shader):
+    """Adds to storage."""
+
+    sums: StorageRW[vec4]
+
+    def compute(self) -> None:
+        self.sums[0] = self.sums[0] + vec4(1.0)
+
+
+def test_each_draw_of_a_frame_reads_its_own_storage(device: Device) -> None:
+    size = (32, 8)
+    rows = points(256, size)
+    program = device.program(Weighted)
+    with device.texture(size, Format.R32F) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image):
+            for index in range(256):
+                weights = np.full((1 + index % 3, 4), index, "<f4")
+                device.draw(program, mesh.view(index, 1), weights=device.transient.storage(vec4, weights))
+        device.present()
+        assert_same(image.read().reshape(-1), np.arange(256))
+
+
+@pytest.mark.needs("compute")
+def test_transient_storage_is_read_only(device: Device) -> None:
+    program = device.program(Accumulate)
+    with pytest.raises(ValidationError, match="binding-type"):
+        device.dispatch(program, 1, sums=device.transient.storage(vec4, 4))
+    with device.storage(vec4, 1) as sums:
+        device.dispatch(program, 1, sums=sums)
+        assert_same(sums.read(), [[1, 1, 1, 1]])
+
+
+def test_transient_storage_of_a_number_is_zeroed(device: Device) -> None:
+    with device.texture((2, 2), Format.R32F) as image, device.mesh(rectangle()) as mesh:
+        for _ in range(3):
+            device.transient.storage(vec4, np.full((64, 4), 7, "<f4"))
+            device.present()
+        with device.render_pass(image, clear=(9, 0, 0, 0)):
+            device.draw(device.program(Weighted), mesh, weights=device.transient.storage(vec4, 64))
+        assert_same(image.read(), 0)
+
+
+# -- single values -----------------------------------------------------------------------------------------
+
+
+class Values(Shader):
+    """Sums single values of each kind, so that each lies where the layout says."""
+
+    scale: Uniform[float]
+    number: Uniform[int]
+    bits: Uniform[uint]
+    offset: Uniform[vec3]
+    turn: Uniform[mat3]
+    view: Uniform[mat4]
+
+    def vertex(self, v: Corner) -> FlatShade:
+        turned = self.turn @ self.offset
+        seen = self.view @ vec4(turned, self.scale)
+        return FlatShade(clip=v.position, color=seen + vec4(float(self.number), float(self.bits), 0.0, 0.0))
+
+    def fragment(self, v: FlatShade) -> vec4:
+        return v.color
+
+
+@pytest.mark.parametrize("way", ["uniform", "transient", "write"])
+def test_numbers_vectors_and_matrices_are_bound_as_they_are(device: Device, way: str) -> None:
+    rng = np.random.default_rng(3)
+    turn, view = rng.integers(-4, 5, (3, 3)).astype("f4"), rng.integers(-4, 5, (4, 4)).astype("f4")
+    values: dict[str, Any] = {
+        "scale": 0.5, "number": -3, "bits": np.uint32(7), "offset": np.array([1.0, 2, 3]), "turn": turn, "view": view,
+    }  # fmt: skip
+    make: Any = device.transient.uniform if way == "transient" else device.uniform
+    bound = {name: make(value) for name, value in values.items()}
+    if way == "write":
+        for name, value in values.items():
+            bound[name].write(value * 0)
+            bound[name].write(value)
+    expected = view @ np.array([*(turn @ [1, 2, 3]), 0.5]) + [-3, 7, 0, 0]
+    with device.texture((1, 1), Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
+        with device.render_pass(image):
+            device.draw(device.program(Values), mesh, **bound)
+        assert_same(image.read()[0, 0], expected)
+
+
+def test_a_single_value_is_bound_as_its_own_class(device: Device) -> None:
+    program = device.program(Values)
+    with device.texture((1, 1), Format.RGBA32F) as image, device.mesh(rectangle()) as mesh:
+        right: dict[str, Any] = {
+            "scale": device.transient.uniform(0.5), "number": device.transient.uniform(1),
+            "bits": device.transient.uniform(uint(1)), "offset": device.transient.uniform(vec3(0)),
+            "turn": device.transient.uniform(mat3(1)), "view": device.transient.uniform(mat4(1)),
+        }  # fmt: skip
+        with device.render_pass(image):
+            device.draw(program, mesh, **right)
+            for name, wrong in (("scale", 1), ("number", 1.0), ("bits", 1), ("view", mat3(1))):
+                with pytest.raises(ValidationError, match="binding-type"):
+                    device.draw(program, mesh, **right | {name: device.transient.uniform(wrong)})
 
 
 # -- immediate mode ----------------------------------------------------------------------------------------

@@ -239,8 +239,7 @@ class _Run:
         mesh = self._mesh(draw.shape, draw.frame)
         sets: list[QuerySet] = []
         with ExitStack() as around:
-            if draw.states:
-                around.enter_context(encoder.states(*draw.states))
+            around.enter_context(encoder.states(*draw.states))
             if draw.condition is not None:
                 number, inverted = draw.condition
                 around.enter_context(encoder.conditional(self._queries[number], inverted=inverted))

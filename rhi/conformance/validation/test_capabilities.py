@@ -6,9 +6,22 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
-from rhi import AlphaTest, Device, Format, ProgramDescriptor, SamplerDescriptor, StencilTest, TextureKind
+from rhi import (
+    AlphaTest,
+    Device,
+    Format,
+    ProgramDescriptor,
+    SamplerDescriptor,
+    StencilReadMask,
+    StencilReference,
+    StencilTest,
+    StencilWriteMask,
+    TextureKind,
+    Wrap,
+)
 from rhi.conformance.shaders import Colored
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import Binding, BindingKind
@@ -49,11 +62,54 @@ def test_an_array_has_no_more_layers_than_the_device_says(recording: Device) -> 
     recording.texture((1, 1), Format.R8, kind=TextureKind.D2_ARRAY, layers=most).destroy()
 
 
-@pytest.mark.parametrize("samples", [0, 3, 5, -1, 16])
-def test_samples_are_a_power_of_two_that_the_device_has(recording: Device, samples: int) -> None:
-    with refuses(rules.TEXTURE_SAMPLES, recording):
-        recording.texture((4, 4), Format.R8, samples=samples)
-    recording.texture((4, 4), Format.R8, samples=recording.capabilities.max_samples).destroy()
+@pytest.mark.parametrize("samples", [-1, 0, 1, 2, 3, 4, 5, 8, 16])
+def test_samples_are_of_a_number_that_the_device_has(recording: Device, samples: int) -> None:
+    if samples in recording.capabilities.sample_counts:
+        recording.texture((4, 4), Format.R8, samples=samples).destroy()
+    else:
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            recording.texture((4, 4), Format.R8, samples=samples)
+
+
+def test_numbers_of_samples_ascend_from_1(recording: Device) -> None:
+    counts = recording.capabilities.sample_counts
+    assert counts[0] == 1
+    assert list(counts) == sorted(set(counts) & {1, 2, 4, 8})
+
+
+def test_a_border_is_refused_where_samplers_have_none(recording: Device) -> None:
+    border = SamplerDescriptor(wrap_v=Wrap.BORDER)
+    if recording.capabilities.border_colors:
+        recording.sampler(border)
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.sampler(border)
+    recording.sampler(SamplerDescriptor(border=(1, 1, 1, 1)))
+
+
+@pytest.mark.parametrize("state", [StencilReference, StencilReadMask, StencilWriteMask])
+def test_faces_share_stencil_bytes_where_the_device_has_no_others(recording: Device, state: Any) -> None:
+    if recording.capabilities.stencil_per_face:
+        with recording.states(state(1, 2)):
+            pass
+    else:
+        with refuses(rules.STATE_CAPABILITY, recording), recording.states(state(1, 2)):
+            pass
+    with recording.states(state(2, 2)):
+        pass
+
+
+def test_copies_are_aligned_as_the_device_says(recording: Device) -> None:
+    alignment = recording.capabilities.copy_alignment
+    with recording.buffer(4 * alignment, np.dtype("u1")) as a, recording.buffer(4 * alignment, np.dtype("u1")) as b:
+        a.copy_to(b, size=alignment, offset=alignment, target_offset=2 * alignment)
+        for moved in ({"size": 1}, {"offset": 1}, {"target_offset": 1}):
+            copy: dict[str, int] = {"size": alignment, "offset": 0, "target_offset": 0} | moved
+            if alignment == 1:
+                a.copy_to(b, **copy)
+            else:
+                with refuses(rules.BUFFER_ALIGNMENT, recording):
+                    a.copy_to(b, **copy)
 
 
 def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: Device) -> None:

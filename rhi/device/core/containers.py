@@ -10,14 +10,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from rhi.errors import refuse
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import CONTAINER_CAPACITY, CONTAINER_EMPTY, CONTAINER_FULL
 
 __rhi_internal__ = True
 
 T = TypeVar("T")
+MOST: Final = (1 << 31) - 1
+"""The largest capacity."""
 
 
 class FixedStack(Generic[T]):
@@ -32,8 +35,7 @@ class FixedStack(Generic[T]):
     __slots__ = ("_data", "_index", "capacity")
 
     def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            refuse(CONTAINER_CAPACITY, "FixedStack(capacity)", capacity, "1 or more")
+        capacity = Arguments("FixedStack(capacity)", rule=CONTAINER_CAPACITY).whole("capacity", capacity, 1, MOST)
         self.capacity = capacity
         self._data: list[T | None] = [None] * capacity
         self._index = 0
@@ -88,8 +90,7 @@ class FixedQueue(Generic[T]):
     __slots__ = ("_count", "_data", "_mask", "_read", "capacity")
 
     def __init__(self, capacity: int) -> None:
-        if capacity < 1:
-            refuse(CONTAINER_CAPACITY, "FixedQueue(capacity)", capacity, "1 or more")
+        capacity = Arguments("FixedQueue(capacity)", rule=CONTAINER_CAPACITY).whole("capacity", capacity, 1, MOST)
         self.capacity = capacity
         size = 1 << (capacity - 1).bit_length()
         self._mask = size - 1

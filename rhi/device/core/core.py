@@ -8,30 +8,34 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar, NoReturn, Protocol, cast
+from threading import get_ident
+from typing import ClassVar, Final, NoReturn, Protocol, cast
 
-from rhi.contract.backend import Backend, PreparesDraws
-from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor
+from rhi.contract.backend import Backend, HoldsContext, PreparesDraws
+from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
 from rhi.contract.states import AlphaTest
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
-from rhi.errors import Rule
+from rhi.errors import DeviceError, Rule
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     DEVICE_CLOSED,
+    DEVICE_CONTEXT,
+    DEVICE_THREAD,
     LOCK_OPEN,
     RECORD_TRANSIENT,
     RESOURCE_DESTROYED,
     RESOURCE_FOREIGN,
 )
 
-if TYPE_CHECKING:
-    from rhi.device.core.ring import Ring
-
 __rhi_internal__ = True
+
+NO_THREAD: Final = 0
+"""The `Core.thread` of a device that belongs to no thread."""
 
 
 @dataclass(slots=True)
@@ -62,6 +66,13 @@ class Owner(Protocol):
     def label(self) -> str: ...
 
 
+class FrameMemory(Protocol):
+    """Memory of which each frame takes some."""
+
+    def mark(self, fence: int) -> None:
+        """End the frame: what it took is free once `fence` has passed."""
+
+
 class OpenQuery(Protocol):
     """An occlusion query between its begin and its end."""
 
@@ -72,7 +83,12 @@ class OpenQuery(Protocol):
 class Core:
     """The shared part of one device.
 
+    A device belongs to one thread. Whatever reaches the backend is checked by `check_ready`, except for what happens
+    thousands of times a frame (draws, states, queries, transient memory): `check_command` checks that, as fast as it
+    can, and everything if the device validates.
+
     Attributes:
+        thread: the thread that the device belongs to, or `NO_THREAD`.
         refusals: raises and keeps the errors of refused calls.
         program: the `Program` whose bindings are in place, None when the next draw must check everything.
         render_pass: the open pass, if any.
@@ -87,6 +103,7 @@ class Core:
     """
 
     __slots__ = (
+        "_context",
         "_ids",
         "_prepares",
         "_samplers",
@@ -110,12 +127,15 @@ class Core:
         "target_kinds",
         "targets",
         "tests_alpha",
+        "thread",
         "timeline",
         "upload_bytes",
     )
 
     records: ClassVar[bool] = False
     """Whether this is the core of a command buffer, whose transient memory nothing else may use."""
+    validates: ClassVar[bool] = False
+    """Whether each command checks everything, and not only what costs nothing (`ValidatingCore`)."""
 
     def __init__(self, backend: Backend, states: StateCache, refusals: RefusalLog) -> None:
         self.backend = backend
@@ -128,6 +148,8 @@ class Core:
         self.dispatches = 0
         self.upload_bytes = 0
         self.closed = False
+        self.thread = get_ident()
+        self._context = _find_context(backend)
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
         self.open_query: OpenQuery | None = None
@@ -137,7 +159,7 @@ class Core:
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
         self.draw_counters: list[Callable[[], int]] = []
-        self.frame_rings: list[Ring] = []
+        self.frame_rings: list[FrameMemory] = []
         self.tests_alpha = False
         self._prepares: PreparesDraws | None = None
         if hasattr(backend, "prepare_draw"):
@@ -159,7 +181,7 @@ class Core:
 
     def create_id(self) -> Id:
         """Return the id of a new resource of the user, and count the creation."""
-        self.check_open()
+        self.check_ready()
         self.counters.creations += 1
         return self.new_id()
 
@@ -167,6 +189,73 @@ class Core:
         """Refuse calls of a closed device."""
         if self.closed:
             self.refuse(DEVICE_CLOSED, "device", "a closed device")
+
+    check_command = check_open
+    """Refuse a command that happens thousands of times a frame. With validation it is `check_ready`."""
+
+    def check_ready(self) -> None:
+        """Refuse calls of a closed device and on other threads; make the platform's context current if it isn't.
+
+        Raises:
+            DeviceError: `device-context` if it was lost inside a render pass, whose draws went elsewhere.
+        """
+        if self.closed or get_ident() != self.thread:
+            self.check_open()
+            self.check_thread()
+        context = self._context
+        if context is not None and context.resume():
+            self.program = None
+            if self.render_pass is not None:
+                self.refusals.fail(lost_pass())
+
+    def check_thread(self, call: str = "device") -> None:
+        """Refuse calls on any thread but the device's own. A closed device has none."""
+        if get_ident() != self.thread and not self.closed:
+            allowed = name_thread(self.thread) if self.thread != NO_THREAD else "none before make_current()"
+            self.refuse(DEVICE_THREAD, call, f"a call on {name_thread(get_ident())}", allowed)
+
+    def resume(self) -> bool:
+        """Make the platform's context current again; return whether another one was current."""
+        if self._context is None or not self._context.resume():
+            return False
+        self.program = None
+        return True
+
+    def check_scope(self) -> None:
+        """Check the begin of a scope that may surround passes or lie in one, where the pass's own checks are enough."""
+        if self.render_pass is None:
+            self.check_ready()
+        else:
+            self.check_command()
+
+    def resume_scope(self) -> None:
+        """Make the platform's context current for the end of such a scope; in a pass, its end does so."""
+        if self.render_pass is None:
+            self.resume()
+
+    def resume_pass(self) -> bool:
+        """Make the platform's context current for the end of a pass; return whether draws of the pass were lost."""
+        try:
+            return not self.closed and self.resume()
+        except DeviceError:
+            self.open_query = None  # nothing can end it any more, and the device may be made current later
+            raise
+
+    def make_current(self) -> None:
+        """Make the device usable on this thread, which it belongs to from now on."""
+        if self.thread != NO_THREAD:
+            self.check_thread("device.make_current")
+        if self._context is not None:
+            self._context.make_current()
+        self.thread = get_ident()
+        self.program = None
+
+    def release_current(self) -> None:
+        """Detach the device from its thread."""
+        self.check_thread("device.release_current")
+        if self._context is not None:
+            self._context.release_current()
+        self.thread = NO_THREAD
 
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device."""
@@ -195,9 +284,14 @@ class Core:
         """Send changed states to the backend, if any."""
         if self.states.wanted is self.states.hardware:
             return
-        self.backend.set_states(self.states.flush())
-        if self._prepares is not None:
-            self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
+        try:
+            self.backend.set_states(self.states.flush())
+        except BaseException:
+            self.program = None  # it may lack a variant for these states
+            raise
+        finally:
+            if self._prepares is not None:
+                self.tests_alpha = self.states.hardware[AlphaTest] is AlphaTest.ON
 
     def send_states(self, vector: StateVector) -> None:
         """Send the changes that lead from the hardware's states to a state vector of any cache."""
@@ -241,15 +335,21 @@ class Core:
         """Return the id of a sampler; equal descriptors share one.
 
         Raises:
-            ValidationError: `device-capability` for more anisotropy than the device supports.
+            ValidationError: `device-capability` for more anisotropy than the device supports, or for a border that it
+                lacks.
         """
         if descriptor.max_anisotropy > self.capabilities.max_anisotropy:
             given, most = f"max_anisotropy={descriptor.max_anisotropy:g}", self.capabilities.max_anisotropy
             self.refuse(
                 DEVICE_CAPABILITY, "device.sampler", given, f"up to capabilities.max_anisotropy, {most:g}"
             )
+        if descriptor.uses_border and not self.capabilities.border_colors:
+            self.refuse(
+                DEVICE_CAPABILITY, "device.sampler", str(Wrap.BORDER), "needs capabilities.border_colors"
+            )
         sampler = self._samplers.get(descriptor)
         if sampler is None:
+            self.check_ready()
             sampler = self.new_id()
             self.backend.create_sampler(sampler, descriptor)
             self._samplers[descriptor] = sampler
@@ -288,6 +388,36 @@ class Core:
             collect()
         self.draws = self.dispatches = self.upload_bytes = 0
         self.states.reset_counters()
+
+
+class ValidatingCore(Core):
+    """The core of a device with validation: each command checks its thread, and that its context is current."""
+
+    __slots__ = ()
+
+    validates = True
+    check_command = Core.check_ready
+
+
+def _find_context(backend: Backend) -> HoldsContext | None:
+    """Return the backend that holds a context, behind any recorder, or None."""
+    inner: object = backend
+    while inner is not None and not hasattr(inner, "release_current"):
+        inner = getattr(inner, "backend", None)
+    return cast("HoldsContext | None", inner)
+
+
+def lost_pass() -> DeviceError:
+    """Return the error of a render pass during which other code made another context current."""
+    given = "another context, made current by other code inside a render pass; draws since then are lost"
+    return DeviceError(DEVICE_CONTEXT, "device.render_pass", given)
+
+
+def name_thread(identity: int) -> str:
+    """Return a thread's text for an error message."""
+    names = (thread.name for thread in threading.enumerate() if thread.ident == identity)
+    name = next(names, None)
+    return f"thread {name!r}" if name is not None else "a thread that has ended"
 
 
 def describe_object(owner: object) -> str:

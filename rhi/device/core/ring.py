@@ -37,14 +37,16 @@ class Ring:
         generation: number of times the ring has grown; bindings and vertex arrays of older generations are outdated.
     """
 
-    __slots__ = ("_backend", "_head", "_marks", "_new_id", "_outgrown", "_tail", "_timeline", "buffer", "capacity",
-                 "generation", "label", "limit")  # fmt: skip
+    __slots__ = ("_backend", "_check", "_head", "_marks", "_new_id", "_outgrown", "_tail", "_timeline", "buffer",
+                 "capacity", "generation", "label", "limit")  # fmt: skip
 
     def __init__(
         self, backend: Backend, timeline: Timeline, new_id: Callable[[], Id], capacity: int, label: str,
-        limit: int = LIMIT,
+        limit: int = LIMIT, check: Callable[[], None] = lambda: None,
     ) -> None:  # fmt: skip
+        """`check` is called before anything but a write reaches the backend."""
         self._backend = backend
+        self._check = check
         self._timeline = timeline
         self._new_id = new_id
         self._head = self._tail = 0
@@ -104,6 +106,7 @@ class Ring:
 
     def _make_room(self, size: int, alignment: int) -> None:
         """Free memory that the GPU no longer reads; if that is not enough, grow the ring, or wait at the limit."""
+        self._check()
         self._release(self._timeline.completed)
         if self.buffer and self._fit(size, alignment) + size - self._tail <= self.capacity:
             return

@@ -27,12 +27,15 @@ from rhi.contract.states import (
     PolygonOffset,
     State,
     StateChange,
+    StencilReadMask,
+    StencilReference,
+    StencilWriteMask,
     default_values,
 )
 from rhi.device.core.containers import FixedStack
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.errors import RhiError
-from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_NOTHING, STATE_TYPE
+from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_TYPE
 
 __rhi_internal__ = True
 
@@ -123,6 +126,13 @@ class StateCache:
             self._scopes[states] = scope
         return scope
 
+    def derive(self, states: tuple[State, ...]) -> StateVector:
+        """Return the vector that a scope of these states would set, after the same checks."""
+        if not states:
+            return self.wanted
+        scope = self.scope(states)
+        return self.wanted.after.get(scope) or self._derive(scope)
+
     def flush(self) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to the wanted ones, which then count as sent."""
         return self._change(self.wanted)
@@ -180,8 +190,6 @@ class StateCache:
 
     def _validate(self, states: tuple[State, ...]) -> None:
         call = "device.states(" + ", ".join(map(repr, states)) + ")"
-        if not states:
-            self.refusals.refuse(STATE_NOTHING, call, "no states", "one state or more")
         seen: set[tuple[type, int | None]] = set()
         for state in states:
             state_type = type(state)
@@ -224,6 +232,8 @@ def _needs_capability(state: State) -> bool:
         return state.target is not None
     if isinstance(state, PolygonOffset):
         return state.clamp != 0.0
+    if isinstance(state, StencilReference | StencilReadMask | StencilWriteMask):
+        return state.front != state.back
     return state != DEFAULTS[type(state)]
 
 

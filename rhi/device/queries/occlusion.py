@@ -16,6 +16,7 @@ from typing import Final, Generic, Self, TypeVar
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core, describe_object
 from rhi.errors import DeviceError
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     CONDITION_NESTED,
     DEVICE_ANSWER,
@@ -84,7 +85,7 @@ class PendingQuery(Generic[T]):
     def is_finished(self) -> bool:
         """Whether the answer is available; never blocks. False if the query was never ended."""
         if self._answer is None and self._state is _ENDED and not self.destroyed:
-            self._core.check_open()
+            self._core.check_ready()
             if not self.emulated or self._core.timeline.completed >= self._fence:
                 self._answer = self._read()
         return self._answer is not None
@@ -132,6 +133,7 @@ class PendingQuery(Generic[T]):
                 QUERY_STATE, f"{type(self).__name__}.destroy", "an open query", "a query that was ended"
             )
         if not self.destroyed:
+            self._core.check_thread("destroy")
             self.destroyed = True
             for query in self._ids:
                 self._core.timeline.retire(query)
@@ -177,7 +179,7 @@ class OcclusionQuery(PendingQuery[int]):
     def begin(self) -> None:
         """Begin counting; inside a render pass, one query at a time."""
         core = self._core
-        core.check_open()
+        self._check_call(core)
         if self.destroyed:
             core.refuse(RESOURCE_DESTROYED, "OcclusionQuery.begin", "a destroyed query")
         if core.open_query is not None:
@@ -198,9 +200,17 @@ class OcclusionQuery(PendingQuery[int]):
             self._core.refuse(
                 QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"
             )
+        if not self._core.closed:
+            self._check_call(self._core)
         self._core.open_query = None
         self._finish()
         self._state = _ENDED
+
+    def _check_call(self, core: Core) -> None:
+        if self.emulated:  # it signals the fence, which must not go to another context
+            core.check_ready()
+        else:
+            core.check_command()
 
     def _finish(self) -> None:
         core = self._core
@@ -267,6 +277,9 @@ class Conditional:
             core.refuse(
                 DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
             )
+        check = Arguments(call, core.refuse)
+        check.instance("query", query, OcclusionQuery, "an OcclusionQuery from device.occlusion_query()")
+        inverted = check.flag("inverted", inverted)
         if query.emulated:
             core.refuse(
                 DEVICE_CAPABILITY, call, "an emulated query", "a native one: device.occlusion_query()"
@@ -276,11 +289,12 @@ class Conditional:
         self._inverted = inverted
 
     def _check(self) -> None:
+        self._query.check_usable(self._core, "device.conditional")
         self._query.check_ended(self._core, "device.conditional")
 
     def __enter__(self) -> None:
         core = self._core
-        core.check_open()
+        core.check_scope()
         if core.condition_open:
             core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
@@ -291,6 +305,8 @@ class Conditional:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._core.condition_open = False
-        if not self._core.closed:
-            self._core.backend.end_conditional()
+        core = self._core
+        core.condition_open = False
+        if not core.closed:
+            core.resume_scope()
+            core.backend.end_conditional()

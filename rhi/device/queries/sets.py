@@ -22,9 +22,13 @@ from rhi.contract.descriptors import Id, Primitive
 from rhi.contract.queries import PlainQueries, list_draws
 from rhi.device.core.core import Core
 from rhi.device.queries.occlusion import PendingQuery
-from rhi.errors.rules import DEVICE_ARGUMENT, QUERY_ROWS
+from rhi.errors.arguments import Arguments
+from rhi.errors.rules import QUERY_ROWS
 
 __rhi_internal__ = True
+
+MAX_ROWS: Final = 1 << 20
+"""Largest number of rows of a query set."""
 
 NOT_COUNTED: Final = -1
 """The number of samples of a row that the latest call did not use."""
@@ -70,11 +74,9 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
 
     def __init__(self, core: Core, size: int, emulated: bool) -> None:
         call = "device.query_set"
-        core.check_open()
-        if not isinstance(size, (int, np.integer)) or size < 0:
-            core.refuse(DEVICE_ARGUMENT, call, f"{size!r} queries", "a number, 0 or more")
-        super().__init__(core, int(size), emulated, call)
-        self._size = int(size)
+        core.check_ready()
+        super().__init__(core, size, emulated, call)
+        self._size = size
         self._rows = np.zeros(0, np.int64)
         self._in_order = np.arange(self._size)
         self._prepared: PreparedQueries = self._plain(core)
@@ -98,7 +100,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
             if draws > size:
                 self._core.refuse(QUERY_ROWS, call, f"{draws} draws", f"up to {size}, or `rows`")
             return self._in_order[:draws]
-        given = np.asarray(rows)
+        given = Arguments(call, self._core.refuse).array("rows", rows)
         if given.shape != (draws,) or (draws and given.dtype.kind not in "iu"):
             self._core.refuse(
                 QUERY_ROWS, call, f"rows of shape {given.shape} and {given.dtype}", f"({draws},) of integers"

@@ -14,6 +14,7 @@ from typing import Final
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import SCOPE_ORDER
 
 __rhi_internal__ = True
@@ -143,18 +144,21 @@ class EventScope:
     __slots__ = ("_core", "_events", "_label", "_timers")
 
     def __init__(self, core: Core, timers: Timers, label: str) -> None:
+        if label.__class__ is not str:
+            Arguments("device.event", core.refuse).text("label", label)
         self._core = core
         self._timers = timers
         self._label = label
         self._events: list[_PendingEvent] = []
 
     def __enter__(self) -> None:
-        self._core.check_open()
+        self._core.check_scope()
         self._events.append(self._timers.begin(self._label))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if not self._core.closed:
+            self._core.resume_scope()
             self._timers.end(self._events[-1])
             self._events.pop()

@@ -8,16 +8,27 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Access, BufferDescriptor, BufferUsage
-from rhi.contract.layout import accepts, compare_layouts
+from rhi.contract.layout import (
+    FLOAT,
+    INT,
+    UINT,
+    Layout,
+    accepts,
+    compare_layouts,
+    element_dtype,
+    is_host_shareable,
+)
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
+from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
     BUFFER_DTYPE,
@@ -26,7 +37,9 @@ from rhi.errors.rules import (
     BUFFER_SIZE,
     LAYOUT_MISMATCH,
 )
+from rhi.shading import Struct, uint, value_type_of
 from rhi.shading.language.bindings import StorageRange, UniformRange
+from rhi.shading.language.vectors import CLASSES, Composite
 
 __rhi_internal__ = True
 
@@ -54,7 +67,10 @@ class Buffer(Resource):
         usage: BufferUsage = BufferUsage.STATIC,
         label: str = "",
     ) -> None:
-        if dtype.hasobject or dtype.itemsize == 0:
+        check = Arguments("device.buffer", core.refuse)
+        check.choice("usage", usage, BufferUsage)
+        check.text("label", label)
+        if not _is_plain(dtype) or dtype.itemsize == 0:
             core.refuse(BUFFER_DTYPE, "device.buffer", f"dtype {dtype}", "a dtype of plain numbers")
         size = count * dtype.itemsize
         if not 0 < size < MAX_BYTES:
@@ -84,6 +100,7 @@ class Buffer(Resource):
     def destroy(self) -> None:
         """Destroy the buffer once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             for invalidate in self.dependents:
@@ -103,11 +120,12 @@ class Buffer(Resource):
             ValidationError: `buffer-dtype` for another dtype, `buffer-range` beyond the end.
         """
         array = self._match(data, "Buffer.write")
-        self._range("Buffer.write", first, len(array))
+        first, _ = self._range("Buffer.write", first, len(array))
         self._upload(array, first)
 
     def lock(self, access: Access, first: int = 0, count: int | None = None) -> Lock:
         """Create a lock: `with buffer.lock(Access.WRITE, first, count) as array:`; offsets in elements."""
+        Arguments("Buffer.lock", self.core.refuse).choice("access", access, Access)
         first, count = self._range("Buffer.lock", first, count)
         return Lock(
             self,
@@ -122,41 +140,53 @@ class Buffer(Resource):
         self._clear(self.core, value)
 
     def copy_to(
-        self, target: Buffer, *, size: int | None = None, offset: int = 0, target_offset: int = 0
+        self, target: Buffer | StorageBuffer[Any], *, size: int | None = None, offset: int = 0, target_offset: int = 0
     ) -> None:
         """Copy `size` bytes (None: all from `offset` on) on the device; offsets in bytes."""
         self._copy(self.core, target, size, offset, target_offset)
 
     def _clear(self, core: Core, value: int) -> None:
         """Send a `clear` to `core`: the buffer's own, or a command buffer's."""
-        core.check_open()
+        value = Arguments("Buffer.clear", self.core.refuse).whole("value", value, -(1 << 31), (1 << 32) - 1)
+        core.check_ready()
         core.check_usable(self, "Buffer.clear")
         if self.size % 4:
             self.core.refuse(BUFFER_ALIGNMENT, "Buffer.clear", f"{self.size} bytes", "a multiple of 4 bytes")
         core.backend.clear_buffer(self.id, 0, self.size, value & 0xFFFFFFFF)
 
-    def _copy(self, core: Core, target: Buffer, size: int | None, offset: int, target_offset: int) -> None:
+    def _copy(
+        self, core: Core, target: Buffer | StorageBuffer[Any], size: int | None, offset: int, target_offset: int
+    ) -> None:
         """Send a `copy_to` to `core`."""
         call = "Buffer.copy_to"
-        core.check_open()
+        check = Arguments(call, self.core.refuse)
+        other = check_buffer(check, "target", target)
+        offset = check.whole("offset", offset)
+        target_offset = check.whole("target_offset", target_offset)
+        size = self.size - offset if size is None else check.whole("size", size)
+        core.check_ready()
         core.check_usable(self, call)
-        core.check_usable(target, call)
-        size = self.size - offset if size is None else size
-        for buffer, start in ((self, offset), (target, target_offset)):
+        core.check_usable(other, call)
+        for buffer, start in ((self, offset), (other, target_offset)):
             if start < 0 or size <= 0 or start + size > buffer.size:
                 self.core.refuse(
                     BUFFER_RANGE, call, f"{size} bytes at {start}", f"1 or more within {buffer.size} bytes"
                 )
-        if target is self and abs(offset - target_offset) < size:
+            alignment = core.capabilities.copy_alignment
+            if start % alignment or size % alignment:
+                self.core.refuse(
+                    BUFFER_ALIGNMENT, call, f"{size} bytes at {start}", f"multiples of {alignment} bytes"
+                )
+        if other is self and abs(offset - target_offset) < size:
             self.core.refuse(BUFFER_OVERLAP, call, f"{offset} to {target_offset}, {size} bytes")
-        core.backend.copy_buffer(self.id, offset, target.id, target_offset, size)
+        core.backend.copy_buffer(self.id, offset, other.id, target_offset, size)
 
     def _check(self, call: str) -> None:
-        self.core.check_open()
+        self.core.check_ready()
         self.core.check_usable(self, call)
 
     def _match(self, data: NDArray[Any], call: str) -> NDArray[Any]:
-        array = np.asarray(data)
+        array = Arguments(call, self.core.refuse).array("data", data)
         base, shape = self.dtype.subdtype or (self.dtype, ())
         if array.dtype != base or (shape and array.shape[-len(shape) :] != shape):
             given = f"shape {array.shape} of {array.dtype}"
@@ -166,8 +196,10 @@ class Buffer(Resource):
         return np.ascontiguousarray(array).reshape(-1, *shape)
 
     def _range(self, call: str, first: int, count: int | None) -> tuple[int, int]:
+        check = Arguments(call, self.core.refuse)
+        first = check.whole("first", first)
+        count = self.count - first if count is None else check.whole("count", count)
         self._check(call)
-        count = self.count - first if count is None else count
         if first < 0 or count < 0 or first + count > self.count:
             self.core.refuse(
                 BUFFER_RANGE, call, f"{count} elements from {first}", f"0 to {self.count} elements"
@@ -196,15 +228,17 @@ class Buffer(Resource):
 
 
 class UniformBuffer(UniformRange[T], Resource):
-    """A buffer of one struct of constants, bound as `Uniform[T]`."""
+    """A buffer of constants, one struct or a single value, bound as `Uniform[T]`."""
 
     __slots__ = ()
     owner: Buffer
 
     def __init__(self, core: Core, value: Any, label: str = "") -> None:
-        layout = type(value)
-        with core.refusals:  # a struct may have no layout in memory
-            data, dtype = value.to_bytes(), layout.uniform_dtype
+        with core.refusals:  # also of structs, which may have no layout in memory
+            check = Arguments("device.uniform")
+            check.text("label", label)
+            layout, constants = as_constants(check, value)
+            data, dtype = constants.to_bytes(), type(constants).uniform_dtype
         owner = Buffer(core, 1, dtype, label=label or layout.__name__)
         super().__init__(owner.id, 0, owner.size, layout, owner)
         with destroy_on_error(owner):
@@ -212,9 +246,16 @@ class UniformBuffer(UniformRange[T], Resource):
 
     def write(self, value: T) -> None:
         """Replace the constants, ordered after the draws before."""
-        check_struct(self.owner.core, value, self.type, "UniformBuffer.write")
-        self.owner._check("UniformBuffer.write")
-        self.owner._upload_bytes(value.to_bytes(), 0)  # type: ignore[attr-defined]
+        core, call = self.owner.core, "UniformBuffer.write"
+        with core.refusals:
+            layout, constants = as_constants(Arguments(call, rule=LAYOUT_MISMATCH), value)
+            if layout is int and self.type in (float, uint):  # as an int is converted in a field of a struct
+                layout, constants = self.type, _wrapper(self.type)(value=value)
+        if layout is not self.type:
+            name = getattr(self.type, "__name__", str(self.type))
+            core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")
+        self.owner._check(call)
+        self.owner._upload_bytes(constants.to_bytes(), 0)
 
     def destroy(self) -> None:
         """Destroy the buffer once the GPU no longer uses it."""
@@ -232,6 +273,11 @@ class UniformArray(Resource, Generic[T]):
     __slots__ = ("_ranges", "buffer", "dtype", "type")
 
     def __init__(self, core: Core, struct: Any, count: int, label: str = "") -> None:
+        check = Arguments("device.uniform_array", core.refuse)
+        if not isinstance(struct, type) or not issubclass(struct, Struct):
+            check.fail("struct", struct, "a Struct class")
+        count = check.whole("count", count)
+        check.text("label", label)
         self.type = struct
         with core.refusals:  # a struct may have no layout in memory
             uniform_dtype = struct.uniform_dtype
@@ -311,6 +357,44 @@ class StorageBuffer(StorageRange[T], Resource):
         return self.owner
 
 
+def check_buffer(check: Arguments, name: str, buffer: Buffer | StorageBuffer[Any]) -> Buffer:
+    """Return the buffer behind a storage buffer, or the buffer itself; refuse anything else."""
+    found = buffer.owner if isinstance(buffer, StorageBuffer) else buffer
+    return check.instance(name, found, Buffer, "a Buffer or StorageBuffer")
+
+
+def storage_dtype(check: Arguments, element: Any) -> np.dtype[Any]:
+    """Return the std430 dtype of an element of a storage buffer; refuse what has none."""
+    try:
+        return element_dtype(value_type_of(element), Layout.STD430)
+    except TypeError as error:
+        allowed = "float, int, uint, a vector or matrix class, or a Struct class, without bools"
+        check.fail("element", element, allowed, str(error))
+
+
+def as_storage(
+    check: Arguments, core: Core, source: int | NDArray[Any], dtype: np.dtype[Any], most: int
+) -> NDArray[Any]:
+    """Return what storage of this dtype, of 1 to `most` bytes, begins with: a number of zeros, or an array."""
+    count = as_whole(source)
+    array = None if count is not None else match_layout(core, check.array("source", source), dtype, check.call)
+    if array is not None and not array.ndim and array.dtype.names is None:
+        check.fail("source", source, "a number of elements, or an array")
+    size = array.nbytes if array is not None else (count or 0) * dtype.itemsize
+    if not 0 < size <= most:
+        core.refuse(BUFFER_SIZE, check.call, f"{size} bytes", f"1 to {most} bytes")
+    return np.zeros(count or 0, dtype) if array is None else np.ascontiguousarray(array)
+
+
+def _is_plain(dtype: np.dtype[Any]) -> bool:
+    """Return whether a dtype consists of numbers alone, at any depth."""
+    if dtype.subdtype is not None:
+        return _is_plain(dtype.subdtype[0])
+    if dtype.fields is not None:
+        return all(_is_plain(field[0]) for field in dtype.fields.values())
+    return dtype.kind in "biufcV"
+
+
 def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
     """Return a dtype with the same fields and its item size rounded up to `alignment` bytes."""
     fields: Any = dtype.fields or {}
@@ -327,7 +411,7 @@ def aligned_dtype(dtype: np.dtype[Any], alignment: int) -> np.dtype[Any]:
 
 def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call: str) -> NDArray[Any]:
     """Return an array as one of the expected dtype; refuse another layout, showing both side by side."""
-    given = np.asarray(array)
+    given = Arguments(call, core.refuse).array("array", array)
     base, shape = expected.subdtype or (expected, ())
     if not accepts(base, given.dtype) or (shape and given.shape[-len(shape) :] != shape):
         table = compare_layouts(base, given.dtype)
@@ -335,8 +419,33 @@ def match_layout(core: Core, array: NDArray[Any], expected: np.dtype[Any], call:
     return given if given.dtype == base else np.ascontiguousarray(given).view(base)
 
 
-def check_struct(core: Core, value: object, expected: object, call: str) -> None:
-    """Refuse a value that is not of the struct class `expected`."""
-    if type(value) is not expected:
-        name = getattr(expected, "__name__", str(expected))
-        core.refuse(LAYOUT_MISMATCH, call, f"{value!r}, a {type(value).__name__}", f"a {name}")
+def as_constants(check: Arguments, value: Any) -> tuple[Any, Struct]:
+    """Return the type as which a value is bound to a `Uniform`, and the value as a struct.
+
+    A single value is laid out like a struct with one field. A number is a float, an int or a uint, an array of 2 to 4
+    numbers a vector, one of 2×2 to 4×4 floats a matrix; vectors and matrices of the shading language are what they are.
+    """
+    if isinstance(value, Struct):
+        return type(value), value
+    kind: Any = None
+    if isinstance(value, (Composite, uint)):
+        kind = type(value)
+    elif isinstance(value, (int, float, np.number, np.ndarray)) and not isinstance(value, bool):
+        array = np.asarray(value)
+        scalar = {"f": FLOAT, "i": INT, "u": UINT}.get(array.dtype.kind)
+        if not array.ndim:
+            kind = {FLOAT: float, INT: int, UINT: uint}.get(scalar) if scalar is not None else None
+        elif array.ndim == 1:
+            kind = CLASSES.get((scalar, len(array)))
+        elif array.shape == (len(array), len(array)) and scalar is FLOAT:
+            kind = CLASSES.get(len(array))
+    if kind is None or not is_host_shareable(value_type_of(kind)):
+        allowed = "a struct, e.g. Tint(scale=(1, 1, 1)), a number, 2 to 4 numbers, or a matrix of 2×2 to 4×4 floats"
+        check.fail("value", value, allowed)
+    return kind, _wrapper(kind)(value=value)
+
+
+@cache
+def _wrapper(kind: Any) -> type[Struct]:
+    """Return a struct class with one field, `value`, of a type of the shading language."""
+    return type(kind.__name__, (Struct,), {"__annotations__": {"value": kind}})

@@ -5,6 +5,7 @@
 - Their state lies in closure cells that they share: the bound values (compared by identity) and the owners whose
   ranges were checked. An event that invalidates it clears `core.program`, and the next call checks everything.
 - Until `make_current` a call may be refused; after that nothing is refused. So a refused call has no effect.
+- The number of instances is compared with 1 by identity, which is the quicker comparison and tells 1 from 1.0 and True.
 - A command buffer has functions of its own for a program (`recorded`): uniforms are bound through its backend, which
   records, and prepared draws are kept with the program, not with the mesh, which outlives the recording.
 - `draw` takes bindings as keywords, for the program's own draw. `draw_with` and `bind` take them as the dictionary
@@ -18,6 +19,7 @@ from types import CodeType
 from typing import Any, Final, NamedTuple
 
 from rhi.contract.descriptors import Binding, BindingKind
+from rhi.errors import ValidationError
 
 __rhi_internal__ = True
 
@@ -55,9 +57,12 @@ class DrawCode(NamedTuple):
     collect_draw_count: Callable[[], int]
 
 
-def compile_draw_code(name: str, bindings: tuple[Binding, ...], *, recorded: bool = False) -> CodeType:
-    """Compile the functions of a program; `recorded`: those that a command buffer uses."""
-    return compile("\n".join(_write_source(bindings, recorded)), f"<draw of {name}>", "exec")
+def compile_draw_code(
+    name: str, bindings: tuple[Binding, ...], *, recorded: bool = False, validates: bool = False
+) -> CodeType:
+    """Compile the functions of a program; `recorded`: those that a command buffer uses; `validates`: those of a device
+    with validation, where each draw checks its thread."""
+    return compile("\n".join(_write_source(bindings, recorded, validates)), f"<draw of {name}>", "exec")
 
 
 def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) -> DrawCode:
@@ -66,17 +71,19 @@ def make_draw_code(code: CodeType, program: Any, bindings: tuple[Binding, ...]) 
     exec(code, scope)
     core = program.core
     types = tuple(binding.type for binding in bindings)
-    return DrawCode(*scope["make"](core, core.backend, core.states, program, types, MISSING, object()))
+    return DrawCode(
+        *scope["make"](core, core.backend, core.states, program, types, MISSING, object(), ValidationError)
+    )
 
 
-def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str]:
+def _write_source(bindings: tuple[Binding, ...], recorded: bool, validates: bool) -> Iterator[str]:
     """Yield the source of a function `make` that returns the fields of `DrawCode`.
 
     Its own names start with an underscore and a letter, those of bindings with a letter.
     """
     cells = [f"_{kind}_{i}" for kind in ("bound", "owner") for i in range(len(bindings))]
     keywords = "".join(f", {binding.name}=_missing" for binding in bindings)
-    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound):"
+    yield "def make(_core, _backend, _states, _program, _types, _missing, _unbound, _refusal, _one=1):"
     yield f"    {' = '.join([*cells, '_unset'])} = _unbound"
     yield "    _len = len  # a binding may have that name"
     yield "    _draws = 0  # counted in a cell, at half the cost of an attribute"
@@ -84,13 +91,13 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str
         yield f"    _type_{i} = _types[{i}]"
 
     yield f"    def draw(_mesh, _instances=1, /{', *' if bindings else ''}{keywords}):"
-    yield from _write_draw(bindings, cells, unpack=False, recorded=recorded)
+    yield from _write_draw(bindings, cells, unpack=False, recorded=recorded, validates=validates)
     yield "    def draw_with(_mesh, _instances, _given):"
-    yield from _write_draw(bindings, cells, unpack=True, recorded=recorded)
+    yield from _write_draw(bindings, cells, unpack=True, recorded=recorded, validates=validates)
     yield "    def bind(_check, _mesh, _given):"
     yield from _write_nonlocal(cells)
-    yield from _write_unpack(bindings)
-    yield from _write_bind(bindings, cells, check="_check(_mesh)", find=(), recorded=recorded)
+    find = tuple(_write_unpack(bindings))
+    yield from _write_bind(bindings, cells, "_check(_mesh)", find, recorded, draws=False)
     yield "    def collect_draw_count():"
     yield "        nonlocal _draws"
     yield "        count, _draws = _draws, 0"
@@ -99,20 +106,21 @@ def _write_source(bindings: tuple[Binding, ...], recorded: bool) -> Iterator[str
 
 
 def _write_draw(
-    bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool
+    bindings: tuple[Binding, ...], cells: list[str], unpack: bool, recorded: bool, validates: bool
 ) -> Iterator[str]:
     yield from _write_nonlocal([*cells, "_draws"])
-    if unpack:
-        yield from _write_unpack(bindings)
+    if validates:
+        yield "        _core.check_ready()"
     find = (
+        *(_write_unpack(bindings) if unpack else ()),
         "try:",
         f"    _draw = {'_program.prepared_draws[_mesh]' if recorded else '_mesh.prepared_draws[_program]'}",
         "except KeyError:",
         "    _draw = _program.prepare_draw(_mesh)",
-        "if _instances != 1:",
+        "if _instances is not _one:",
         "    _instances = _program.check_instances(_instances)",
     )
-    yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded)
+    yield from _write_bind(bindings, cells, "_program.check_can_draw(_mesh)", find, recorded, draws=True)
     yield "        if _states.wanted is not _states.hardware:"
     yield "            _core.flush_states()"
     yield "        if _core.tests_alpha:"
@@ -129,18 +137,18 @@ def _write_nonlocal(cells: list[str]) -> Iterator[str]:
 
 def _write_unpack(bindings: tuple[Binding, ...]) -> Iterator[str]:
     """Yield the lines that unpack the dictionary of bindings and check its names."""
-    yield f"        if _len(_given) != {len(bindings)}:"
-    yield "            _program.check_names(_given)"
+    yield f"if _len(_given) != {len(bindings)}:"
+    yield "    _program.check_names(_given)"
     if bindings:
-        yield "        try:"
+        yield "try:"
         for binding in bindings:
-            yield f"            {binding.name} = _given[{binding.name!r}]"
-        yield "        except KeyError:"
-        yield "            _program.check_names(_given)"
+            yield f"    {binding.name} = _given[{binding.name!r}]"
+        yield "except KeyError:"
+        yield "    _program.check_names(_given)"
 
 
 def _write_bind(
-    bindings: tuple[Binding, ...], cells: list[str], check: str, find: tuple[str, ...], recorded: bool
+    bindings: tuple[Binding, ...], cells: list[str], check: str, find: tuple[str, ...], recorded: bool, draws: bool
 ) -> Iterator[str]:
     """Yield the lines that check everything, then bind what changed."""
     values = "(" + "".join(f"{binding.name}, " for binding in bindings) + ")"
@@ -160,8 +168,11 @@ def _write_bind(
         yield f"                _program.check({i}, {name})"
         if binding.kind in _RANGES:
             yield f"                _owner_{i} = {name}.owner"
+    # Only the user's frames and this one stay in the traceback of a refusal.
+    yield "        except _refusal as _error:"
+    yield "            raise _error.with_traceback(None) from None"
     yield "        except AttributeError as _error:"
-    yield f"            _program.raise_for(_mesh, {values}, _error)"
+    yield f"            raise _program.explain(_error, {values}{', _mesh' if draws else ''}) from None"
     yield "        if _fresh:"
     yield "            _program.make_current()"
     for i, binding in enumerate(bindings):

@@ -43,7 +43,7 @@ class Lock:
 
     def __enter__(self) -> NDArray[Any]:
         owner, core = self._owner, self._owner.core
-        core.check_open()
+        core.check_ready()
         if owner.destroyed:
             core.refuse(RESOURCE_DESTROYED, "lock", describe_object(owner))
         if owner in core.locked:
@@ -61,7 +61,9 @@ class Lock:
         array, self._array = self._array, None
         if array is None:
             self._owner.core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
-        self._owner.core.locked.remove(self._owner)
-        if kind is None and self._access.writes and not self._owner.destroyed:
+        core = self._owner.core
+        core.locked.remove(self._owner)
+        if kind is None and self._access.writes and not self._owner.destroyed and not core.closed:
+            core.check_ready()
             self._write(array)
         array.flags.writeable = False

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final, TypeAlias
+from typing import Any, Final, NamedTuple, Self, TypeAlias, cast
 from weakref import WeakSet
 
 import numpy as np
@@ -30,14 +30,15 @@ from rhi.contract.descriptors import (
 from rhi.contract.formats import IndexFormat
 from rhi.contract.layout import VectorType
 from rhi.device.core.core import Core, Owner
-from rhi.device.resources.buffers import Buffer
+from rhi.device.resources.buffers import Buffer, StorageBuffer
 from rhi.device.resources.lifetime import Resource
 from rhi.errors import Rule
+from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import DRAW_ARRAY, MESH_ATTRIBUTE, MESH_DATA, MESH_INDEX, MESH_RANGE
 
 __rhi_internal__ = True
 
-VertexSource: TypeAlias = "NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer"
+VertexSource: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]] | Buffer
 """Vertices: a structured array, arrays by attribute name, or a buffer with a structured dtype.
 (`device.mesh` also accepts a number of vertices without attributes.)"""
 
@@ -55,15 +56,14 @@ class MeshData:
         instances: VertexSource | None, label: str,
     ) -> None:  # fmt: skip
         call = "device.mesh"
-        core.check_open()
+        core.check_ready()
         # Everything is checked before the first buffer is created, so that a refused call leaves nothing behind.
-        if isinstance(vertices, np.integer):
-            vertices = int(vertices)
-        vertex_array = None if isinstance(vertices, int) else _structured(core, vertices, call)
-        if isinstance(vertices, int) and vertices < 1:
-            core.refuse(MESH_DATA, call, f"{vertices} vertices", "1 or more")
-        self.vertex_count = vertices if isinstance(vertices, int) else _length(vertex_array)
-        instance_array = None if instances is None else _structured(core, instances, call)
+        count = as_whole(vertices)
+        vertex_array = None if count is not None else _source(core, cast("VertexSource", vertices), call)
+        if count is not None and not 1 <= count < 1 << 31:
+            core.refuse(MESH_DATA, call, f"{count} vertices", "1 to 2**31 - 1")
+        self.vertex_count = _length(vertex_array) if count is None else count
+        instance_array = None if instances is None else _source(core, instances, call)
         index_array = _index_source(core, indices, self.vertex_count, call)
         self.core = core
         self.label = label
@@ -111,6 +111,7 @@ class MeshData:
             ValidationError: `mesh-attribute` if a field is missing or has a type that the stage can't read.
         """
         descriptor = self.describe_vertex_array(program, name, attributes)
+        self.core.check_ready()
         vertex_array = self.core.new_id()
         self.core.backend.create_vertex_array(vertex_array, descriptor)
         self.vertex_arrays[key] = vertex_array
@@ -120,54 +121,15 @@ class MeshData:
         self, program: Id, name: str, attributes: tuple[Attribute, ...]
     ) -> VertexArrayDescriptor:
         """Return how a program's inputs are read from this mesh; `mesh-attribute` if they can't be."""
-        streams = []
-        remaining = {attribute.name: attribute for attribute in attributes}
-        for buffer, per_instance in ((self.vertices, False), (self.instances, True)):
-            if buffer is None:
-                continue
-            fields: Any = buffer.dtype.fields or {}
-            found = tuple(
-                VertexAttribute(
-                    remaining[field].location, self._format(remaining[field], dtype, name), offset
-                )
-                for field, (dtype, offset, *_) in fields.items()
-                if field in remaining
-            )
-            for field in fields:
-                remaining.pop(field, None)
-            if found:
-                streams.append(VertexStream(buffer.id, 0, buffer.dtype.itemsize, per_instance, found))
-        if remaining:
-            have = ", ".join(
-                field for b in (self.vertices, self.instances) if b for field in b.dtype.names or ()
-            )
-            need = ", ".join(f"{a.name}: {a.type}" for a in attributes)
-            self.core.refuse(
-                MESH_ATTRIBUTE, f"draw of program {name!r}", f"a mesh with {have}", f"fields {need}"
-            )
-        return VertexArrayDescriptor(
-            program, tuple(streams), self.index_buffer.id if self.index_buffer else 0, self.index_format
-        )
-
-    def _format(self, attribute: Attribute, dtype: np.dtype[Any], program: str) -> VertexFormat:
-        base, shape = dtype.subdtype or (dtype, ())
-        wanted = attribute.type
-        components = wanted.size if isinstance(wanted, VectorType) else 1
-        scalar = str(wanted.scalar if isinstance(wanted, VectorType) else wanted)
-        given = int(np.prod(shape)) if shape else 1
-        code = base.str[1:]
-        normalized = scalar == "float" and base.kind in "iu"
-        # A field may have more components than the input reads, never fewer.
-        form = _FORMATS.get((code, given, normalized))
-        if form is None or form.components < components or (form.kind != scalar):
-            self.core.refuse(
-                MESH_ATTRIBUTE,
-                f"draw of program {program!r}",
-                f"{attribute.name} as {given}×{code}",
-                f"{attribute.name} as {wanted}: " + ", ".join(_format_text(f) for f in VertexFormat
-                                                             if f.kind == scalar and f.components >= components),
-            )  # fmt: skip
-        return form
+        call = f"draw of program {name!r}"
+        sources = [
+            StreamSource(buffer.id, buffer.dtype, per_instance)
+            for buffer, per_instance in ((self.vertices, False), (self.instances, True))
+            if buffer is not None
+        ]
+        streams = describe_streams(self.core, sources, attributes, MESH_ATTRIBUTE, call)
+        index_buffer = self.index_buffer.id if self.index_buffer else 0
+        return VertexArrayDescriptor(program, streams, index_buffer, self.index_format)
 
     def _forget(self) -> None:
         """Drop all prepared draws and vertex arrays."""
@@ -179,9 +141,72 @@ class MeshData:
 
     def destroy(self) -> None:
         """Destroy the buffers that were created for this mesh."""
+        self.core.check_thread("destroy")
         self._forget()
         for buffer in self.owned:
             buffer.destroy()
+
+
+class StreamSource(NamedTuple):
+    """Vertices or instances as they lie in a buffer: from byte `offset` on, elements of a structured dtype."""
+
+    buffer: Id
+    dtype: np.dtype[Any]
+    per_instance: bool
+    offset: int = 0
+
+
+def describe_streams(
+    core: Core, sources: Sequence[StreamSource], attributes: tuple[Attribute, ...], rule: Rule, call: str
+) -> tuple[VertexStream, ...]:
+    """Return how the inputs of a vertex stage are read: each from the first source that has a field of its name.
+
+    Raises:
+        ValidationError: `rule` if a field is missing or has a type that the stage can't read.
+    """
+    streams = []
+    remaining = {attribute.name: attribute for attribute in attributes}
+    for source in sources:
+        fields: Any = source.dtype.fields or {}
+        found = tuple(
+            VertexAttribute(remaining[field].location, find_format(core, remaining[field], dtype, rule, call), at)
+            for field, (dtype, at, *_) in fields.items()
+            if field in remaining
+        )
+        for field in fields:
+            remaining.pop(field, None)
+        if found:
+            streams.append(
+                VertexStream(source.buffer, source.offset, source.dtype.itemsize, source.per_instance, found)
+            )
+    if remaining:
+        have = ", ".join(field for source in sources for field in source.dtype.names or ()) or "no fields"
+        core.refuse(rule, call, f"a mesh with {have}", f"fields {', '.join(f'{a.name}: {a.type}' for a in attributes)}")
+    return tuple(streams)
+
+
+def find_format(core: Core, attribute: Attribute, dtype: np.dtype[Any], rule: Rule, call: str) -> VertexFormat:
+    """Return the format in which a field feeds an input; refuse by `rule` a field that can't.
+
+    Integers that feed floats are normalised. A field may have more components than the input reads, never fewer.
+    """
+    base, shape = dtype.subdtype or (dtype, ())
+    components, scalar = attribute_shape(attribute)
+    given = int(np.prod(shape)) if shape else 1
+    form = _FORMATS.get((base.str[1:], given, scalar == "float" and base.kind in "iu")) if base.isnative else None
+    if form is None or form.components < components or form.kind != scalar:
+        formats = (f for f in VertexFormat if f.kind == scalar and f.components >= components)
+        allowed = f"{attribute.name} as {attribute.type}: {', '.join(map(_format_text, formats))}"
+        core.refuse(rule, call, f"{attribute.name} as {given}×{base.str.lstrip('<|=')}", allowed)
+    return form
+
+
+def attribute_shape(attribute: Attribute) -> tuple[int, str]:
+    """Return an attribute's number of components and the name of its scalar type."""
+    vector = attribute.type
+    if isinstance(vector, VectorType):
+        return vector.size, str(vector.scalar)
+    return 1, str(vector)
 
 
 def _format_text(form: VertexFormat) -> str:
@@ -236,6 +261,94 @@ class Drawable:
         """Create the vertex array for a program's inputs and keep it in `vertex_arrays`; see `MeshData`."""
         raise NotImplementedError
 
+    # -- parts -------------------------------------------------------------------------------------------
+
+    @property
+    def core(self) -> Core:
+        """The core of its device."""
+        raise NotImplementedError
+
+    @property
+    def is_indexed(self) -> bool:
+        """Whether there are indices."""
+        raise NotImplementedError
+
+    @property
+    def element_count(self) -> int:
+        """Number of indices or, without indices, of vertices; a view's is that of the whole."""
+        raise NotImplementedError
+
+    def view(
+        self,
+        first: int = 0,
+        count: int | None = None,
+        *,
+        base_vertex: int = 0,
+        base_instance: int = 0,
+        primitive: Primitive | None = None,
+    ) -> Self:
+        """Return a part that shares everything else: `count` indices or vertices of the whole, from `first` on.
+
+        Raises:
+            ValidationError: `mesh-range` if the part reaches beyond the indices or vertices.
+        """
+        core, total, call = self.core, self.element_count, f"{type(self).__name__}.view"
+        check = Arguments(call, core.refuse)
+        first = check.whole("first", first)
+        count = total - first if count is None else check.whole("count", count)
+        base_vertex = check.whole("base_vertex", base_vertex, -(1 << 31), (1 << 31) - 1)
+        base_instance = check.whole("base_instance", base_instance)
+        if primitive is not None:
+            check.choice("primitive", primitive, Primitive)
+        if first < 0 or count < 0 or first + count > total or not 0 <= base_instance < 1 << 31:
+            given = f"first {first}, count {count}, base instance {base_instance}"
+            core.refuse(MESH_RANGE, call, given, f"within {total} elements, base instance 0 or more")
+        if not self.is_indexed and base_vertex:
+            core.refuse(MESH_RANGE, call, f"base vertex {base_vertex}", "0 for a mesh without indices")
+        return self._part(first, count, base_vertex, base_instance, primitive or self.primitive)
+
+    def draws(
+        self,
+        first: Any = 0,
+        count: Any = None,
+        *,
+        instances: Any = 1,
+        base_vertex: Any = 0,
+        base_instance: Any = 0,
+    ) -> NDArray[Any]:
+        """Return an array of draws for `draw_many`; each argument is a number or an array, as for `view`.
+
+        Returns:
+            (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
+        """
+        core, total, call = self.core, self.element_count, f"{type(self).__name__}.draws"
+        given = {
+            "first": first,
+            "count": total if count is None else count,
+            "instances": instances,
+            "base_vertex": base_vertex,
+            "base_instance": base_instance,
+        }
+        columns = _whole_columns(Arguments(call, core.refuse), given)
+        if len(columns["first"]) and int((columns["first"] + columns["count"]).max()) > total:
+            core.refuse(MESH_RANGE, call, "first + count beyond the mesh", f"within {total} elements")
+        draws = np.zeros(len(columns["first"]), DRAW if self.is_indexed else DRAW_UNINDEXED)
+        if not self.is_indexed and columns.pop("base_vertex").any():
+            core.refuse(MESH_RANGE, call, "a base vertex", "0 for a mesh without indices")
+        for name, column in columns.items():
+            draws[name] = column
+        return draws
+
+    def place_draws(self, draws: NDArray[Any]) -> NDArray[Any]:
+        """Return draws of `draws`, which count from this mesh's own first elements, as backends need them."""
+        return draws
+
+    def _part(
+        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
+    ) -> Self:
+        """Return the part that `view` has checked."""
+        raise NotImplementedError
+
 
 class Mesh(Drawable, Resource):
     """Vertices with optional indices and per-instance data, or a part of them; created by `device.mesh`."""
@@ -262,6 +375,11 @@ class Mesh(Drawable, Resource):
     ) -> Id:
         """Create the vertex array of this mesh for a program's inputs; all views of the mesh share it."""
         return self.data.create_vertex_array(key, program, name, attributes)
+
+    @property
+    def core(self) -> Core:
+        """The core of its device."""
+        return self.data.core
 
     @property
     def vertex_count(self) -> int:
@@ -301,62 +419,10 @@ class Mesh(Drawable, Resource):
     def __repr__(self) -> str:
         return f"Mesh({self.data.label!r}, {self.primitive.name}, {self.first}+{self.count})"
 
-    def view(
-        self,
-        first: int = 0,
-        count: int | None = None,
-        *,
-        base_vertex: int = 0,
-        base_instance: int = 0,
-        primitive: Primitive | None = None,
+    def _part(
+        self, first: int, count: int, base_vertex: int, base_instance: int, primitive: Primitive
     ) -> Mesh:
-        """Return a part of the mesh that shares its buffers.
-
-        Raises:
-            ValidationError: `mesh-range` if the part reaches beyond the indices or vertices.
-        """
-        core, total = self.data.core, self.element_count
-        count = total - first if count is None else count
-        if first < 0 or count < 0 or first + count > total or base_instance < 0:
-            given = f"first {first}, count {count}, base instance {base_instance}"
-            core.refuse(MESH_RANGE, "Mesh.view", given, f"within {total} elements, base instance 0 or more")
-        if not self.is_indexed and base_vertex:
-            core.refuse(MESH_RANGE, "Mesh.view", f"base vertex {base_vertex}", "0 for a mesh without indices")
-        return Mesh(self.data, primitive or self.primitive, first, count, base_vertex, base_instance)
-
-    def draws(
-        self,
-        first: Any = 0,
-        count: Any = None,
-        *,
-        instances: Any = 1,
-        base_vertex: Any = 0,
-        base_instance: Any = 0,
-    ) -> NDArray[Any]:
-        """Return an array of draws for `draw_many`; each argument is a number or an array, as for `view`.
-
-        Returns:
-            (n,) of `DRAW` or, without indices, `DRAW_UNINDEXED`.
-        """
-        core = self.data.core
-        count = self.element_count if count is None else count
-        parts = np.broadcast_arrays(first, count, instances, base_vertex, base_instance)
-        first, count, instances, base_vertex, base_instance = (np.atleast_1d(part) for part in parts)
-        if len(first) and (first.min() < 0 or count.min() < 0 or (first + count).max() > self.element_count):
-            core.refuse(
-                MESH_RANGE,
-                "Mesh.draws",
-                "first + count beyond the mesh",
-                f"within {self.element_count} elements",
-            )
-        draws = np.zeros(len(first), DRAW if self.is_indexed else DRAW_UNINDEXED)
-        draws["first"], draws["count"], draws["instances"] = first, count, instances
-        draws["base_instance"] = base_instance
-        if self.is_indexed:
-            draws["base_vertex"] = base_vertex
-        elif np.any(base_vertex):
-            core.refuse(MESH_RANGE, "Mesh.draws", "a base vertex", "0 for a mesh without indices")
-        return draws
+        return Mesh(self.data, primitive, first, count, base_vertex, base_instance)
 
     def destroy(self) -> None:
         """Destroy the buffers that were created for this mesh (not those passed in)."""
@@ -364,10 +430,39 @@ class Mesh(Drawable, Resource):
         self.data.core.program = None
 
 
-def check_draws(core: Core, mesh: Mesh, draws: NDArray[Any], call: str) -> NDArray[Any]:
-    """Return draws as a contiguous array; refuse a dtype that is not the mesh's, and draws beyond the mesh."""
+_COLUMNS: Final = {
+    "first": (0, (1 << 32) - 1),
+    "count": (0, (1 << 32) - 1),
+    "instances": (0, (1 << 31) - 1),
+    "base_vertex": (-(1 << 31), (1 << 31) - 1),
+    "base_instance": (0, (1 << 31) - 1),
+}
+"""The numbers that fit into an array of draws."""
+
+
+def _whole_columns(check: Arguments, given: dict[str, Any]) -> dict[str, NDArray[np.int64]]:
+    """Return numbers and arrays of whole numbers as arrays of equal length, (n,) int64."""
+    columns = {}
+    for name, value in given.items():
+        least, most = _COLUMNS[name]
+        column = check.array(name, value)
+        if column.size and (column.dtype.kind not in "iu" or int(column.min()) < least or int(column.max()) > most):
+            check.fail(name, value, f"whole numbers from {least:,} to {most:,}")
+        columns[name] = column.astype(np.int64)
+    try:
+        parts = np.broadcast_arrays(*columns.values())
+    except ValueError as error:
+        shapes = ", ".join(f"{name} {column.shape}" for name, column in columns.items())
+        check.fail("shapes", shapes, f"numbers, and arrays of one length ({error})")
+    if parts[0].ndim > 1:
+        check.fail("first", given["first"], "a number or an array of one dimension")
+    return dict(zip(columns, map(np.atleast_1d, parts), strict=True))
+
+
+def check_draws(core: Core, mesh: Drawable, draws: NDArray[Any], call: str) -> NDArray[Any]:
+    """Return draws as backends need them; refuse a dtype that is not the mesh's, and draws beyond the mesh."""
     expected = DRAW if mesh.is_indexed else DRAW_UNINDEXED
-    array = np.asarray(draws)
+    array = Arguments(call, core.refuse).array("draws", draws)
     if array.dtype != expected or array.ndim != 1:
         core.refuse(DRAW_ARRAY, call, f"shape {array.shape} of {array.dtype}", f"(n,) of {expected}")
     if len(array):
@@ -376,25 +471,40 @@ def check_draws(core: Core, mesh: Mesh, draws: NDArray[Any], call: str) -> NDArr
             core.refuse(
                 MESH_RANGE, call, f"a draw up to element {last}", f"within {mesh.element_count} elements"
             )
-    return np.ascontiguousarray(array)
+    return np.ascontiguousarray(mesh.place_draws(array))
 
 
-def _structured(core: Core, source: VertexSource, call: str) -> NDArray[Any] | Buffer:
-    if isinstance(source, Buffer):
-        if not source.dtype.names:
-            core.refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
-        return source
-    array = _interleave(core, source, call) if isinstance(source, Mapping) else np.asarray(source)
+def _source(core: Core, source: VertexSource, call: str) -> NDArray[Any] | Buffer:
+    """Return vertices or instances as a structured array, or the buffer that they already lie in."""
+    if isinstance(source, StorageBuffer):
+        source = source.owner
+    if not isinstance(source, Buffer):
+        return as_structured(core, source, MESH_DATA, call)
+    core.check_usable(source, call)
+    if not source.dtype.names:
+        core.refuse(MESH_DATA, call, f"a buffer of {source.dtype}", "a buffer with a structured dtype")
+    return source
+
+
+def as_structured(core: Core, source: VertexSource, rule: Rule, call: str, least: int = 1) -> NDArray[Any]:
+    """Return vertices, a structured array or arrays by attribute name, as an array (n,) with a field for each.
+
+    Raises:
+        ValidationError: `rule` for an array that isn't structured or has fewer than `least` elements, and for NaN and
+            infinity.
+    """
+    check = Arguments(call, core.refuse, rule)
+    array = (
+        _interleave(core, source, rule, call) if isinstance(source, Mapping) else check.array("vertices", source)
+    )
     if not array.dtype.names:
         tip = (
             'name the attributes: {"position": positions, …} or an array made with the vertex struct\'s dtype'
         )
-        core.refuse(
-            MESH_DATA, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip
-        )
-    if array.ndim != 1 or not len(array):
-        core.refuse(MESH_DATA, call, f"shape {array.shape}", "(n,) with n of 1 or more")
-    check_finite(core, array, MESH_DATA, call)
+        core.refuse(rule, call, f"an array of {array.dtype}", "a structured array or a dict of arrays", tip)
+    if array.ndim != 1 or len(array) < least:
+        core.refuse(rule, call, f"shape {array.shape}", f"(n,) with n of {least} or more")
+    check_finite(core, array, rule, call)
     return array
 
 
@@ -407,12 +517,16 @@ def check_finite(core: Core, vertices: NDArray[Any], rule: Rule, call: str) -> N
             core.refuse(rule, call, f"{name}[{bad}] = {values[bad]}", "finite numbers")
 
 
-def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], call: str) -> NDArray[Any]:
-    columns = {name: np.asarray(values) for name, values in arrays.items()}
+def _interleave(core: Core, arrays: Mapping[str, NDArray[Any]], rule: Rule, call: str) -> NDArray[Any]:
+    check = Arguments(call, core.refuse, rule)
+    columns = {check.text("attribute", name): check.array(name, values) for name, values in arrays.items()}
     lengths = {len(values) if values.ndim else 0 for values in columns.values()}
     if len(lengths) != 1:
         shapes = ", ".join(f"{name} {values.shape}" for name, values in columns.items())
-        core.refuse(MESH_DATA, call, shapes or "no arrays", "arrays of equal length")
+        core.refuse(rule, call, shapes or "no arrays", "arrays of equal length")
+    for name, values in columns.items():
+        if values.dtype.kind not in "iuf":
+            check.fail(name, arrays[name], "an array of numbers")
     # NumPy makes float64 arrays by default, which no vertex stage reads: they become float32.
     types = [
         (name, np.float32 if values.dtype == np.float64 else values.dtype, values.shape[1:])
@@ -435,7 +549,10 @@ def _index_source(
 ) -> NDArray[Any] | Buffer | None:
     if source is None:
         return None
+    if isinstance(source, StorageBuffer):
+        source = source.owner
     if isinstance(source, Buffer):
+        core.check_usable(source, call)
         if source.dtype not in (np.dtype("u2"), np.dtype("u4")):
             core.refuse(MESH_INDEX, call, f"a buffer of {source.dtype}", "uint16 or uint32")
         return source
@@ -448,7 +565,7 @@ def match_indices(core: Core, source: NDArray[Any], vertices: int, call: str) ->
     Raises:
         ValidationError: `mesh-index` for an index that is neither below `vertices` nor restarts a strip.
     """
-    array = np.asarray(source)
+    array = Arguments(call, core.refuse).array("indices", source)
     if array.dtype.kind not in "iu" or not array.size:
         core.refuse(MESH_INDEX, call, f"shape {array.shape} of {array.dtype}", "integers, one or more")
     array = array.reshape(-1)

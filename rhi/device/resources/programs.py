@@ -10,17 +10,19 @@ from __future__ import annotations
 import keyword
 from collections.abc import Callable, Iterable
 from types import CodeType
-from typing import TYPE_CHECKING, Any, Generic, NoReturn
+from typing import TYPE_CHECKING, Any, Final, Generic
 
-import numpy as np
 from typing_extensions import ParamSpec
 
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, Stage, TextureKind
 from rhi.contract.formats import ChannelKind, Format
 from rhi.device.core.core import Core, describe_object
+from rhi.device.resources.buffers import Buffer
 from rhi.device.resources.draw_code import MISSING, compile_draw_code, make_draw_code
 from rhi.device.resources.meshes import Drawable
 from rhi.device.resources.textures import Texture
+from rhi.errors import ValidationError
+from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
     BINDING_MISSING,
     BINDING_NAME,
@@ -42,6 +44,7 @@ from rhi.shading.language.bindings import ImageBinding, StorageRange, TextureBin
 __rhi_internal__ = True
 
 P = ParamSpec("P")
+MAX_INSTANCES: Final = (1 << 31) - 1
 _RANGES = {BindingKind.UNIFORM: UniformRange, BindingKind.STORAGE: StorageRange}
 
 
@@ -87,7 +90,7 @@ class Program(Generic[P]):
         self.recorded_code: CodeType | None = None
         self.id = core.create_id()
         core.backend.create_program(self.id, descriptor)
-        self._install_code(compile_draw_code(self.name, descriptor.bindings))
+        self._install_code(compile_draw_code(self.name, descriptor.bindings, validates=core.validates))
 
     def _install_code(self, code: CodeType) -> None:
         made = make_draw_code(code, self, self.descriptor.bindings)
@@ -107,6 +110,7 @@ class Program(Generic[P]):
     def destroy(self) -> None:
         """Destroy the program once the GPU no longer uses it."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             self.core.timeline.retire(self.id)
@@ -117,7 +121,7 @@ class Program(Generic[P]):
         """Refuse a draw of `mesh` that is not possible now, whatever its bindings."""
         core = self.core
         call = f"draw of program {self.name!r}"
-        core.check_open()
+        core.check_command()
         core.check_usable(self, call)
         if Stage.VERTEX not in self.descriptor.stages:
             core.refuse(PROGRAM_STAGE, call, _stages(self.descriptor), "a program with a vertex stage")
@@ -210,6 +214,9 @@ class Program(Generic[P]):
         uniform = binding.kind is BindingKind.UNIFORM
         most = limits.max_uniform_bytes if uniform else limits.max_storage_bytes
         alignment = limits.uniform_alignment if uniform else limits.storage_alignment
+        if binding.writes and not isinstance(value.owner, Buffer):
+            tip = "make it with device.storage(…): shaders can't write transient memory"
+            self.core.refuse(BINDING_TYPE, call, "transient storage, which shaders only read", _wanted(binding), tip)
         if not binding.size <= value.size <= most or value.offset % alignment:
             allowed = f"{binding.size} to {most} bytes at a multiple of {alignment}"
             self.core.refuse(BINDING_SIZE, call, f"{value.size} bytes at {value.offset}", allowed)
@@ -261,18 +268,18 @@ class Program(Generic[P]):
         if texture.id in self.core.targets:
             self.core.refuse(PASS_FEEDBACK, call, f"{texture!r}, a target of the open pass")
 
-    def raise_for(self, mesh: object, values: tuple[Any, ...], error: Exception) -> NoReturn:
-        """Refuse the argument that caused a Python error in a generated function, or else raise that error again."""
-        if mesh is not None and not isinstance(mesh, Drawable):
-            self.core.refuse(
-                DEVICE_ARGUMENT,
-                f"draw of program {self.name!r}",
-                repr(mesh),
-                "a Mesh from device.mesh(…)",
-            )
-        for index, value in enumerate(values):
-            self.check(index, value)
-        raise error
+    def explain(self, error: Exception, values: tuple[Any, ...], *meshes: object) -> Exception:
+        """Return the refusal of the argument that caused a Python error in a generated function, or else that error."""
+        try:
+            for mesh in meshes:
+                if not isinstance(mesh, Drawable):
+                    call = f"draw of program {self.name!r}"
+                    self.core.refuse(DEVICE_ARGUMENT, call, repr(mesh), "a Mesh from device.mesh(…)")
+            for index, value in enumerate(values):
+                self.check(index, value)
+        except ValidationError as refusal:
+            return refusal.with_traceback(None)
+        return error
 
     def check_names(self, given: Iterable[str]) -> None:
         """Refuse unknown and missing names of bindings."""
@@ -287,10 +294,16 @@ class Program(Generic[P]):
 
     def check_instances(self, instances: Any) -> int:
         """Return the number of instances as an int; refuse an invalid one."""
-        if not isinstance(instances, (int, np.integer)) or not 0 <= instances < 1 << 31:
-            given, allowed = f"instances={instances!r}", "0 to 2**31 - 1"
-            self.core.refuse(DRAW_COUNT, f"draw of program {self.name!r}", given, allowed)
-        return int(instances)
+        if instances.__class__ is int and 0 <= instances <= MAX_INSTANCES:
+            return instances
+        check = Arguments(f"draw of program {self.name!r}", self.core.refuse, DRAW_COUNT)
+        return check.whole("instances", instances, 0, MAX_INSTANCES)
+
+
+def check_program(core: Core, program: object, call: str) -> None:
+    """Refuse anything but a usable program."""
+    check = Arguments(call, core.refuse)
+    core.check_usable(check.instance("program", program, Program, "a Program from device.program(…)"), call)
 
 
 def shader_kind(form: Format) -> str:
@@ -327,7 +340,7 @@ def _stages(descriptor: ProgramDescriptor) -> str:
 
 def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
     call = f"device.program({descriptor.name})"
-    core.check_open()
+    core.check_ready()
     limits = core.capabilities
     room = {
         BindingKind.UNIFORM: limits.max_uniform_slots,

@@ -27,6 +27,7 @@ from rhi.contract.formats import Format
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
+from rhi.errors.arguments import Arguments, Fields
 from rhi.errors.rules import (
     DEVICE_CAPABILITY,
     TEXTURE_DATA,
@@ -50,6 +51,11 @@ class Sampler:
 
     id: Id
     descriptor: SamplerDescriptor
+
+    def __post_init__(self) -> None:
+        fields = Fields(self)
+        fields.wholes("id", least=1)
+        fields.instance("descriptor", self.descriptor, SamplerDescriptor, "an rhi.SamplerDescriptor")
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +135,7 @@ class Texture(TextureBinding, Resource):
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
         if not self.destroyed:
+            self.core.check_thread("destroy")
             self.destroyed = True
             self.core.program = None
             self.core.timeline.retire(self.id)
@@ -137,18 +144,26 @@ class Texture(TextureBinding, Resource):
 
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
         """Return one level and layer as a render target."""
-        self._check("Texture.at", level, layer)
+        level, layer = self._check("Texture.at", level, layer)
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
         """Return a binding that reads this texture through another sampler."""
-        self._check("Texture.sampled")
-        identity = sampler.id if isinstance(sampler, Sampler) else self.core.sampler(sampler)
-        return TextureBinding(self.id, identity, self)
+        core, call = self.core, "Texture.sampled"
+        self._check(call)
+        if isinstance(sampler, Sampler):
+            descriptor = sampler.descriptor
+            if core.sampler_descriptors.get(sampler.id) is descriptor:
+                return TextureBinding(self.id, sampler.id, self)
+        else:
+            allowed = "a Sampler from device.sampler(…), or an rhi.SamplerDescriptor"
+            descriptor = Arguments(call, core.refuse).instance("sampler", sampler, SamplerDescriptor, allowed)
+        return TextureBinding(self.id, core.sampler(descriptor), self)
 
     def image(self, level: int = 0, layer: int | None = None) -> ImageBinding:
         """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
-        self._check("Texture.image", level, layer or 0)
+        level, first = self._check("Texture.image", level, 0 if layer is None else layer)
+        layer = None if layer is None else first
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
@@ -158,13 +173,13 @@ class Texture(TextureBinding, Resource):
 
         Waits for the device. Depth is read as float32.
         """
-        texels = self._read("Texture.read", level, self._region("Texture.read", level, layer, region), False)
+        level, where = self._region("Texture.read", level, layer, region)
+        texels = self._read("Texture.read", level, where, False)
         return texels[0, :, :, 0] if self.format.channels == 1 else texels[0]
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
         """Return all layers: (layers, height, width, channels). Waits for the device."""
-        width, height = self.descriptor.level_size(level)
-        region = Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
+        level, region = self._whole("Texture.read_layers", level, self.core)
         return self._read("Texture.read_layers", level, region, False)
 
     def read_stencil(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[np.uint8]:
@@ -172,7 +187,8 @@ class Texture(TextureBinding, Resource):
         call = "Texture.read_stencil"
         if not self.format.has_stencil:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a format with stencil")
-        stencil: NDArray[np.uint8] = self._read(call, level, self._region(call, level, layer, region), True)
+        level, where = self._region(call, level, layer, region)
+        stencil: NDArray[np.uint8] = self._read(call, level, where, True)
         return stencil[0, :, :, 0]
 
     def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
@@ -186,13 +202,15 @@ class Texture(TextureBinding, Resource):
                 `texture-format` for depth, `texture-samples` for multi-sampled textures.
         """
         call = "Texture.write"
-        self._check(call, level, layer)
+        check = Arguments(call, self.core.refuse)
+        level, layer = self._check(call, level, layer)
         if self.format.is_depth:
             self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
             )
         self._check_single_sample(call)
-        array = np.asarray(texels)
+        self.core.check_ready()
+        array = check.array("texels", texels)
         channels = self.format.channels
         if array.ndim == 2 and channels == 1:
             array = array[None, :, :, None]
@@ -202,7 +220,7 @@ class Texture(TextureBinding, Resource):
             allowed = f"(height, width, {channels}) of {self.format.dtype}"
             self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
-        region = Region(x, y, width, height, layer, layers)
+        region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
         self._check_region(call, level, region)
         self.core.upload_bytes += array.nbytes
         self.core.backend.write_texture(
@@ -220,6 +238,7 @@ class Texture(TextureBinding, Resource):
         if self.format.is_depth or self.format.is_integer:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
+            core.check_ready()
             core.backend.generate_mipmaps(self.id)
 
     def copy_to(
@@ -242,9 +261,12 @@ class Texture(TextureBinding, Resource):
     ) -> None:  # fmt: skip
         """Send a `copy_to` to `core`."""
         call = "Texture.copy_to"
-        source_region = region or self._whole(level, core)
+        check = Arguments(call, self.core.refuse)
+        check.instance("target", target, Texture, "a Texture")
+        level, source_region = self._whole(call, level, core, region)
         self._check_region(call, level, source_region, core)
-        target._check(call, target_level, layer, core)
+        target_level, layer = target._check(call, target_level, layer, core)
+        x, y = check.whole("x", x), check.whole("y", y)
         if target.format is not self.format:
             self.core.refuse(
                 TEXTURE_FORMAT, call, f"{self.format.name} to {target.format.name}", "equal formats"
@@ -257,6 +279,7 @@ class Texture(TextureBinding, Resource):
         target._check_region(call, target_level, end, core)
         if target is self and level == target_level and _overlap(source_region, end):
             self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
+        core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
 
     def resolve_to(self, target: Texture) -> None:
@@ -266,6 +289,7 @@ class Texture(TextureBinding, Resource):
     def _resolve(self, core: Core, target: Texture) -> None:
         """Send a `resolve_to` to `core`."""
         call = "Texture.resolve_to"
+        Arguments(call, self.core.refuse).instance("target", target, Texture, "a Texture")
         self._check(call, core=core)
         target._check(call, core=core)
         if self.samples == 1 or target.samples != 1:
@@ -276,15 +300,17 @@ class Texture(TextureBinding, Resource):
         if self.format is not target.format or self.size != target.size or not has_average:
             allowed = "equal sizes and equal color formats, not of integers"
             self.core.refuse(TEXTURE_FORMAT, call, f"{self!r} to {target!r}", allowed)
+        core.check_ready()
         core.backend.resolve_texture(self.id, target.id)
 
     def lock(self, access: Access, level: int = 0, layer: int = 0, region: Region | None = None) -> Lock:
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
+        Arguments(call, self.core.refuse).choice("access", access, Access)
         if self.format.is_depth and access.writes:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self._check_single_sample(call)
-        where = self._region(call, level, layer, region)
+        level, where = self._region(call, level, layer, region)
         return Lock(
             self,
             access,
@@ -295,7 +321,12 @@ class Texture(TextureBinding, Resource):
 
     # -- checks ------------------------------------------------------------------------------------------
 
-    def _check(self, call: str, level: int = 0, layer: int = 0, core: Core | None = None) -> None:
+    def _check(
+        self, call: str, level: int = 0, layer: int = 0, core: Core | None = None
+    ) -> tuple[int, int]:
+        """Refuse a texture that can't be used now, and return a level and layer that it has."""
+        check = Arguments(call, self.core.refuse)
+        level, layer = check.whole("level", level), check.whole("layer", layer)
         core = core or self.core
         core.check_open()
         core.check_usable(self, call)
@@ -304,6 +335,7 @@ class Texture(TextureBinding, Resource):
         layers = self.descriptor.level_layers(level)
         if not 0 <= layer < layers:
             self.core.refuse(TEXTURE_LEVELS, call, f"layer {layer}", f"0 to {layers - 1}")
+        return level, layer
 
     def _check_single_sample(self, call: str) -> None:
         if self.samples != 1:
@@ -330,21 +362,33 @@ class Texture(TextureBinding, Resource):
         if not inside:
             self.core.refuse(TEXTURE_REGION, call, str(region), f"inside {width}×{height}, {layers} layers")
 
-    def _whole(self, level: int, core: Core) -> Region:
-        self._check("Texture", level, core=core)
+    def _whole(
+        self, call: str, level: int, core: Core, region: Region | None = None
+    ) -> tuple[int, Region]:
+        """Return a level, and the region of it that was given, or else all of its texels and layers."""
+        level, _ = self._check(call, level, core=core)
+        if region is not None:
+            return level, self._as_region(call, region)
         width, height = self.descriptor.level_size(level)
-        return Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
+        return level, Region(0, 0, width, height, 0, self.descriptor.level_layers(level))
 
-    def _region(self, call: str, level: int, layer: int, region: Region | None) -> Region:
-        self._check(call, level, layer)
+    def _region(self, call: str, level: int, layer: int, region: Region | None) -> tuple[int, Region]:
+        """Return a level, and the region of it that was given, or else all texels of the layer."""
+        level, layer = self._check(call, level, layer)
         if region is None:
-            region = Region(0, 0, *self.descriptor.level_size(level), layer)
+            return level, Region(0, 0, *self.descriptor.level_size(level), layer)
+        region = self._as_region(call, region)
         self._check_region(call, level, region)
-        return region
+        return level, region
+
+    def _as_region(self, call: str, region: Region) -> Region:
+        allowed = "an rhi.Region(x, y, width, height), or None"
+        return Arguments(call, self.core.refuse).instance("region", region, Region, allowed)
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check_region(call, level, region)
         self._check_single_sample(call)
+        self.core.check_ready()
         return self.core.backend.read_texture(self.id, level, region, stencil)
 
 
@@ -366,7 +410,7 @@ def _overlap(a: Region, b: Region) -> bool:
 
 def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     call = "device.texture"
-    core.check_open()
+    core.check_ready()
     limits = core.capabilities
     width, height = descriptor.size
     if not (0 < width <= limits.max_texture_size and 0 < height <= limits.max_texture_size):
@@ -392,9 +436,9 @@ def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
     if not 1 <= descriptor.levels <= most:
         core.refuse(TEXTURE_LEVELS, call, f"{descriptor.levels} levels", f"1 to {most}")
     samples = descriptor.samples
-    if samples not in (1, 2, 4, 8) or samples > limits.max_samples:
+    if samples not in limits.sample_counts:
         core.refuse(
-            TEXTURE_SAMPLES, call, f"{samples} samples", f"1, 2, 4 or 8, at most {limits.max_samples}"
+            TEXTURE_SAMPLES, call, f"{samples} samples", f"{', '.join(map(str, limits.sample_counts))} samples"
         )
     if samples > 1 and (descriptor.levels > 1 or kind is not TextureKind.D2):
         core.refuse(

@@ -14,7 +14,7 @@ from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface, Varying
 from rhi.shading.ir.text import Lines
 from rhi.shading.language.annotations import Role
-from rhi.shading.language.builtins import Effect
+from rhi.shading.language.builtins import Builtin, Effect
 from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
 
@@ -34,10 +34,15 @@ class StageOptions:
 
 def write_stage(stage: tree.StageTree, options: StageOptions) -> StageText:
     """Return the stage's complete GLSL 4.30 source."""
-    return _StageWriter(stage, options).write()
+    return StageWriter(stage, options).write()
 
 
-class _StageWriter:
+class StageWriter:
+    """A writer of stages for OpenGL; `rhi.shading.glsl.vulkan` derives the one for Vulkan from it."""
+
+    version = "#version 430 core"
+    writer_type = Writer
+
     def __init__(self, stage: tree.StageTree, options: StageOptions) -> None:
         self.stage = stage
         self.options = options
@@ -45,10 +50,11 @@ class _StageWriter:
         for declaration in stage.bindings:
             # Bindings are named first, because native code uses their Python names.
             self.names.get(("binding", declaration.name), declaration.name)
-        self.writer = Writer(self.names)
+        self.writer = self.writer_type(self.names)
         self.lines = Lines()
 
     def write(self) -> StageText:
+        """Return the stage's source."""
         stage, writer, add = self.stage, self.writer, self.lines.add
         # File-level names are assigned before those inside functions, which must not hide them.
         for struct in stage.structs:
@@ -59,14 +65,14 @@ class _StageWriter:
             self.names.get(function, function.name)
         for function in stage.functions:
             writer.function(function)
-        add("#version 430 core")
+        add(self.version)
         add(f"// {self.options.name}, {stage.stage.value} stage")
         declarations = self._extensions()
         self._layout_qualifiers()
         for struct in stage.structs:
             self._struct(struct)
         for declaration in stage.bindings:
-            self._binding(declaration)
+            self.binding(declaration)
         self._constants()
         for line in declarations:
             add(line)
@@ -84,9 +90,9 @@ class _StageWriter:
     def _extensions(self) -> list[str]:
         """Write the `#extension` lines, and return the other lines of native declarations."""
         extensions = dict.fromkeys(
-            f"#extension {row.extension} : require"
+            f"#extension {self.extension_of(row)} : require"
             for row in sorted(self.stage.builtins, key=lambda row: row.name)
-            if row.extension
+            if self.extension_of(row)
         )
         rest: list[str] = []
         for function in self.stage.functions:
@@ -112,20 +118,26 @@ class _StageWriter:
             for field in struct.fields:
                 self.lines.add(f"{self.writer.type(field.type)} {self.writer.field(field.name)};")
 
-    def _binding(self, declaration: Declaration) -> None:
+    def extension_of(self, builtin: Builtin) -> str:
+        """Return the extension that a built-in needs, or ""."""
+        return builtin.extension
+
+    def location(self, declaration: Declaration) -> str:
+        """Return where a binding lies, as a layout qualifier."""
+        return f"binding = {self.options.slots[declaration.name].slot}"
+
+    def binding(self, declaration: Declaration) -> None:
+        """Write the declaration of a binding or of shared memory."""
         name = self.names.get(("binding", declaration.name), declaration.name)
-        slot = (
-            self.options.slots[declaration.name].slot
-            if declaration.storage_class is not StorageClass.SHARED
-            else 0
-        )
+        shared = declaration.storage_class is StorageClass.SHARED
+        slot = self.location(declaration) if not shared else ""
         type = declaration.type
         match declaration.storage_class:
             case StorageClass.SHARED:
                 self.lines.add(f"shared {self.writer.type(type)} {name};")
             case StorageClass.UNIFORM:
                 block = self.names.get(("block", name), f"{name}_block")
-                header = f"layout(std140, row_major, binding = {slot}) uniform {block}"
+                header = f"layout(std140, row_major, {slot}) uniform {block}"
                 self.lines.add(f"{header} {{ {self.writer.type(type)} {name}; }};")
             case StorageClass.STORAGE:
                 assert isinstance(type, StorageType)
@@ -133,15 +145,15 @@ class _StageWriter:
                 # Writes of other invocations are only visible through `coherent` memory.
                 barriers = any(row.effect is Effect.BARRIER for row in self.stage.builtins)
                 access = ("coherent " if barriers else "") if type.writable else "readonly "
-                header = f"layout(std430, row_major, binding = {slot}) {access}buffer {block}"
+                header = f"layout(std430, row_major, {slot}) {access}buffer {block}"
                 self.lines.add(f"{header} {{ {self.writer.type(type.element)} {name}[]; }};")
             case StorageClass.TEXTURE:
-                self.lines.add(f"layout(binding = {slot}) uniform {self.writer.type(type)} {name};")
+                self.lines.add(f"layout({slot}) uniform {self.writer.type(type)} {name};")
             case StorageClass.IMAGE:
                 assert isinstance(type, ImageType)
                 stored = declaration.name in self.stage.stored
                 access = "readonly " if not stored else "" if self._loads(declaration) else "writeonly "
-                layout = f"layout({image_format(type)}, binding = {slot})"
+                layout = f"layout({image_format(type)}, {slot})"
                 self.lines.add(f"{layout} {access}uniform {self.writer.type(type)} {name};")
 
     def _loads(self, declaration: Declaration) -> bool:

@@ -38,6 +38,17 @@ _SHAPES: Final = {"2d": "2D", "2d_array": "2DArray", "3d": "3D", "cube": "Cube"}
 _PREFIX: Final = {FLOAT: "", INT: "i", UINT: "u"}
 _LONGEST_LIST: Final = 32
 """Arrays of zeros up to this length are initialised with a list, longer ones in a loop."""
+_MOST_RETURNS: Final = 16
+"""The most returns outside loops that are written as such."""
+_LONGEST_CHAIN: Final = 16
+"""Chains of more operators than this are written without brackets inside."""
+_RUNS: Final = {
+    Operator.ADD: "sum",
+    Operator.SUBTRACT: "sum",
+    Operator.MULTIPLY: "product",
+    Operator.DIVIDE: "product",
+}
+"""Operators of one precedence, which group to the left without brackets."""
 
 
 class Writer:
@@ -49,6 +60,8 @@ class Writer:
         self.helpers: dict[str, str] = {}
         self.lines = Lines()
         self.file = ""
+        self.leaving = ""  # in a function that a `break` leaves, the name of its result
+        self.tails: set[tree.Return] = set()  # its returns that no statement follows
 
     # -- types
 
@@ -93,6 +106,8 @@ class Writer:
     def expression(self, node: Expression) -> str:
         """Return an expression as text that needs no parentheses around it."""
         match node:
+            case tree.Read(type=TextureType()) | tree.BindingRead(type=TextureType()):
+                return self.texture(node)
             case tree.Read(local=local):
                 return self.names.get(local, local.name)
             case tree.Constant():
@@ -125,15 +140,34 @@ class Writer:
                 return self.zero(type)
             case tree.Call(function=function, arguments=arguments):
                 name = self.globals.get(function, function.name)
-                return f"{name}({', '.join(map(self.expression, arguments))})"
-            case tree.BuiltinCall(overload=overload, arguments=arguments):
-                texts = [self.expression(argument) for argument in arguments]
-                if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
-                    return self.columns(arguments[0])
-                if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
-                    return overload.glsl.format(*texts)
-                return f"{overload.glsl}({', '.join(texts)})"
+                return f"{name}({', '.join(map(self.argument, arguments))})"
+            case tree.BuiltinCall():
+                return self.builtin(node)
         raise TypeError(f"no GLSL for {node}")
+
+    def builtin(self, node: tree.BuiltinCall) -> str:
+        """Return a call of a built-in."""
+        overload, arguments = node.overload, node.arguments
+        texts = [self.expression(argument) for argument in arguments]
+        if overload.glsl == "transpose" and isinstance(arguments[0], tree.Construct):
+            return self.columns(arguments[0])
+        if not overload.glsl.isidentifier() or overload.glsl.startswith("gl_"):
+            return overload.glsl.format(*texts)
+        return f"{overload.glsl}({', '.join(texts)})"
+
+    def texture(self, node: tree.Read | tree.BindingRead) -> str:
+        """Return a texture where a built-in reads it."""
+        if isinstance(node, tree.Read):
+            return self.names.get(node.local, node.local.name)
+        return self.globals.get(("binding", node.declaration.name), node.declaration.name)
+
+    def argument(self, node: Expression) -> str:
+        """Return an argument of a function of the stage."""
+        return self.expression(node)
+
+    def parameter(self, local: tree.Local) -> str:
+        """Return a parameter's declaration."""
+        return f"{self.type(local.type)} {self.names.get(local, local.name)}"
 
     def constant(self, node: tree.Constant) -> str:
         """Return a scalar literal."""
@@ -143,9 +177,7 @@ class Writer:
         if node.type is UINT:
             return f"{int(value)}u"
         if node.type is INT:
-            if value == -(2**31):
-                return "(-2147483647 - 1)"
-            return str(int(value)) if value >= 0 else f"({int(value)})"
+            return _int_text(int(value))
         number = float(value)
         if math.isnan(number):
             return "uintBitsToFloat(0x7FC00000u)"
@@ -177,11 +209,23 @@ class Writer:
         return f"{self.type(node.type)}({', '.join(map(self.expression, node.parts))})"
 
     def binary(self, node: tree.Binary) -> str:
+        """Return an operator with the chain of operators on its left, or calls of helper functions."""
+        chain = tree.left_chain(node)
+        text, run = self.expression(chain[0].left), ""
+        for one in chain:
+            before = run
+            if len(chain) > _LONGEST_CHAIN and not isinstance(one.type, MatrixType):
+                run = _RUNS.get(one.operator, "")
+            # Compilers limit how deeply brackets nest, and a chain such as a + b - c needs none inside.
+            text = self.operation(one, text[1:-1] if run and run == before else text)
+        return text
+
+    def operation(self, node: tree.Binary, left: str) -> str:
         """Return an operator, or a call of the helper function that has Python's meaning."""
         op = node.operator
         if op is Operator.POWER:
-            return self.power(node)
-        left, right = self.expression(node.left), self.expression(node.right)
+            return self.power(node, left)
+        right = self.expression(node.right)
         if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
             return self.floored(node, left, right)
         if (
@@ -236,10 +280,9 @@ class Writer:
             left = f"{node.type}({left})"
         return f"mod({left}, {right})"
 
-    def power(self, node: tree.Binary) -> str:
+    def power(self, node: tree.Binary, base: str) -> str:
         """Return `**`: multiplications for a constant integer exponent, else pow."""
         exponent = node.right
-        base = self.expression(node.left)
         if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
             return f"pow({base}, {self.widened(node, exponent, self.expression(exponent))})"
         count, type = int(exponent.value), self.type(node.type)
@@ -286,13 +329,18 @@ class Writer:
                 self.loop(node)
             case tree.While(condition=condition, body=body):
                 with self.lines.braces(f"while ({self.expression(condition)})", self.file, place.line):
-                    self.block(body)
+                    self.loop_body(body)
             case tree.Break():
                 self.line("break;", place)
             case tree.Continue():
                 self.line("continue;", place)
             case tree.Discard():
                 self.line("discard;", place)
+            case tree.Return(value=value) if self.leaving:
+                if value is not None:
+                    self.line(f"{self.leaving} = {self.expression(value)};", place)
+                if node not in self.tails:
+                    self.line("break;", place)
             case tree.Return(value=value):
                 self.line(f"return {self.expression(value)};" if value is not None else "return;", place)
 
@@ -334,18 +382,51 @@ class Writer:
         """Write a `for` loop. Bounds that might change are evaluated before it."""
         start, step = node.start, node.step
         start_text = self.once(node, start, "start") if tree.has_effect(start) else self.expression(start)
-        stop = self.once(node, node.stop, "stop")
+        stop, by = self.once(node, node.stop, "stop"), self.once(node, step, "step")
         name = self.names.get(node.local, node.local.name)
-        if isinstance(step, tree.Constant):
-            change = int(step.value)
-            test = f"{name} {'<' if change > 0 else '>'} {stop}"
-            increment = f"{name}++" if change == 1 else f"{name} {'+' if change > 0 else '-'}= {abs(change)}"
+        change = int(step.value) if isinstance(step, tree.Constant) else 0
+        advance = f"{name}++" if change == 1 else f"{name} {'-' if change < 0 else '+'}= {abs(change) or by}"
+        if tree.may_overflow(node):
+            start_text, test, advance = self.guard(node, start_text, stop, by, change, advance)
         else:
-            text = self.once(node, step, "step")
-            test, increment = f"{text} > 0 ? {name} < {stop} : {name} > {stop}", f"{name} += {text}"
-        header = f"for (int {name} = {start_text}; {test}; {increment})"
-        with self.lines.braces(header, self.file, node.span.line):
-            self.block(node.body)
+            test = f"{name} {'<' if change > 0 else '>'} {stop}"
+        with self.lines.braces(
+            f"for (int {name} = {start_text}; {test}; {advance})", self.file, node.span.line
+        ):
+            self.loop_body(node.body)
+
+    def loop_body(self, body: tree.Block) -> None:
+        """Write the body of a loop, where `break` leaves the loop and not the function."""
+        leaving, self.leaving = self.leaving, ""
+        self.block(body)
+        self.leaving = leaving
+
+    def guard(
+        self, node: tree.For, start: str, stop: str, by: str, change: int, advance: str
+    ) -> tuple[str, str, str]:
+        """Return the three parts of the header of a loop whose counter may wrap when it advances for the last time.
+
+        Whether there is a next value is known before the counter advances. `change` is the step, 0 for a variable one.
+        """
+        name = self.names.get(node.local, node.local.name)
+        first, last, more = (
+            self.names.get((node, what), f"{name}_{what}") for what in ("first", "last", "more")
+        )
+        least = _int_text(max(change, 0) - 2**31) if change else f"{_int_text(-(2**31))} + {by}"
+        most = _int_text(min(change, 0) + 2**31 - 1) if change else f"{_int_text(2**31 - 1)} + {by}"
+        above, below = f"max({stop}, {least}) - {by}", f"min({stop}, {most}) - {by}"
+        ascending, descending = f"{first} < {stop}", f"{first} > {stop}"
+        if change:
+            bound, starts = (above, ascending) if change > 0 else (below, descending)
+            test = f"{name} {'<' if change > 0 else '>'} {last}"
+        else:
+            bound = f"{by} > 0 ? {above} : {below}"
+            starts = f"{by} > 0 ? {ascending} : {by} < 0 && {descending}"
+            test = f"({by} > 0 ? {name} < {last} : {name} > {last})"
+        self.line(f"int {first} = {start};", node.span)
+        self.line(f"int {last} = {bound};", node.span)
+        self.line(f"bool {more} = {starts};", node.span)
+        return first, more, f"{more} = {test}, {advance}"
 
     def once(self, node: tree.For, value: Expression, what: str) -> str:
         """Return a bound's value, stored in a variable before the loop unless nothing can change it."""
@@ -365,10 +446,7 @@ class Writer:
         """Write a function's definition."""
         self.file = node.file
         self.names = Names(self.globals)
-        parameters = ", ".join(
-            f"{self.type(parameter.type)} {self.names.get(parameter, parameter.name)}"
-            for parameter in node.parameters
-        )
+        parameters = ", ".join(map(self.parameter, node.parameters))
         name = self.globals.get(node, node.name)
         header = f"{self.type(node.result)} {name}({parameters})"
         with self.lines.braces(header, node.file, node.span.line):
@@ -383,10 +461,57 @@ class Writer:
                     f"{node.name}\n{show(node.file, node.span)}",
                     f"no body for GLSL, only for {', '.join(node.native)}",
                     tip='add @native("glsl", …) or a Python body',
-                    site=CallSite(node.file, node.span.line, node.name),
+                    site=CallSite(str(node.file), node.span.line, node.name),
                 )
+            elif count_returns(node.body) > _MOST_RETURNS:
+                self.left_by_break(node)
             else:
                 self.block(node.body)
+
+    def left_by_break(self, node: tree.Function) -> None:
+        """Write a body with many returns as a loop of one turn that a `break` leaves.
+
+        Drivers turn what follows a return into a branch, and nest these: Mesa's llvmpipe computes nonsense beyond 80.
+        """
+        void = isinstance(node.result, VoidType)
+        self.leaving = result = self.names.get((node, "result"), "result")
+        self.tails = tails_of(node.body)  # a break there would let Mesa take the loop apart
+        if not void:
+            self.line(f"{self.type(node.result)} {result};", node.span)
+        turn = self.names.get((node, "turn"), "turn")
+        with self.lines.braces(f"for (int {turn} = 0; {turn} < 1; {turn}++)", self.file, node.span.line):
+            self.block(node.body)
+        self.leaving = ""
+        if not void:
+            self.line(f"return {result};", node.span)
+
+
+def count_returns(body: tree.Block) -> int:
+    """Return how many returns a body has outside loops."""
+    count = 0
+    for statement in body:
+        if isinstance(statement, tree.Return):
+            count += 1
+        elif isinstance(statement, tree.If):
+            count += count_returns(statement.then) + count_returns(statement.otherwise)
+    return count
+
+
+def _int_text(value: int) -> str:
+    """Return an int as an expression."""
+    if value == -(2**31):
+        return "(-2147483647 - 1)"
+    return str(value) if value >= 0 else f"({value})"
+
+
+def tails_of(body: tree.Block) -> set[tree.Return]:
+    """Return the returns at the end of a body."""
+    match body:
+        case [*_, tree.Return() as last]:
+            return {last}
+        case [*_, tree.If(then=then, otherwise=otherwise)]:
+            return tails_of(then) | tails_of(otherwise)
+    return set()
 
 
 def constant_key(node: tree.ConstantArray) -> tuple[object, ...]:

@@ -25,7 +25,7 @@ _DIFFERENT: Final = -1
 def make_index_error(line: tuple[str, int], given: int, limit: int) -> ShaderError:
     """Return the error for an index that isn't below `limit`, at a (file, line) of the Python source."""
     file, number = line
-    call, site = show(file, SourceSpan(number)), CallSite(file, number)
+    call, site = show(file, SourceSpan(number)), CallSite(str(file), number)
     if limit == _DIFFERENT:
         return ShaderError(rules.DIFFERENT, call, "different values", "one value", site=site)
     return ShaderError(

@@ -145,10 +145,11 @@ class Affine(Value):
 
 @dataclass(slots=True, eq=False)
 class Apply(Value):
-    """A primitive operation, by its name in `rhi.shading.ir.primitives`."""
+    """A primitive operation, by its name in `rhi.shading.ir.primitives`; `depth` operations nest in it."""
 
     operation: str
     arguments: tuple[Value, ...]
+    depth: int = 0
 
 
 @dataclass(slots=True, eq=False)
@@ -413,7 +414,8 @@ def apply(operation: str, *arguments: Value) -> Value:
     if simple is not None:
         return simple
     kind = _FIXED.get(operation, ScalarKind.BOOL if operation in _COMPARISONS else arguments[-1].kind)
-    return Apply(kind, max(argument.uniformity for argument in arguments), operation, arguments)
+    depth = 1 + max(argument.depth if isinstance(argument, Apply) else 0 for argument in arguments)
+    return Apply(kind, max(argument.uniformity for argument in arguments), operation, arguments, depth)
 
 
 def _simplify(operation: str, arguments: tuple[Value, ...]) -> Value | None:

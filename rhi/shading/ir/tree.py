@@ -321,6 +321,22 @@ class StageTree:
     discards: bool
 
 
+def may_overflow(loop: For) -> bool:
+    """Return whether a loop's counter could pass the range of an int when it advances for the last time.
+
+    Then the loop ends by comparing the counter with the last value from which it may advance, before it does.
+    """
+    step, stop = loop.step, loop.stop
+    if not isinstance(step, Constant):
+        return True
+    if abs(step.value) == 1:
+        return False  # the counter meets the bound, which is an int
+    if isinstance(stop, Constant):
+        beyond = int(stop.value) - 1 + step.value if step.value > 0 else int(stop.value) + 1 + step.value
+        return not -(2**31) <= beyond < 2**31
+    return not (isinstance(stop, Length) and 0 < step.value <= 2**30)  # of 2^30 words or fewer
+
+
 # -- walking -----------------------------------------------------------------------------------------------
 
 
@@ -347,13 +363,25 @@ def parts_of(node: Expression) -> tuple[Expression, ...]:
             return ()
 
 
+def left_chain(node: Binary) -> list[Binary]:
+    """Return the operations of a chain such as `a + b - c`, which nests to the left, in the order of evaluation.
+
+    Chains may be longer than Python's recursion limit, so whoever visits an expression goes along them in a loop.
+    """
+    chain = [node]
+    while isinstance(chain[-1].left, Binary):
+        chain.append(chain[-1].left)
+    return chain[::-1]
+
+
 def has_effect(node: Expression) -> bool:
     """Return whether an expression has side effects, so that evaluating it twice differs from evaluating it once."""
-    if isinstance(node, BuiltinCall) and node.builtin.effect is not Effect.NONE:
-        return True
-    if isinstance(node, Call) and node.function.has_effect:
-        return True
-    return any(has_effect(part) for part in parts_of(node))
+    for part in _expressions(node):
+        if isinstance(part, BuiltinCall) and part.builtin.effect is not Effect.NONE:
+            return True
+        if isinstance(part, Call) and part.function.has_effect:
+            return True
+    return False
 
 
 def has_early_return(body: Block) -> bool:
@@ -415,6 +443,8 @@ def _indices(lvalue: Expression) -> Iterator[Expression]:
 
 
 def _expressions(node: Expression) -> Iterator[Expression]:
-    yield node
-    for part in parts_of(node):
-        yield from _expressions(part)
+    stack = [node]
+    while stack:
+        node = stack.pop()
+        yield node
+        stack.extend(reversed(parts_of(node)))

@@ -16,7 +16,7 @@ from typing import Any, Generic, ParamSpec, TypeVar, cast
 
 from rhi.errors import refuse
 from rhi.shading.language import rules
-from rhi.shading.language.source import locals_of, resolve_annotations
+from rhi.shading.language.source import locals_of, resolve_annotations, source_of
 from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
@@ -63,6 +63,7 @@ def function(python: Callable[P, R]) -> ShadingFunction[P, R]:
     """Make a Python function callable from shaders. It is parsed when a shader that calls it is compiled."""
     plain = cast(FunctionType, python)
     resolve_annotations(plain, locals_of(sys._getframe(1)))
+    source_of(plain)  # keeps its text
     return ShadingFunction(plain)
 
 

@@ -11,8 +11,10 @@ __rhi_internal__ = True
 NO_SOURCE: Final = Rule(
     "shading-no-source",
     "the source of a shader can't be read",
-    "shaders are compiled from their Python source: define them in a file or a notebook cell",
+    "shaders are compiled from their Python source: define them in a file or a notebook cell, or make them with "
+    "rhi.shading.from_source(text)",
 )
+TEXT: Final = Rule("shading-text", "a text doesn't define the shader that is wanted from it")
 SYNTAX: Final = Rule("shading-unsupported", "this form of Python is not part of the shading language")
 UNKNOWN_NAME: Final = Rule("shading-unknown-name", "a name is not defined")
 UNKNOWN_MEMBER: Final = Rule("shading-unknown-member", "a value has no such field, component or method")
@@ -44,6 +46,12 @@ MISSING_RETURN: Final = Rule(
     "return a value on every path",
 )
 OUT_OF_RANGE: Final = Rule("shading-out-of-range", "a constant is outside the allowed range")
+TOO_LARGE: Final = Rule("shading-too-large", "an array has more elements than a shader can hold")
+TOO_DEEP: Final = Rule(
+    "shading-too-deep",
+    "a shader is nested too deeply",
+    "give parts of it names on lines of their own, or use a loop",
+)
 EVALUATED_TWICE: Final = Rule(
     "shading-evaluated-twice",
     "an operand with a side effect would be evaluated twice",
@@ -84,6 +92,8 @@ RACE: Final = Rule(
     "use an atomic, or let a single invocation store",
 )
 NATIVE: Final = Rule("shading-native", "a native function can't be used here")
+LANGUAGE: Final = Rule("shading-language", "the name of a device language is taken")
+SPIRV: Final = Rule("shading-spirv", "a stage can't be compiled to SPIR-V")
 STRUCT: Final = Rule("shading-struct", "a struct is not valid here")
 STRUCT_VALUE: Final = Rule("shading-struct-value", "a value doesn't match the field of a struct")
 DEVICE_ONLY: Final = Rule(

@@ -28,7 +28,7 @@ from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.builtins import Precision
-from rhi.shading.language.source import locals_of, resolve_annotations, suggest_name
+from rhi.shading.language.source import globals_of, keep_sources, locals_of, resolve_annotations, suggest_name
 from rhi.shading.language.textures import ImageFormat, SampledTexture, StorageImage, image
 from rhi.shading.language.types import LANGUAGE_NAMES, ImageType, StorageType, Type
 from rhi.shading.language.vectors import Array
@@ -106,7 +106,7 @@ class Shader:
 
     def __init_subclass__(cls) -> None:
         names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
-        module = vars(sys.modules[cls.__module__])
+        module = globals_of(cls, sys._getframe(1))
         declared: dict[str, Declaration] = {}
         for base in reversed(cls.__mro__[1:]):
             declared.update(base.__dict__.get("_declared", {}))
@@ -137,6 +137,9 @@ class Shader:
             if name in cls.__dict__ and name not in inspect.get_annotations(cls) and before is after:
                 _refuse_shadow(cls, before, f"{name} = {cls.__dict__[name]!r}")
         cls._declared = declared
+        for base in cls.__mro__[:-1]:
+            if base is cls or not issubclass(base, Shader):  # a shader kept those of its own methods before
+                keep_sources(base.__dict__)
 
     if not TYPE_CHECKING:  # type checkers see the constructor that dataclass_transform synthesises
 

@@ -1,7 +1,9 @@
 """The Python source of shaders: a function's syntax tree, the names it can see, and errors that point into it.
 
-- A file is read and parsed once, and functions are found in it by their first line. Notebook cells and interpreters
-  work wherever `linecache` knows their lines.
+- `keep_sources` keeps the text of a file when a class or function of it is made, so that a later edit changes neither
+  what the class compiles to nor the lines that its errors show. The text is parsed when something is compiled.
+- Functions are found in their file by their first line. Notebook cells and interpreters work wherever `linecache`
+  knows their lines.
 - `NameScope` resolves a name as the function itself would: variables of enclosing functions, globals, builtins.
 - Annotations may be strings, and closures don't keep the names that only they use. `resolve_annotations` evaluates
   them when the class or function is defined, while those names still exist.
@@ -14,13 +16,16 @@ import builtins
 import contextlib
 import difflib
 import linecache
+import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from types import FrameType, FunctionType
 from typing import Any, Final, NoReturn
 
 from rhi.errors import CallSite, Rule, ShaderError
 from rhi.shading.language import rules
+from rhi.shading.language.tips import FOREIGN
 from rhi.shading.language.types import LANGUAGE_NAMES
 
 __rhi_internal__ = True
@@ -28,7 +33,61 @@ __rhi_internal__ = True
 MISSING: Final = object()
 _SOURCE: Final = "_rhi_source"
 
-_files: dict[str, tuple[list[str], dict[int, ast.FunctionDef]]] = {}
+
+
+class SourceFile(str):
+    """The name of a Python file, together with its lines as they were when a class or function of it was made."""
+
+    lines: list[str]
+    spec: object
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return str, (str(self),)
+
+    @cached_property
+    def functions(self) -> dict[int, ast.FunctionDef]:
+        """The functions of the file by their first line, that of a decorator included. The file is parsed here."""
+        try:
+            tree = ast.parse("".join(self.lines), self)
+        except SyntaxError:
+            return {}
+        functions: dict[int, ast.FunctionDef] = {}
+        stack: list[ast.AST] = [tree]
+        while stack:
+            node = stack.pop()
+            if isinstance(node, ast.FunctionDef):
+                first = node.decorator_list[0].lineno if node.decorator_list else node.lineno
+                functions[first] = node
+            stack.extend(child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt))
+        return functions
+
+
+_files: dict[str, SourceFile] = {}
+"""The file of each name, as it was read last."""
+
+
+def _read_file(name: str, names: Mapping[str, Any]) -> SourceFile:
+    """Return a file with its lines: as read before, unless its module is another or was imported again since.
+
+    A class that a function of an imported module makes later thus has the text that was imported. What isn't a
+    module (a script, a notebook's cell) is compared with the file each time. The text of a module that
+    `rhi.shading.language.modules` makes comes with it.
+
+    Args:
+        names: the globals of a function in the file.
+    """
+    spec, known = names.get("__spec__"), _files.get(name)
+    given = getattr(spec, "loader_state", None)
+    if isinstance(given, SourceFile) and given == name:
+        return given
+    if known is not None and spec is not None and known.spec is spec:
+        return known
+    linecache.checkcache(name)
+    lines = linecache.getlines(name, dict(names) if name not in linecache.cache else None)
+    if known is None or spec is not known.spec or known.lines != lines:
+        known = _files[name] = SourceFile(name)
+        known.lines, known.spec = lines, spec
+    return known
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,20 +107,33 @@ def span_of(node: ast.AST) -> SourceSpan:
 
 
 class Source:
-    """The syntax tree, file and name scope of a Python function."""
+    """The file, syntax tree and name scope of a Python function."""
 
-    __slots__ = ("file", "function", "name", "node", "scope", "signature")
+    __slots__ = ("_node", "file", "function", "name", "scope", "signature")
 
-    def __init__(self, function: FunctionType) -> None:
+    def __init__(self, function: FunctionType, file: SourceFile) -> None:
         self.signature: Any = None  # cached here by rhi.shading.parser.signatures
         self.function = function
-        self.file = function.__code__.co_filename
+        self.file = file
         self.name = function.__qualname__.replace("<locals>.", "")
         self.scope = NameScope(function)
-        found = _functions_of(self.file).get(function.__code__.co_firstlineno)
-        if found is None:
-            raise ShaderError(rules.NO_SOURCE, self.name, given=self.file)
-        self.node = found
+        self._node: ast.FunctionDef | None = None
+
+    @property
+    def node(self) -> ast.FunctionDef:
+        """The function's syntax tree.
+
+        Raises:
+            ShaderError: `shading-no-source`: the file has no text, or another one than Python ran.
+        """
+        if self._node is None:
+            code = self.function.__code__
+            found = self.file.functions.get(code.co_firstlineno)
+            if found is None or found.name != code.co_name:
+                given = f"{self.file}, without `{code.co_name}` on line {code.co_firstlineno}"
+                raise ShaderError(rules.NO_SOURCE, self.name, given if self.file.lines else str(self.file))
+            self._node = found
+        return self._node
 
     def refuse(
         self, rule: Rule, at: ast.AST | SourceSpan, given: str = "", allowed: str = "", tip: str = ""
@@ -74,42 +146,28 @@ class Source:
             given,
             allowed,
             tip,
-            CallSite(self.file, span.line, self.name),
+            CallSite(str(self.file), span.line, self.name),
         )
 
 
 def show(file: str, span: SourceSpan) -> str:
     """Return file, line and column of a span, then its source line, then carets below the span."""
-    text = linecache.getline(file, span.line).rstrip("\n")
+    text = _line(file, span.line).rstrip("\n")
     # Columns of syntax trees count UTF-8 bytes.
     encoded = text.encode()
-    start = len(encoded[: span.column].decode(errors="ignore"))
+    start = max(len(encoded[: span.column].decode(errors="ignore")), len(text) - len(text.lstrip()))
     end = len(encoded[: span.end_column].decode(errors="ignore")) if span.end_column else len(text)
     indent = len(text) - len(text.lstrip())
     carets = " " * max(0, start - indent) + "^" * max(1, end - start)
     return f"{file}:{span.line}:{start + 1}\n    {text.strip()}\n    {carets}"
 
 
-def _functions_of(file: str) -> dict[int, ast.FunctionDef]:
-    linecache.checkcache(file)
-    lines = linecache.getlines(file)
-    known = _files.get(file)
-    if known is not None and known[0] is lines:
-        return known[1]
-    try:
-        tree = ast.parse("".join(lines), file)
-    except SyntaxError:
-        return {}
-    functions: dict[int, ast.FunctionDef] = {}
-    stack: list[ast.AST] = [tree]
-    while stack:
-        node = stack.pop()
-        if isinstance(node, ast.FunctionDef):
-            first = node.decorator_list[0].lineno if node.decorator_list else node.lineno
-            functions[first] = node
-        stack.extend(child for child in ast.iter_child_nodes(node) if isinstance(child, ast.stmt))
-    _files[file] = (lines, functions)
-    return functions
+def _line(file: str, number: int) -> str:
+    """Return a line of a file, as it was when a shader in it was made if that is known."""
+    known = file if isinstance(file, SourceFile) else _files.get(file)
+    if known is None:
+        return linecache.getline(file, number)
+    return known.lines[number - 1] if 0 < number <= len(known.lines) else ""
 
 
 class NameScope:
@@ -154,6 +212,12 @@ def locals_of(frame: FrameType | None) -> Mapping[str, Any]:
     return dict(frame.f_locals)
 
 
+def globals_of(cls: type, frame: FrameType) -> dict[str, Any]:
+    """Return the globals of a class's module, or of the frame that makes the class if the module isn't imported."""
+    module = sys.modules.get(cls.__module__)
+    return vars(module) if module is not None else frame.f_globals
+
+
 def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> None:
     """Evaluate a function's string annotations with the names around it. Annotations that fail stay strings."""
     for name, annotation in function.__annotations__.items():
@@ -162,11 +226,20 @@ def resolve_annotations(function: FunctionType, names: Mapping[str, Any]) -> Non
                 function.__annotations__[name] = eval(annotation, function.__globals__, dict(names))
 
 
+def keep_sources(members: Mapping[str, object]) -> None:
+    """Keep the text of the files in which the functions among a class's members are defined."""
+    for name, member in members.items():
+        function = member.__func__ if isinstance(member, staticmethod) else member
+        if isinstance(function, FunctionType) and not name.startswith("__"):
+            source_of(function)
+
+
 def source_of(function: FunctionType) -> Source:
-    """Return a function's source. It is read once and kept on the function, so it lives as long."""
+    """Return a function's source. It is kept on the function, so it lives as long."""
     source: Source | None = getattr(function, _SOURCE, None)
     if source is None:
-        source = Source(function)
+        file = _read_file(function.__code__.co_filename, function.__globals__)
+        source = Source(function, file)
         setattr(function, _SOURCE, source)
     return source
 
@@ -178,7 +251,10 @@ def suggest(name: str, known: Iterable[str]) -> str:
 
 
 def suggest_name(name: str, known: Iterable[str]) -> str:
-    """Return a tip for an undefined name: to import it if it belongs to the language, else a did-you-mean."""
+    """Return a tip for an undefined name: to import it if it belongs to the language, what the language has for a name
+    of another language, or a did-you-mean."""
     if name in LANGUAGE_NAMES:
         return f"import it: from rhi.shading import {name}"
+    if name in FOREIGN:
+        return "; ".join(filter(None, (FOREIGN[name], suggest(name, known))))
     return suggest(name, [*known, *LANGUAGE_NAMES])

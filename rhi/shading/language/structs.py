@@ -15,7 +15,7 @@ import struct
 import sys
 from collections.abc import Mapping
 from functools import lru_cache
-from typing import Any, ClassVar, Final, NoReturn
+from typing import Any, ClassVar, Final, NoReturn, get_args, get_origin
 
 import numpy as np
 from typing_extensions import dataclass_transform
@@ -40,7 +40,7 @@ from rhi.contract.layout import (
 from rhi.errors import RhiError, ShaderError, find_call_site, refuse
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import Role, role_of, value_type
-from rhi.shading.language.source import locals_of, suggest, suggest_name
+from rhi.shading.language.source import globals_of, locals_of, suggest, suggest_name
 from rhi.shading.language.types import LANGUAGE_NAMES, scalar_of
 from rhi.shading.language.vectors import CLASSES, ArrayLength, array, uint
 
@@ -50,6 +50,11 @@ LANGUAGE_NAMES.add("Struct")
 
 _TOO_LARGE: Final = 3.4028235677973366e38
 """Smallest magnitude that rounds to infinity in a 32-bit float."""
+
+MAX_DEPTH: Final = 32
+"""The most structs that may lie in each other."""
+MAX_FIELDS: Final = 1024
+"""The most fields of a struct, those of nested structs included."""
 
 
 class LayoutDtype:
@@ -93,16 +98,18 @@ class Struct:
     uniform_dtype = LayoutDtype(Layout.STD140)
     _roles: ClassVar[Mapping[str, Role]] = {}
     _defaults: ClassVar[Mapping[str, Any]] = {}
-    _classes: ClassVar[dict[StructType, type[Struct]]] = {}
+    _depth: ClassVar[int] = 0
+    _leaves: ClassVar[int] = 0
 
     _values: dict[str, Any]
 
     def __init_subclass__(cls) -> None:
         own = inspect.get_annotations(cls)
         names = {**locals_of(sys._getframe(1)), cls.__name__: cls}
-        module = vars(sys.modules[cls.__module__])
+        module = globals_of(cls, sys._getframe(1))
         fields = {field.name: field for field in cls.shading_type.fields}
         roles, defaults = dict(cls._roles), dict(cls._defaults)
+        depth, leaves = max(cls._depth, 1), cls._leaves
         for name, annotation in own.items():
             if isinstance(annotation, str):
                 try:
@@ -117,11 +124,19 @@ class Struct:
                 tip = "give an array its length: `name: Array[float] = array(float, 4)`"
                 _refuse_field(cls, name, repr(annotation), tip if "Array" in repr(annotation) else "")
             fields[name] = Field(name, type)
+            inner = struct_of(annotation)
+            depth = max(depth, 1 + inner._depth) if inner is not None else depth
+            leaves += inner._leaves if inner is not None else 1
             role = role_of(annotation)
             if role is not None:
                 roles[name] = role
             if default is not None and not isinstance(default, ArrayLength):
                 defaults[name] = _convert_field(cls.__name__, fields[name], default)
+        cls._depth, cls._leaves = depth, leaves
+        if depth > MAX_DEPTH or leaves > MAX_FIELDS:
+            given = f"{depth} structs in each other" if depth > MAX_DEPTH else f"{leaves} fields"
+            allowed = f"up to {MAX_DEPTH} structs in each other, up to {MAX_FIELDS} fields with those inside"
+            raise ShaderError(rules.TOO_DEEP, f"class {cls.__name__}", given, allowed, site=find_call_site())
         cls.shading_type = StructType(cls.__name__, tuple(fields.values()))
         cls._roles, cls._defaults = roles, defaults
         for name in own:
@@ -165,6 +180,13 @@ class Struct:
     def __repr__(self) -> str:
         fields = self.shading_type.fields
         return f"{type(self).__name__}({', '.join(f'{f.name}={self._values[f.name]!r}' for f in fields)})"
+
+
+def struct_of(annotation: Any) -> type[Struct] | None:
+    """Return the Struct class that an annotation names, also as the element of an array, or None."""
+    while get_origin(annotation) is not None:
+        annotation = get_args(annotation)[0]
+    return annotation if isinstance(annotation, type) and issubclass(annotation, Struct) else None
 
 
 def _check_shareable(type: StructType, call: str) -> None:

@@ -97,6 +97,25 @@ def is_value(type: Type) -> bool:
     return isinstance(type, ScalarType | VectorType | MatrixType | ArrayType | StructType)
 
 
+def count_scalars(type: HostType) -> int:
+    """Return the number of scalars of a value, those of all elements of arrays included."""
+    match type:
+        case ArrayType(element=element, length=length):
+            return length * count_scalars(element)
+        case StructType(fields=fields):
+            return sum(count_scalars(field.type) for field in fields)
+        case MatrixType(size=size):
+            return size**2
+    return type.size if isinstance(type, VectorType) else 1
+
+
+def has_array(type: HostType) -> bool:
+    """Return whether a value is an array or a struct that contains one."""
+    if isinstance(type, StructType):
+        return any(has_array(field.type) for field in type.fields)
+    return isinstance(type, ArrayType)
+
+
 def scalar_of(type: Type) -> ScalarType | None:
     """Return the scalar type of a scalar's or vector's components, or None for other types."""
     if isinstance(type, ScalarType):

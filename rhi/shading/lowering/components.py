@@ -19,6 +19,7 @@ from rhi.contract.layout import (
     place,
 )
 from rhi.shading.ir.lanes import ScalarKind
+from rhi.shading.language.types import count_scalars
 
 __rhi_internal__ = True
 
@@ -42,7 +43,7 @@ def leaf_kinds(type: HostType) -> list[tuple[ScalarKind, int]]:
 
 def words_of(type: HostType) -> int:
     """Return the words of a value without padding. This is the layout of shared memory, where a bool is a word."""
-    return sum(max(count, 1) for _, count in leaf_kinds(type))
+    return count_scalars(type)
 
 
 def all_kinds(type: HostType) -> list[ScalarKind]:

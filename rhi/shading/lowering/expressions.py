@@ -62,6 +62,9 @@ _OPERATIONS: Final = {
     Operator.NOT: "not",
 }
 
+DEEPEST_VALUE: Final = 24
+"""The most operations that nest in one expression of a text: C's compilers and Python's parser limit brackets."""
+
 
 class ExpressionLowering(ScopeLowering):
     """Lowers the expressions of the current frame. A lowered expression is the list of its scalars."""
@@ -129,14 +132,14 @@ class ExpressionLowering(ScopeLowering):
                     lanes.ElementCount(ScalarKind.INT, Uniformity.DISPATCH, self.memory(base.declaration))
                 ]
             case tree.Unary(operator=operator, operand=operand):
-                return [apply(_OPERATIONS[operator], value) for value in self.lower(operand)]
+                return self.shallow([apply(_OPERATIONS[operator], value) for value in self.lower(operand)])
             case tree.Binary():
                 return self.binary(node)
             case tree.Select(condition=condition, then=then, otherwise=otherwise):
                 return self.select(self.one(condition), then, otherwise)
             case tree.Convert(type=type, value=value):
                 kind = KINDS[scalar_of(type)]  # type: ignore[index]
-                return [self.convert(part, kind) for part in self.lower(value)]
+                return self.shallow([self.convert(part, kind) for part in self.lower(value)])
             case tree.Construct():
                 return self.construct(node)
             case tree.Zeros(type=type):
@@ -302,18 +305,40 @@ class ExpressionLowering(ScopeLowering):
     # -- operators
 
     def binary(self, node: tree.Binary) -> list[Value]:
-        """Lower a binary operator, with Python's semantics."""
+        """Lower a binary operator, with Python's semantics, and the chain of operators on its left."""
+        chain = tree.left_chain(node)
+        values = self.lower(chain[0].left)
+        for one in chain:
+            values = self.shallow(self.operation(one, values))
+        return values
+
+    def shallow(self, values: list[Value]) -> list[Value]:
+        """Return values, with a name for each that nests more than `DEEPEST_VALUE` operations."""
+        return [
+            lanes.Affine(value.kind, value.uniformity, self.shallow([value.base])[0], value.stride)
+            if isinstance(value, lanes.Affine)
+            else self.let(value)
+            if isinstance(value, lanes.Apply) and value.depth > DEEPEST_VALUE
+            else value
+            for value in values
+        ]
+
+    def operation(self, node: tree.Binary, left: list[Value]) -> list[Value]:
+        """Lower one binary operator, whose left operand has been lowered to `left`."""
         op = node.operator
         match op:
             case Operator.AND:
-                return self.short_circuit(node, is_and=True)
+                return self.short_circuit(node, left, is_and=True)
             case Operator.OR:
-                return self.short_circuit(node, is_and=False)
+                return self.short_circuit(node, left, is_and=False)
             case Operator.MATRIX_MULTIPLY:
-                return self.matrix_multiply(node)
+                return self.matrix_multiply(node, left)
             case Operator.POWER:
-                return self.power(node)
-        left, right = self.operands(node)
+                return self.power(node, left)
+        if op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
+            left, right = [self.let(value) for value in left], self.named(node.right)
+        else:
+            right = self.lower(node.right)
         size = max(len(left), len(right))
         if size > min(len(left), len(right)):
             left, right = (
@@ -331,13 +356,6 @@ class ExpressionLowering(ScopeLowering):
             return all_of(self.let, results)
         return any_of(self.let, results) if op is Operator.NOT_EQUAL else results
 
-    def operands(self, node: tree.Binary) -> tuple[list[Value], list[Value]]:
-        """Lower both operands, the left one first."""
-        left = self.lower(node.left)
-        if node.operator in (Operator.FLOOR_DIVIDE, Operator.MODULO):
-            return [self.let(value) for value in left], self.named(node.right)
-        return left, self.lower(node.right)
-
     def floored(self, divide: bool, a: Value, b: Value) -> Value:
         """Return `a // b` or, if `divide` is false, `a % b`."""
         if a.kind is ScalarKind.FLOAT:
@@ -348,9 +366,9 @@ class ExpressionLowering(ScopeLowering):
             return a & literal(int(b.value) - 1, a.kind)
         return apply("floor_divide" if divide else "modulo", a, b)
 
-    def short_circuit(self, node: tree.Binary, is_and: bool) -> list[Value]:
+    def short_circuit(self, node: tree.Binary, operand: list[Value], is_and: bool) -> list[Value]:
         """Lower `and` or `or`: the right operand is evaluated only where the left one doesn't decide."""
-        left = self.one(node.left)
+        (left,) = operand
         if is_simple(node.right):
             return [apply("and" if is_and else "or", left, self.one(node.right))]
         left = self.let(left)
@@ -369,7 +387,7 @@ class ExpressionLowering(ScopeLowering):
         if is_simple(then) and is_simple(otherwise):
             condition = self.let(condition)
             pairs = zip(self.lower(then), self.lower(otherwise), strict=True)
-            return [apply("select", condition, a, b) for a, b in pairs]
+            return self.shallow([apply("select", condition, a, b) for a, b in pairs])
         condition, opposite = self.two_branches(condition)
         kinds, key = all_kinds(then.type), (self.frame.path, id(then))  # type: ignore[arg-type]
         slots = []
@@ -387,8 +405,8 @@ class ExpressionLowering(ScopeLowering):
                     self.emit(lanes.Set(self.line, slot, value, mask))
         return [get(slot) for slot in slots]
 
-    def matrix_multiply(self, node: tree.Binary) -> list[Value]:
-        a, b = self.named(node.left), self.named(node.right)
+    def matrix_multiply(self, node: tree.Binary, left: list[Value]) -> list[Value]:
+        a, b = [self.let(value) for value in left], self.named(node.right)
         matrix = node.left.type if isinstance(node.left.type, MatrixType) else node.right.type
         assert isinstance(matrix, MatrixType)
         n = matrix.size
@@ -397,13 +415,13 @@ class ExpressionLowering(ScopeLowering):
         rows = [a] if isinstance(node.left.type, VectorType) else [a[i * n : i * n + n] for i in range(n)]
         return [dot(self.let, row, b[column::n])[0] for row in rows for column in range(n)]
 
-    def power(self, node: tree.Binary) -> list[Value]:
-        exponent = node.right
+    def power(self, node: tree.Binary, left: list[Value]) -> list[Value]:
+        exponent, left = node.right, [self.let(value) for value in left]
         if not (isinstance(exponent, tree.Constant) and exponent.type in (INT, UINT)):
-            x, y = self.named(node.left), self.named(exponent)
+            x, y = left, self.named(exponent)
             return by_component(lambda x, y: apply("pow", x, y))(self.let, x, y)
         count, results = int(exponent.value), []
-        for base in self.named(node.left):
+        for base in left:
             result: Value = base
             for bit in bin(abs(count))[3:]:
                 result = self.let(result * result)
@@ -434,12 +452,18 @@ class ExpressionLowering(ScopeLowering):
 
 def is_simple(node: Expression) -> bool:
     """Return whether inactive lanes may evaluate an expression: it has no memory access, call or side effect."""
-    if isinstance(node, tree.Call | tree.ConstantArray):
-        return False
-    if isinstance(node, tree.BindingRead):
-        return node.declaration.storage_class is StorageClass.UNIFORM and not isinstance(node.type, ArrayType)
-    if isinstance(node, tree.Index) and isinstance(node.base.type, ArrayType | StorageType):
-        return False
-    if isinstance(node, tree.BuiltinCall) and node.builtin.effect is not Effect.NONE:
-        return False
-    return all(is_simple(one) for one in tree.parts_of(node))
+    stack = [node]
+    while stack:
+        node = stack.pop()
+        match node:
+            case tree.Call() | tree.ConstantArray():
+                return False
+            case tree.BindingRead():
+                if node.declaration.storage_class is not StorageClass.UNIFORM or isinstance(node.type, ArrayType):
+                    return False
+            case tree.Index() if isinstance(node.base.type, ArrayType | StorageType):
+                return False
+            case tree.BuiltinCall() if node.builtin.effect is not Effect.NONE:
+                return False
+        stack.extend(tree.parts_of(node))
+    return True

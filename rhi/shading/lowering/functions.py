@@ -440,16 +440,41 @@ class Lowering(TextureLowering):
         self.emit(lanes.Let(self.line, variable, first))
         slot = Slot(variable, stride, key, self.scope)
         self.frame.slots[node.local] = [slot]
-        advance = lanes.Set(self.line, variable, get(variable) + step, None)
+        count = self.read_home(slot, None)
+        if not tree.may_overflow(node):
+            advance = lanes.Set(self.line, variable, get(variable) + step, None)
+            order = "less" if isinstance(step, Literal) and step.value > 0 else "greater"
+            self.loop(node, lambda: apply(order, count, stop), node.body, [advance])
+            return
+        # Whether there is a next value is known before the counter advances, which may wrap then (docs/shading.md).
+        up, down = apply("greater", step, number(0)), apply("less", step, number(0))
+        ascending, descending = apply("less", start, stop), apply("greater", start, stop)
+        last = self.let(self.last_count(stop, step))
+        if isinstance(step, Literal):
+            first = ascending if step.value > 0 else descending
+            more = apply("less" if step.value > 0 else "greater", count, last)
+        else:
+            first = apply("select", up, ascending, apply("and", down, descending))
+            more = apply("select", up, apply("less", count, last), apply("greater", count, last))
+        going = self.variable("more", ScalarKind.BOOL, max(first.uniformity, more.uniformity))
+        self.emit(lanes.Let(self.line, going, first))
+        following = apply("as_int", apply("as_uint", get(variable)) + apply("as_uint", step))
+        steps: lanes.Block = [
+            lanes.Set(self.line, going, more, None),
+            lanes.Set(self.line, variable, following, None),
+        ]
+        self.loop(node, lambda: get(going), node.body, steps)
 
-        def test() -> Value:
-            count = self.read_home(slot, None)
-            if isinstance(step, Literal):
-                return apply("less" if step.value > 0 else "greater", count, stop)
-            up = apply("greater", step, number(0))
-            return apply("select", up, apply("less", count, stop), apply("greater", count, stop))
-
-        self.loop(node, test, node.body, [advance])
+    def last_count(self, stop: Value, step: Value) -> Value:
+        """Return the value that a loop's counter must not have reached for one more step to stay before `stop`."""
+        if isinstance(stop, Literal) and isinstance(step, Literal):
+            return number(min(max(int(stop.value) - int(step.value), -(2**31)), 2**31 - 1))
+        least, most = number(-(2**31)), number(2**31 - 1)
+        above = apply("subtract", apply("max", stop, apply("add", least, step)), step)
+        below = apply("subtract", apply("min", stop, apply("add", most, step)), step)
+        if isinstance(step, Literal):
+            return above if step.value > 0 else below
+        return apply("select", apply("greater", step, number(0)), above, below)
 
     def loop(
         self, node: tree.Statement, test: Callable[[], Value], body: tree.Block, advance: lanes.Block

@@ -173,7 +173,7 @@ class ScopeLowering:
             given,
             allowed,
             tip,
-            CallSite(function.file, self.span.line, function.name),
+            CallSite(str(function.file), self.span.line, function.name),
         )
 
     # -- masks

@@ -14,6 +14,17 @@ __rhi_internal__ = True
 HEX: Final = "0123456789abcdef"
 
 _HEAD: Final = "inline __attribute__((overloadable, always_inline)) "
+_CALLED: Final = "static __attribute__((overloadable, noinline)) "
+
+_LONG: Final = (
+    "sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "pow",
+    "exp", "log", "exp2", "log2",
+)  # fmt: skip
+"""Functions of OpenCL that drivers inline, hundreds of instructions each.
+
+A kernel that needs one of them more than once calls a function of its own instead. So it builds several times as fast,
+and the call costs little beside what the function does.
+"""
 
 
 def _estimate_text(width: int) -> str:
@@ -43,9 +54,9 @@ def _trigonometry_text(function: str) -> Callable[[int], str]:
 
     def text(width: int) -> str:
         if width == 1:
-            return f"{_HEAD}float rhi_{function}(float x) {{ return {function}(x); }}"
+            return f"HEADfloat rhi_{function}(float x) {{ return {function}(x); }}"
         one_by_one = " ".join(f"if (far.s{HEX[i]}) r.s{HEX[i]} = {function}(x.s{HEX[i]});" for i in range(width))
-        return f"""{_HEAD}float{width} rhi_{function}(float{width} x) {{
+        return f"""HEADfloat{width} rhi_{function}(float{width} x) {{
     int{width} far = fabs(x) > 1e5f;
     float{width} r = {function}(select(x, (float{width})(0.0f), far));
     if (rhi_any(far)) {{ {one_by_one} }}
@@ -218,6 +229,13 @@ _FUNCTIONS: Final[dict[str, tuple[str | Callable[[int], str], tuple[str, ...]]]]
     "rhi_sin": (_trigonometry_text("sin"), ()),
     "rhi_cos": (_trigonometry_text("cos"), ()),
     "rhi_tan": (_trigonometry_text("tan"), ()),
+    "rhi_atan2": ("FLOAT rhi_atan2(FLOAT y, FLOAT x) { return atan2(y, x); }", ()),
+    "rhi_pow": ("FLOAT rhi_pow(FLOAT x, FLOAT y) { return pow(x, y); }", ()),
+    **{
+        f"rhi_{name}": (f"FLOAT rhi_{name}(FLOAT x) {{ return {name}(x); }}", ())
+        for name in _LONG
+        if name not in ("sin", "cos", "tan", "atan2", "pow")
+    },
     # Range reduction by quarter turns in three steps, then the polynomials of Cephes: for |x| up to some thousands. The
     # reduced argument is clamped, so that results for larger ones don't exceed 1.
     "rhi_fast_turn": (
@@ -257,13 +275,14 @@ def functions_in(text: str) -> list[str]:
     return list(found)
 
 
-def function_text(name: str, width: int) -> str:
-    """Return the text of a function, for scalars and for vectors of `width`."""
+def function_text(name: str, width: int, calls: int = 1) -> str:
+    """Return the text of a function, for scalars and for vectors of `width`; `calls`: how often it is called."""
     texts = []
+    head = _CALLED if calls > 1 and name.removeprefix("rhi_") in _LONG else _HEAD
     for lanes in sorted({1, width}):
         text = _FUNCTIONS[name][0]
         if not isinstance(text, str):
-            texts.append(text(lanes))
+            texts.append(text(lanes).replace("HEAD", head))
             continue
         for body in text.split("\n#"):
             wide = body.startswith("V")
@@ -273,7 +292,7 @@ def function_text(name: str, width: int) -> str:
                 body = body[1:].replace("(SINT", "(INT").replace(" SINT", " INT").replace("(VINT", "(INT")
                 body = body.replace(" VINT", " INT").replace("(SUINT", "(UINT").replace(" SUINT", " UINT")
                 body = body.replace("(VUINT", "(UINT").replace(" VUINT", " UINT")
-            texts.append(_HEAD + _for_width(body, lanes))
+            texts.append(head + _for_width(body, lanes))
     return "\n".join(texts)
 
 

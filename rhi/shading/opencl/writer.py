@@ -120,7 +120,8 @@ class OpenCLWriter:
             texts += [prelude.QUADS] if any(name in body for name in prelude.QUAD_NAMES) else []
         textures = textures_text(self.width, self.textures, self.precision) if self.textures else ""
         called = prelude.functions_in(body + textures)
-        texts += [prelude.function_text(name, self.width) for name in called] + [textures] * bool(textures)
+        texts += [prelude.function_text(name, self.width, body.count(f"{name}(")) for name in called]
+        texts += [textures] * bool(textures)
         for memory in self.code.memories:
             if memory.space is AddressSpace.CONSTANT:
                 words = ", ".join(self.word(memory.kind, value) for value in memory.values)

@@ -17,6 +17,7 @@ from rhi.shading.language.function import ShadingFunction
 from rhi.shading.language.source import MISSING, source_of, span_of, suggest
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.textures import methods_of
+from rhi.shading.language.tips import FOREIGN, METHODS
 from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, with_scalar
 from rhi.shading.language.vectors import array
 from rhi.shading.parser.expressions import ExpressionParser, member_tip
@@ -92,11 +93,16 @@ class CallParser(ExpressionParser):
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in arguments out of order")
         for parameter in signature.parameters:
             if parameter.name not in values:
-                default = self._default(callee, parameter.default, node)
-                if default is None:
+                if parameter.default is MISSING:
                     self.refuse(rules.WRONG_ARGUMENTS, node, f"no {parameter.name!r}", ", ".join(names))
-                assert not isinstance(parameter.type, UnsizedArray)
-                values[parameter.name] = self.convert(default, parameter.type, node)
+                # As in Python, the value that the default had when the function was defined.
+                default = self.python_value(parameter.default, node, parameter.name)
+                if not isinstance(parameter.type, UnsizedArray):
+                    default = self.convert(default, parameter.type, node, parameter.name)
+                elif not fits(parameter.type, default.type):
+                    given_type = f"{parameter.name}: {default.type}"
+                    self.refuse(rules.WRONG_TYPE, node, given_type, str(parameter.type))
+                values[parameter.name] = default
         arguments = tuple(values[name] for name in names)
         types = tuple(argument.type for argument in arguments)
         function = self.stage_context.instance(callee, types, node, self.source)
@@ -113,24 +119,19 @@ class CallParser(ExpressionParser):
             self.refuse(rules.WRONG_TYPE, at, f"{name}: {value.type}", str(wanted))
         return value
 
-    def _default(self, callee: Callee, default: ast.expr | None, node: ast.Call) -> Expression | None:
-        if default is None:
-            return None
-        return CallParser(self.stage_context, callee.source, None, None).expression(default)
-
     def _call_on_value(self, node: ast.Call) -> Expression:
         if not isinstance(node.func, ast.Attribute):
             self.refuse(rules.SYNTAX, node, "a call of something that is not a name")
         base = self.expression(node.func.value)
         name = node.func.attr
         if not isinstance(base.type, TextureType | ImageType):
-            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}(…)", tip=member_tip(base.type))
+            tip = member_tip(base.type) or _method_tip(name)
+            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}(…)", tip=tip)
         methods = methods_of(base.type)
         if name not in methods:
-            allowed = ", ".join(methods)
-            self.refuse(
-                rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}", allowed, suggest(name, methods)
-            )
+            allowed, foreign = ", ".join(methods), METHODS.get(name, "")
+            tip = f"use {foreign}(…)" if foreign in methods else suggest(name, methods)
+            self.refuse(rules.UNKNOWN_MEMBER, node.func, f"{base.type}.{name}", allowed, tip)
         return self._call_builtin(node, methods[name], [base])
 
     def _call_object(self, node: ast.Call, found: Any) -> Expression:
@@ -155,7 +156,7 @@ class CallParser(ExpressionParser):
         if found is builtins.range:
             self.refuse(rules.SYNTAX, node, "range(…) outside a for loop")
         known = getattr(found, "__name__", "")
-        tip = f"use rhi.shading.{known}" if known in BUILTINS else ""
+        tip = f"use rhi.shading.{known}" if known in BUILTINS else FOREIGN.get(known, "")
         self.refuse(rules.NOT_SHADING, node.func, name, tip=tip)
 
     def _call_builtin(self, node: ast.Call, row: Builtin, first: list[Expression]) -> Expression:
@@ -222,7 +223,9 @@ class CallParser(ExpressionParser):
             self.refuse(
                 rules.OUT_OF_RANGE, node.args[1], ast.unparse(node.args[1]), "a constant of 1 or more"
             )
-        return tree.Zeros(ArrayType(element, int(length.value)), span_of(node))
+        type = ArrayType(element, int(length.value))
+        self.check_size(type, node, ast.unparse(node))
+        return tree.Zeros(type, span_of(node))
 
     def _construct_struct(self, node: ast.Call, cls: type[Struct]) -> Expression:
         type = cls.shading_type
@@ -246,9 +249,9 @@ class CallParser(ExpressionParser):
             self.refuse(rules.EVALUATED_TWICE, node, "side effects in fields out of order")
         for field in type.fields:
             if field.name not in parts:
-                default = self.constant(cls._defaults.get(field.name), span_of(node), field.name)
-                if default is None:
+                if field.name not in cls._defaults:
                     self.refuse(rules.WRONG_ARGUMENTS, node, f"no {field.name!r}", ", ".join(names))
+                default = self.python_value(cls._defaults[field.name], node, field.name)
                 parts[field.name] = self.convert(default, field.type, node)
         return tree.Construct(type, span_of(node), tuple(parts[name] for name in names))
 
@@ -289,6 +292,13 @@ class CallParser(ExpressionParser):
         else:
             wanted = type
         return self.convert(part, wanted, at)
+
+
+def _method_tip(name: str) -> str:
+    """Return a tip for a call of a value's method: the values of the language have none."""
+    if name in BUILTINS:
+        return f"write {name}(…) with the value as an argument"
+    return FOREIGN.get(name, "")
 
 
 def _constructor_tip(type: Type) -> str:

@@ -7,8 +7,7 @@
 from __future__ import annotations
 
 import ast
-import enum
-import numbers
+from functools import reduce
 from types import ModuleType
 from typing import Any, Final, NoReturn, Protocol
 
@@ -30,9 +29,20 @@ from rhi.shading.language.builtins import Builtin
 from rhi.shading.language.shader import Declaration, Shader
 from rhi.shading.language.source import MISSING, Source, SourceSpan, span_of, suggest, suggest_name
 from rhi.shading.language.textures import methods_of
-from rhi.shading.language.types import VECTORS, ImageType, StorageType, TextureType, Type, is_value, scalar_of
-from rhi.shading.language.vectors import Composite
-from rhi.shading.parser.operators import binary, convert, unary
+from rhi.shading.language.tips import FOREIGN
+from rhi.shading.language.types import (
+    VECTORS,
+    ImageType,
+    StorageType,
+    TextureType,
+    Type,
+    count_scalars,
+    has_array,
+    is_value,
+    scalar_of,
+)
+from rhi.shading.parser.constants import constant, tip_for
+from rhi.shading.parser.operators import binary, convert, typed, unary
 from rhi.shading.parser.signatures import Callee
 
 __rhi_internal__ = True
@@ -72,12 +82,20 @@ _ORDER_FUNCTIONS: Final = {
     ">=": "greater_than_equal",
 }
 _AXES: Final = ("xyzw", "rgba")
+MAX_LOCAL: Final = 4096
+"""The greatest number of scalars in a local array: 16 KiB for each invocation."""
+MAX_NESTING: Final = 64
+"""The most expressions, blocks and calls, counted together, that may lie around each other in a stage."""
+_WIDEST: Final = 8
+"""The most conditions of an `and` or `or` that nest in each other in the tree; more are grouped."""
 
 
 class StageContext(Protocol):
     """The interface that an expression parser needs of the stage being compiled."""
 
     shader: type[Shader]
+    nesting: int
+    """The number of expressions, blocks and calls around what is being parsed."""
 
     def method(self, name: str, after: type | None) -> Callee | None:
         """Return the shader's method of that name; with `after`, that of the bases behind this class."""
@@ -101,6 +119,7 @@ class ExpressionParser:
         self.source = source
         self.owner = owner
         self.self_name = self_name
+        self.untaken = 0  # the conditions around this place that are constant and false
 
     # -- provided by FunctionParser
 
@@ -121,8 +140,17 @@ class ExpressionParser:
         if parse is None:
             tip = "array(float, 4) makes an array of zeros; a constant array is a tuple defined in the module or class"
             self.unsupported(node, tip if isinstance(node, ast.List) else "")
+        self.nest(node)
         result: Expression = parse(node)
+        self.stage_context.nesting -= 1
         return result
+
+    def nest(self, at: ast.AST | SourceSpan) -> None:
+        """Count one more level of nesting, or refuse it."""
+        self.stage_context.nesting += 1
+        if self.stage_context.nesting > MAX_NESTING:
+            given = f"more than {MAX_NESTING} levels of expressions, blocks and calls in each other"
+            self.refuse(rules.TOO_DEEP, at, given, f"up to {MAX_NESTING}")
 
     def converted(self, node: ast.expr, wanted: Type, what: str = "") -> Expression:
         """Return the expression converted to `wanted`, or refuse it."""
@@ -158,16 +186,16 @@ class ExpressionParser:
     # -- leaves
 
     def _constant(self, node: ast.Constant) -> Expression:
-        constant = self.constant(node.value, span_of(node), "")
-        if constant is None:
+        value = constant(node.value, span_of(node), "", self.source)
+        if value is None:
             self.refuse(rules.SYNTAX, node, f"a {type(node.value).__name__}", "numbers and bools")
-        return constant
+        return value
 
     def _name(self, node: ast.Name) -> Expression:
         variable = self.read(node.id, node)
         if variable is not None:
             return variable
-        return self._as_expression(self._static_name(node), node, node.id)
+        return self.python_value(self._static_name(node), node, node.id)
 
     def _static_name(self, node: ast.Name) -> Any:
         found = self.source.scope.find(node.id)
@@ -180,53 +208,15 @@ class ExpressionParser:
         """Return the names of the function's variables, for suggestions."""
         return []
 
-    def _as_expression(self, found: Any, node: ast.expr, name: str) -> Expression:
-        constant = self.constant(found, span_of(node), name)
-        if constant is None:
+    def python_value(self, value: Any, at: ast.expr, name: str) -> Expression:
+        """Return a Python value as a constant, or refuse it at `at`."""
+        found = constant(value, span_of(at), name, self.source)
+        if found is None:
+            allowed = "numbers, vectors, and tuples of them"
             self.refuse(
-                rules.NOT_SHADING,
-                node,
-                f"{name}, a {type(found).__name__}",
-                "numbers, vectors, and tuples of them",
-                "functions and types can be called, but not used as values" if callable(found) else "",
+                rules.NOT_SHADING, at, f"{name}, a {type(value).__name__}", allowed, tip_for(value, name)
             )
-        return constant
-
-    def constant(self, value: Any, span: SourceSpan, name: str) -> Expression | None:
-        """Return a Python value as a constant, or None if it can't be one."""
-        if isinstance(value, enum.Enum) and isinstance(value, int):
-            value = int(value)
-        if isinstance(value, bool):
-            return Constant(BOOL, span, value)
-        if isinstance(value, numbers.Integral):
-            if isinstance(getattr(type(value), "shading_type", None), ScalarType):
-                return Constant(UINT, span, int(value))
-            if not -(2**31) <= int(value) < 2**32:
-                self.refuse(rules.OUT_OF_RANGE, span, str(value), "32 bits")
-            return Constant(INT, span, int(value), literal=True)
-        if isinstance(value, numbers.Real):
-            return Constant(FLOAT, span, float(value))
-        if isinstance(value, Composite):
-            scalar = scalar_of(value.shading_type) or FLOAT
-            parts = [Constant(scalar, span, component) for component in value.components]
-            return tree.Construct(value.shading_type, span, tuple(parts))
-        if isinstance(value, tuple) and value:
-            return self._constant_array(value, span, name)
-        return None
-
-    def _constant_array(self, value: tuple[Any, ...], span: SourceSpan, name: str) -> Expression | None:
-        elements = [self.constant(part, span, name) for part in value]
-        types = [element.type for element in elements if element is not None]
-        if len(types) != len(elements):
-            return None
-        element_type = FLOAT if set(types) == {INT, FLOAT} else types[0]
-        converted = [convert(element, element_type) for element in elements if element is not None]
-        if any(element is None for element in converted) or not isinstance(
-            element_type, ScalarType | VectorType
-        ):
-            return None
-        parts = tuple(element for element in converted if element is not None)
-        return tree.ConstantArray(ArrayType(element_type, len(parts)), span, name, parts)
+        return found
 
     # -- operators
 
@@ -242,16 +232,22 @@ class ExpressionParser:
         return result
 
     def _binop(self, node: ast.BinOp) -> Expression:
-        return self.binary(
-            BINARY[type(node.op)], self.expression(node.left), self.expression(node.right), node
-        )
+        chain = [node]  # a + b + c nests to the left, and may be longer than Python's recursion limit
+        while isinstance(chain[-1].left, ast.BinOp):
+            chain.append(chain[-1].left)
+        result = self.expression(chain[-1].left)
+        for one in reversed(chain):
+            result = self.binary(BINARY[type(one.op)], result, self.expression(one.right), one)
+        return result
 
     def binary(self, op: Operator, left: Expression, right: Expression, at: ast.AST) -> Expression:
         """Return a typed binary operation, or refuse its operands."""
         try:
             result = binary(op, left, right, span_of(at))
         except (ZeroDivisionError, OverflowError, ValueError, TypeError) as error:
-            self.refuse(rules.OUT_OF_RANGE, at, str(error))
+            if not self.untaken:
+                self.refuse(rules.OUT_OF_RANGE, at, str(error))
+            result = typed(op, left, right, span_of(at))
         if result is None:
             self.refuse(
                 rules.WRONG_TYPE,
@@ -262,32 +258,55 @@ class ExpressionParser:
         return result
 
     def _boolop(self, node: ast.BoolOp) -> Expression:
-        op = Operator.AND if isinstance(node.op, ast.And) else Operator.OR
-        result = self.condition(node.values[0])
-        for value in node.values[1:]:
-            result = self.binary(op, result, self.condition(value), node)
-        return result
+        is_and, operands = isinstance(node.op, ast.And), []
+        decided: Constant | None = None
+        for value in node.values:
+            self.untaken += decided is not None
+            condition = self.condition(value)
+            self.untaken -= decided is not None
+            if decided is not None:
+                continue  # Python wouldn't evaluate it
+            if not isinstance(condition, Constant):
+                operands.append(condition)
+            elif condition.value != is_and:
+                decided = condition
+                operands.append(condition)
+        return self._join(Operator.AND if is_and else Operator.OR, operands, node) or Constant(
+            BOOL, span_of(node), is_and
+        )
+
+    def _join(self, op: Operator, operands: list[Expression], at: ast.AST) -> Expression | None:
+        """Return the conjunction or disjunction of conditions, None without any. Many are grouped: a flat tree."""
+        while len(operands) > 1:
+            groups = [operands[i : i + _WIDEST] for i in range(0, len(operands), _WIDEST)]
+            operands = [reduce(lambda a, b: self.binary(op, a, b, at), group) for group in groups]
+        return operands[0] if operands else None
 
     def _compare(self, node: ast.Compare) -> Expression:
         left = self.expression(node.left)
-        result: Expression | None = None
+        results = []
         for index, (op, right_node) in enumerate(zip(node.ops, node.comparators, strict=True)):
             if type(op) not in _COMPARE:
                 self.refuse(rules.SYNTAX, node, f"`{ast.unparse(node)}`", "== != < <= > >=")
             right = self.expression(right_node)
             if index + 1 < len(node.ops) and tree.has_effect(right):
                 self.refuse(rules.EVALUATED_TWICE, right_node)
-            one = self.binary(_COMPARE[type(op)], left, right, node)
-            result = one if result is None else self.binary(Operator.AND, result, one, node)
+            results.append(self.binary(_COMPARE[type(op)], left, right, node))
             left = right
+        result = self._join(Operator.AND, results, node)
         assert result is not None
         return result
 
     def _ifexp(self, node: ast.IfExp) -> Expression:
         condition = self.condition(node.test)
-        then, otherwise = self.expression(node.body), self.expression(node.orelse)
-        if isinstance(condition, Constant):
-            return then if condition.value else otherwise
+        known = bool(condition.value) if isinstance(condition, Constant) else None
+        self.untaken += known is False
+        then = self.expression(node.body)
+        self.untaken += (known is True) - (known is False)
+        otherwise = self.expression(node.orelse)
+        self.untaken -= known is True
+        if known is not None:
+            return then if known else otherwise
         for value, other in ((then, otherwise), (otherwise, then)):
             converted = convert(value, other.type)
             if converted is not None:
@@ -311,7 +330,7 @@ class ExpressionParser:
             if isinstance(base, ModuleType | type):
                 found = getattr(base, node.attr, MISSING)
                 if found is MISSING:
-                    tip = suggest(node.attr, dir(base))
+                    tip = FOREIGN.get(node.attr, "") or suggest(node.attr, dir(base))
                     self.refuse(rules.UNKNOWN_NAME, node, repr(ast.unparse(node)), tip=tip)
                 return found
         return MISSING
@@ -325,7 +344,7 @@ class ExpressionParser:
             return self._field_of_shader(node)
         found = self.static(node)
         if found is not MISSING:
-            return self._as_expression(found, node, node.attr)
+            return self.python_value(found, node, node.attr)
         base = self.expression(node.value)
         span = span_of(node)
         if isinstance(base.type, StructType):
@@ -337,7 +356,8 @@ class ExpressionParser:
             return tree.Member(field.type, span, base, node.attr)
         if isinstance(base.type, VectorType):
             return self._swizzle(base, base.type, node)
-        self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=member_tip(base.type))
+        tip = member_tip(base.type) or ("use transpose(m)" if node.attr == "T" else "")
+        self.refuse(rules.UNKNOWN_MEMBER, node, f"{base.type}.{node.attr}", tip=tip)
 
     def _swizzle(self, base: Expression, type: VectorType, node: ast.Attribute) -> Expression:
         for axes in _AXES:
@@ -354,13 +374,12 @@ class ExpressionParser:
         if declared is not None:
             return tree.BindingRead(declared.type, span, declared)
         found = getattr(shader, node.attr, MISSING)
-        constant = self.constant(found, span, node.attr) if found is not MISSING else None
-        if constant is None:
-            names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
-            self.refuse(
-                rules.UNKNOWN_MEMBER, node, f"{shader.__name__}.{node.attr}", tip=suggest(node.attr, names)
-            )
-        return constant
+        if found is not MISSING:
+            return self.python_value(found, node, node.attr)
+        names = [*shader._declared, *(name for name in dir(shader) if not name.startswith("_"))]
+        self.refuse(
+            rules.UNKNOWN_MEMBER, node, f"{shader.__name__}.{node.attr}", tip=suggest(node.attr, names)
+        )
 
     def _subscript(self, node: ast.Subscript) -> Expression:
         base = self.expression(node.value)
@@ -389,15 +408,26 @@ class ExpressionParser:
     def _constant_index(self, index: Constant, type: Type, node: ast.Subscript) -> Constant:
         value = int(index.value)
         if isinstance(type, StorageType):
-            if value < 0:
+            if value < 0 and not self.untaken:
                 self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), "0 or more", "count back from len(…)")
             return index
         length = type.length if isinstance(type, ArrayType) else getattr(type, "size", 0)
-        if not -length <= value < length:
+        if not -length <= value < length and not self.untaken:
             self.refuse(rules.OUT_OF_RANGE, node.slice, str(value), f"{-length} to {length - 1}")
         return Constant(INT, index.span, value % length)
 
     # -- for calls and statements
+
+    def check_size(self, type: Type, at: ast.AST, what: str) -> None:
+        """Refuse a local array, or a struct with one, that is too large for an invocation."""
+        if isinstance(type, ArrayType | StructType) and has_array(type):
+            scalars = count_scalars(type)
+            if scalars > MAX_LOCAL:
+                given, tip = (
+                    f"{what}, {scalars} numbers",
+                    "use a buffer, StorageRW[…], or memory of the work-group, shared(…)",
+                )
+                self.refuse(rules.TOO_LARGE, at, given, f"up to {MAX_LOCAL} numbers for each invocation", tip)
 
     def cast(self, value: Expression, type: ScalarType | VectorType, span: SourceSpan) -> Expression:
         """Return an explicit conversion, such as `int(x)`."""

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import Any, Final
 
 from rhi.contract.layout import BOOL, FLOAT, INT, UINT, MatrixType, ScalarType, VectorType
-from rhi.shading.ir.tree import Binary, Constant, Convert, Expression, Operator, Unary
+from rhi.shading.ir.tree import Binary, Constant, Construct, Convert, Expression, Operator, Unary
 from rhi.shading.language.source import SourceSpan
 from rhi.shading.language.types import Type, converts, scalar_of, with_scalar
 
@@ -42,6 +42,7 @@ _FOLD: Final[dict[Operator, Callable[[Any, Any], Any]]] = {
     Operator.OR: lambda a, b: a or b,
 }
 BITWISE: Final = frozenset({Operator.BIT_AND, Operator.BIT_OR, Operator.BIT_XOR})
+_DIVISIONS: Final = frozenset({Operator.DIVIDE, Operator.FLOOR_DIVIDE, Operator.MODULO})
 SHIFTS: Final = frozenset({Operator.SHIFT_LEFT, Operator.SHIFT_RIGHT})
 EQUALITY: Final = frozenset({Operator.EQUAL, Operator.NOT_EQUAL})
 ORDER: Final = frozenset({Operator.LESS, Operator.LESS_EQUAL, Operator.GREATER, Operator.GREATER_EQUAL})
@@ -84,26 +85,47 @@ def binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) 
     """Return a typed `left op right`, folded if both are constants; None if the types don't fit.
 
     Raises:
-        ZeroDivisionError: a constant division by zero.
+        ZeroDivisionError: a division by a constant that is zero or has a component that is.
         OverflowError, ValueError: another constant operation without a valid result.
     """
-    node = _binary(op, left, right, span)
-    if isinstance(node, Binary) and isinstance(node.left, Constant) and isinstance(node.right, Constant):
-        if op in SHIFTS and not 0 <= node.right.value < 32:
-            raise ValueError(f"a shift by {node.right.value}")
+    node = typed(op, left, right, span)
+    if not isinstance(node, Binary):
+        return node
+    if op in _DIVISIONS and 0 in _constants_of(node.right):
+        integers = scalar_of(node.type) in (INT, UINT)
+        raise ZeroDivisionError(f"{'integer ' * integers}division by zero")
+    if (
+        op is Operator.POWER
+        and 0 in _constants_of(node.left)
+        and any(n < 0 for n in _constants_of(node.right))
+    ):
+        raise ZeroDivisionError("0.0 to a negative power")
+    for count in _constants_of(node.right) if op in SHIFTS else ():
+        if not 0 <= count < 32:
+            raise ValueError(f"a shift by {count}")
+    if isinstance(node.left, Constant) and isinstance(node.right, Constant):
         value = _FOLD[op](node.left.value, node.right.value)
         literal = node.type is INT and getattr(left, "literal", False) and getattr(right, "literal", False)
         if node.type is UINT:
             value &= 0xFFFFFFFF
         return Constant(node.type, span, value, literal)
-    if isinstance(node, Binary) and op in (Operator.FLOOR_DIVIDE, Operator.MODULO):
-        divisor = node.right
-        if isinstance(divisor, Constant) and divisor.value == 0 and divisor.type is not FLOAT:
-            raise ZeroDivisionError("integer division by zero")
     return node
 
 
-def _binary(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
+def _constants_of(value: Expression) -> list[bool | int | float]:
+    """Return the numbers of a constant, or of those components of a vector that are constants."""
+    match value:
+        case Constant(value=number):
+            return [number]
+        case Construct(type=VectorType(), parts=parts):
+            return [number for part in parts for number in _constants_of(part)]
+        case Convert(type=VectorType(), value=inner):
+            return _constants_of(inner)
+    return []
+
+
+def typed(op: Operator, left: Expression, right: Expression, span: SourceSpan) -> Expression | None:
+    """Return a typed `left op right` that isn't folded; None if the types don't fit."""
     if op is Operator.MATRIX_MULTIPLY:
         return _matrix_multiply(left, right, span)
     if op in (Operator.AND, Operator.OR):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import ast
 from dataclasses import dataclass
 from types import FunctionType
-from typing import Any, Final, NoReturn, get_args, get_origin
+from typing import Any, NoReturn, get_args, get_origin
 
 from rhi.contract.layout import ArrayType
 from rhi.shading.language import rules
 from rhi.shading.language.annotations import value_type
 from rhi.shading.language.bindings import Storage, StorageRW, Uniform
 from rhi.shading.language.shader import Shader
-from rhi.shading.language.source import Source, source_of, suggest_name
+from rhi.shading.language.source import MISSING, Source, source_of, suggest_name
 from rhi.shading.language.structs import Struct
 from rhi.shading.language.textures import SampledTexture
 from rhi.shading.language.types import VOID, Type
@@ -33,12 +33,12 @@ class UnsizedArray:
 
 @dataclass(frozen=True, slots=True)
 class FunctionParameter:
-    """A parameter of a function. `host` is its annotation, `default` the syntax tree of its default value."""
+    """A parameter of a function. `host` is its annotation, `default` its default value or `MISSING`."""
 
     name: str
     type: Type | UnsizedArray
     host: Any
-    default: ast.expr | None
+    default: Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +51,6 @@ class Signature:
     self_name: str | None
 
 
-_MISSING: Final = object()
-
-
 def signature_of(source: Source, is_method: bool) -> Signature:
     """Return the signature of a function, or refuse the parameter that is wrong."""
     arguments = source.node.args
@@ -61,10 +58,11 @@ def signature_of(source: Source, is_method: bool) -> Signature:
         if extra is not None:
             source.refuse(rules.SYNTAX, extra, f"*{extra.arg}", "named parameters")
     positional = [*arguments.posonlyargs, *arguments.args]
-    defaults: list[ast.expr | None] = [None] * (len(positional) - len(arguments.defaults))
-    defaults += arguments.defaults
+    given = source.function.__defaults__ or ()
+    defaults: list[Any] = [*[MISSING] * (len(positional) - len(given)), *given]
     named = [*positional, *arguments.kwonlyargs]
-    defaults += arguments.kw_defaults
+    by_name = source.function.__kwdefaults__ or {}
+    defaults += [by_name.get(argument.arg, MISSING) for argument in arguments.kwonlyargs]
     self_name = None
     if is_method:
         if not positional:
@@ -89,12 +87,12 @@ def _annotation(source: Source, name: str, at: ast.AST, node: ast.expr | None) -
     if node is None:
         what = "a return annotation (`-> None` for none)" if name == "return" else f"a type for {name!r}"
         source.refuse(rules.ANNOTATION, at, "none", what)
-    return evaluate_annotation(source, node, source.function.__annotations__.get(name, _MISSING))
+    return evaluate_annotation(source, node, source.function.__annotations__.get(name, MISSING))
 
 
-def evaluate_annotation(source: Source, node: ast.expr, known: Any = _MISSING) -> Any:
+def evaluate_annotation(source: Source, node: ast.expr, known: Any = MISSING) -> Any:
     """Return the object that an annotation names: `known` unless that is a string or missing."""
-    if known is not _MISSING and not isinstance(known, str):
+    if known is not MISSING and not isinstance(known, str):
         return known
     try:
         return source.scope.evaluate(known if isinstance(known, str) else ast.unparse(node))

@@ -9,7 +9,9 @@
 from __future__ import annotations
 
 import ast
+import math
 from types import FunctionType
+from typing import Final
 
 from rhi.contract.descriptors import Stage
 from rhi.contract.layout import INT, ArrayType, StructType
@@ -19,11 +21,16 @@ from rhi.shading.language import rules
 from rhi.shading.language.builtins import Builtin, Effect
 from rhi.shading.language.shader import Shader, StorageClass
 from rhi.shading.language.source import Source, show, span_of
-from rhi.shading.language.types import StorageType, Type
+from rhi.shading.language.types import StorageType, Type, count_scalars, has_array
 from rhi.shading.parser.signatures import Callee, UnsizedArray, find_method
 from rhi.shading.parser.statements import FunctionParser
 
 __rhi_internal__ = True
+
+PIXELS: Final = 16
+"""The invocations of a vertex or fragment stage that run together on a CPU."""
+MAX_STACK: Final = 1 << 20
+"""The greatest number of scalars in the local arrays of a work-group: 4 MiB, half of a thread's stack on Linux."""
 
 
 class StageParser:
@@ -34,6 +41,7 @@ class StageParser:
         self.stage = stage
         self.instances: dict[tuple[FunctionType, tuple[Type, ...]], tree.Function] = {}
         self.finished: list[tree.Function] = []
+        self.nesting = 0
 
     def parse(self, entry: Callee) -> tree.StageTree:
         """Return the stage whose entry function is `entry`."""
@@ -144,8 +152,9 @@ def _collect(
                         str(value),
                         "an int of 32 bits",
                         "write uint(…) for numbers above 2147483647",
-                        CallSite(function.file, node.span.line, function.name),
+                        CallSite(str(function.file), node.span.line, function.name),
                     )
+    _check_locals(stage, entry, finished, shader)
     bindings = tuple(d for d in shader._declared.values() if d.name in declared)
     for declaration in bindings:
         type = declaration.type
@@ -162,6 +171,36 @@ def _collect(
         frozenset(loaded),
         discards,
     )
+
+
+def _check_locals(
+    stage: Stage, entry: tree.Function, finished: list[tree.Function], shader: type[Shader]
+) -> None:
+    """Refuse a stage whose local arrays, those of every call included, don't fit the stack of a CPU's work-group."""
+    words: dict[tree.Function, int] = {}
+    for function in finished:  # those that are called come first
+        types = [parameter.type for parameter in function.parameters]
+        total = 0
+        for node in tree.walk(function.body):
+            if isinstance(node, tree.Declare):
+                types.append(node.local.type)
+            elif isinstance(node, tree.Call):
+                total += words[node.function]
+        total += sum(
+            count_scalars(t) for t in types if isinstance(t, ArrayType | StructType) and has_array(t)
+        )
+        words[function] = total
+    invocations = math.prod(shader.work_group) if stage is Stage.COMPUTE else PIXELS
+    if words[entry] * invocations > MAX_STACK:
+        given = f"arrays of {words[entry]} numbers, those of every call included, for each of {invocations} invocations"
+        raise ShaderError(
+            rules.TOO_LARGE,
+            f"{entry.name}\n{show(entry.file, entry.span)}",
+            given,
+            f"up to {MAX_STACK} numbers together",
+            "use smaller work-groups, or a buffer: StorageRW[…]",
+            CallSite(str(entry.file), entry.span.line, entry.name),
+        )
 
 
 def _add_structs(type: Type, structs: dict[StructType, None]) -> None:

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Final
 
-from rhi.contract.layout import INT, UINT, MatrixType
+from rhi.contract.layout import BOOL, INT, UINT, MatrixType
 from rhi.shading.ir import tree
 from rhi.shading.ir.tree import Constant, Expression, Local
 from rhi.shading.language import rules
@@ -47,6 +47,9 @@ _STATEMENT_TIPS: Final = {
     "ImportFrom": "import at the top of the module",
 }
 
+_LONGEST_CHAIN: Final = 8
+"""The most branches of an `if` that nest in each other in the tree."""
+
 
 class BlockBuilder(list[tree.Statement]):
     """A block under construction.
@@ -76,7 +79,7 @@ class TrackedLocal:
     Attributes:
         path: the blocks around all uses, from the function's body inwards.
         indices: for each block of the path, the index of the statement that contains the first use.
-        first: the first assignment, in `first_block`.
+        first: the first assignment, statement `first_index` of `first_block`.
         loops: the `for` loops that have the local as their variable.
     """
 
@@ -85,6 +88,7 @@ class TrackedLocal:
     indices: list[int]
     first: tree.Statement | None = None
     first_block: BlockBuilder | None = None
+    first_index: int = 0
     loops: list[tree.For] = field(default_factory=list)
 
 
@@ -117,7 +121,9 @@ class FunctionParser(CallParser):
         if self.function.native and _is_empty(body):
             self.function.has_effect = True
             return
+        self.nest(_header(self.source.node))
         self.statements(body)
+        self.stage_context.nesting -= 1
         if self.function.result != VOID and self.reachable:
             wanted = str(self.function.result)
             self.refuse(rules.MISSING_RETURN, _header(self.source.node), "the end is reached", wanted)
@@ -187,8 +193,7 @@ class FunctionParser(CallParser):
                 return
         if variable.first is not None and variable.first_block is home:
             assert isinstance(variable.first, tree.Assign)
-            at = next(i for i, statement in enumerate(home) if statement is variable.first)
-            home[at] = tree.Declare(variable.first.span, variable.local, variable.first.value)
+            home[variable.first_index] = tree.Declare(variable.first.span, variable.local, variable.first.value)
             return
         home.declares.setdefault(index, []).append(variable.local)
 
@@ -205,11 +210,20 @@ class FunctionParser(CallParser):
             parse(node)
 
     @contextmanager
-    def _block(self) -> Iterator[BlockBuilder]:
-        block = BlockBuilder()
-        self.blocks.append(block)
-        yield block
-        self.blocks.pop()
+    def _block(self, at: ast.stmt) -> Iterator[BlockBuilder]:
+        yield self._enter(at)
+        self._leave(len(self.blocks) - 1)
+
+    def _enter(self, at: ast.stmt) -> BlockBuilder:
+        """Begin a block inside the current one."""
+        self.nest(_header(at))
+        self.blocks.append(BlockBuilder())
+        return self.blocks[-1]
+
+    def _leave(self, outer: int) -> None:
+        """End the blocks behind the first `outer` ones."""
+        self.stage_context.nesting -= len(self.blocks) - outer
+        del self.blocks[outer:]
 
     def _append(self, statement: tree.Statement) -> None:
         self.blocks[-1].append(statement)
@@ -270,6 +284,7 @@ class FunctionParser(CallParser):
         variable = self.variables.get(target.id)
         new = variable is None
         if variable is None:
+            self.check_size(value.type, node, f"{target.id}: {value.type}")
             variable = self._new_variable(target.id, value.type)
         local = variable.local
         if value.type != local.type:
@@ -281,6 +296,7 @@ class FunctionParser(CallParser):
         statement = tree.Assign(span_of(node), tree.Read(local.type, span_of(target), local), value)
         if new:
             variable.first, variable.first_block = statement, self.blocks[-1]
+            variable.first_index = len(self.blocks[-1])
         local.writes += 1
         self.assigned.add(local)
         self._append(statement)
@@ -348,32 +364,71 @@ class FunctionParser(CallParser):
     # -- control flow
 
     def _if(self, node: ast.If) -> None:
-        condition = self.condition(node.test)
-        before, reachable = set(self.assigned), self.reachable
-        with self._block() as then:
-            self.statements(node.body)
-        after_then, then_reachable = self.assigned, self.reachable
-        self.assigned, self.reachable = set(before), reachable
-        with self._block() as otherwise:
-            self.statements(node.orelse)
-        if isinstance(condition, Constant):
-            if condition.value:
-                self.assigned, self.reachable = after_then, then_reachable
-            self._append(Splice(span_of(node), then if condition.value else otherwise))
+        """Parse a chain of `if`, `elif` and `else`, however long: after `_LONGEST_CHAIN` branches it goes on behind the
+        statement, under a condition that says that no branch was taken."""
+        before, reachable, depth = set(self.assigned), self.reachable, len(self.blocks)
+        chain = [node]
+        while len(chain[-1].orelse) == 1 and isinstance(chain[-1].orelse[0], ast.If):
+            chain.append(chain[-1].orelse[0])
+        pending = Local("pending", BOOL, writes=2) if len(chain) > _LONGEST_CHAIN else None
+        ends: list[set[Local]] = []  # the assigned locals wherever a branch is left at its end
+        decided = False  # by a condition that is constant and true
+
+        def branch(statements: list[ast.stmt], taken: bool) -> None:
+            self.assigned, self.reachable = set(before), reachable
+            self.untaken += not taken
+            self.statements(statements)
+            self.untaken -= not taken
+            if taken and self.reachable:
+                ends.append(self.assigned)
+
+        for index, arm in enumerate(chain):
+            self.assigned, self.reachable = set(before), reachable
+            if pending is not None and index % _LONGEST_CHAIN == 0:
+                self._continue_chain(arm, pending, depth)
+            self.untaken += decided
+            condition = self.condition(arm.test)
+            self.untaken -= decided
+            taken = not decided and not (isinstance(condition, Constant) and not condition.value)
+            with self._block(arm) as then:
+                branch(arm.body, taken)
+            if not taken:
+                continue
+            if isinstance(condition, Constant):
+                self._append(Splice(span_of(arm), then))
+                decided = True
+                continue
+            statement = tree.If(_header(arm), condition, then, BlockBuilder())
+            self._append(statement)
+            otherwise = self._enter(arm)
+            statement.otherwise = otherwise
+        with self._block(node) as last:
+            branch(chain[-1].orelse, not decided)
+        if not decided:
+            self._append(Splice(span_of(node), last))
+        self._leave(depth)
+        self.assigned = set.intersection(*ends) if ends else before
+        self.reachable = bool(ends)
+
+    def _continue_chain(self, arm: ast.If, pending: Local, depth: int) -> None:
+        """Begin the next part of a long chain of branches: inside an `if` for its own part, behind those before."""
+        read, span = tree.Read(BOOL, span_of(arm), pending), _header(arm)
+        if len(self.blocks) == depth:
+            self._append(tree.Declare(span, pending, Constant(BOOL, span, False)))
             return
-        if then_reachable and self.reachable:
-            self.assigned &= after_then
-        elif then_reachable:
-            self.assigned = after_then
-        self.reachable = then_reachable or self.reachable
-        self._append(tree.If(_header(node), condition, then, otherwise))
+        self._append(tree.Assign(span, read, Constant(BOOL, span, True)))
+        self._leave(depth)
+        statement = tree.If(span, read, BlockBuilder(), BlockBuilder())
+        self._append(statement)
+        statement.then = self._enter(arm)
+        self._append(tree.Assign(span, tree.Read(BOOL, span, pending), Constant(BOOL, span, False)))
 
     def _while(self, node: ast.While) -> None:
         self._no_else(node)
         condition = self.condition(node.test)
         before, reachable = set(self.assigned), self.reachable
         self.breaks.append([])
-        with self._block() as body:
+        with self._block(node) as body:
             self.statements(node.body)
         breaks = self.breaks.pop()
         self.assigned, self.reachable = before, reachable
@@ -406,7 +461,7 @@ class FunctionParser(CallParser):
             self.refuse(rules.OUT_OF_RANGE, call.args[2], "a step of 0", "any other step")
         before, reachable = set(self.assigned), self.reachable
         self.breaks.append([])
-        with self._block() as body:
+        with self._block(node) as body:
             name = node.target.id
             variable = self.variables.get(name)
             if variable is None or (variable.local not in before and variable.local.type is INT):
@@ -436,7 +491,7 @@ class FunctionParser(CallParser):
             self.refuse(rules.SYNTAX, node.orelse[0], "else of a loop", tip="set a flag before break")
 
     def _break(self, node: ast.Break) -> None:
-        if self.reachable:
+        if self.reachable and not self.untaken:
             self.breaks[-1].append(set(self.assigned))
         self.reachable = False
         self._append(tree.Break(span_of(node)))

@@ -8,7 +8,6 @@ are checked, so that a base may declare bindings for its subclasses.
 from __future__ import annotations
 
 import ast
-import linecache
 from types import FunctionType
 
 from rhi.errors import CallSite, ShaderError
@@ -45,7 +44,7 @@ def check_bindings_are_used(shader: type[Shader], used: frozenset[str]) -> None:
         if name not in named:
             file, span = _declaration(shader, methods[0], name)
             call = f"class {shader.__name__}: {name}\n{show(file, span)}"
-            site = CallSite(file, span.line, shader.__qualname__)
+            site = CallSite(str(file), span.line, shader.__qualname__)
             raise ShaderError(rules.UNUSED_BINDING, call, f"{name} is never used", site=site)
 
 
@@ -62,8 +61,8 @@ def _named(method: FunctionType) -> set[str]:
 
 def _declaration(shader: type[Shader], method: FunctionType, name: str) -> tuple[str, SourceSpan]:
     """Return the file of a class's methods and the span of a binding's declaration in it (`name: …`, `name = …`)."""
-    file = method.__code__.co_filename
-    for node in ast.walk(ast.parse("".join(linecache.getlines(file)))):
+    file = source_of(method).file
+    for node in ast.walk(ast.parse("".join(file.lines))):
         if isinstance(node, ast.ClassDef) and node.name == shader.__name__:
             for statement in node.body:
                 targets = (

@@ -139,6 +139,21 @@ def test_blocks_share_one_vertex_array_until_the_ring_grows(kit: Kit) -> None:
     assert [c["first"] for c in draws[:2]] == [0, 10]
 
 
+def test_vertex_arrays_of_instances_live_for_a_frame(kit: Kit) -> None:
+    """Each begins where its instances lie; those of meshes without instances are shared by all frames."""
+    rows, shifts = np.zeros(3, [("position", "<f4", 2)]), np.zeros(4, [("position", "<f4", 2)])
+    for _ in range(5):
+        kit.device.transient.mesh(kit.program, rows)
+        for _ in range(3):
+            kit.device.transient.mesh(kit.program, 3, instances=shifts)
+        kit.device.present()
+    kit.device.finish()
+    made = [c["vertex_array"] for c in kit.ops(Op.CREATE_VERTEX_ARRAY)]
+    gone = [c["resource"] for c in kit.ops(Op.DESTROY)]
+    assert len(made) == 1 + 5 * 3
+    assert set(made) - set(gone) == {made[0]}
+
+
 def test_transient_constants_lie_at_different_aligned_places(kit: Kit) -> None:
     first = kit.device.transient.uniform(Camera(tint=(1, 0, 0, 1)))
     second = kit.device.transient.uniform(Camera(tint=(0, 1, 0, 1)))

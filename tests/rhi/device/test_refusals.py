@@ -28,12 +28,13 @@ def open_too_many_scopes(kit: Kit) -> None:
         scope.__enter__()
 
 
-def draw_transient_mesh_in_parts(kit: Kit) -> None:
+def draw_transient_mesh_indirectly(kit: Kit) -> None:
     vertices = np.zeros(3, [("position", "<f4", (2,))])
     with kit.device.render_pass(kit.image):
         mesh = kit.device.transient.mesh(kit.program, vertices)
-        draws = kit.mesh.draws()
-        kit.device.draw_many(kit.program, mesh, draws, camera=kit.camera, object=kit.objects[0])  # type: ignore[arg-type]
+        with kit.device.buffer(kit.mesh.draws()) as draws:
+            arguments = rhi.IndirectDraws(draws, 1)
+            kit.device.draw_indirect(kit.program, mesh, arguments, camera=kit.camera, object=kit.objects[0])  # type: ignore[arg-type]
 
 
 def overflow_transient_memory(kit: Kit) -> None:
@@ -56,11 +57,11 @@ CALLS: dict[str, tuple[Callable[[Kit], object], str]] = {
         "shading-struct",
     ),
     "transient memory full": (overflow_transient_memory, "transient-size"),
-    "transient mesh in parts": (draw_transient_mesh_in_parts, "device-argument"),
+    "indirect draw of a transient mesh": (draw_transient_mesh_indirectly, "device-argument"),
     "not a program": (lambda kit: kit.device.draw(kit.image, kit.mesh), "device-argument"),  # type: ignore[arg-type]
     "query of another device": (
         lambda kit: kit.device.conditional(rhi.create_device("null").occlusion_query()).__enter__(),
-        "query-state",
+        "resource-foreign",
     ),
 }
 

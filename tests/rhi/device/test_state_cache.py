@@ -176,7 +176,6 @@ def test_the_counters_start_anew_after_a_reset():
 @pytest.mark.parametrize(
     ("states", "rule"),
     [
-        ((), "state-nothing"),
         (("none",), "state-type"),
         ((CullMode.NONE, 3), "state-type"),
         (([],), "state-type"),
@@ -192,6 +191,16 @@ def test_a_bad_scope_is_refused_and_changes_nothing(states, rule):
     assert caught.value.rule.id == rule
     assert wanted(cache) == DEFAULT_MODEL
     assert (cache.depth, cache.software_changes) == (0, 0)
+
+
+def test_a_scope_of_no_states_changes_nothing():
+    cache = StateCache()
+    with cache.scope((CullMode.NONE,)):
+        before = cache.wanted
+        with cache.scope(()):
+            assert cache.wanted is before
+            assert (cache.depth, cache.software_changes) == (2, 1)
+    assert wanted(cache) == DEFAULT_MODEL
 
 
 def test_states_of_two_targets_are_no_duplicates():

@@ -42,9 +42,10 @@ def test_a_frame_is_told_everything_that_stops_it_with_lines():
         "gl-4.5": [],
         "gl-3.3": [("max_texture_size", "texture-size", 3), ("blend_per_target", "state-capability", 7)],
         "gles-3": [("unrenderable_formats", "pass-target", 7), ("blend_per_target", "state-capability", 7)],
+        "webgpu": [],
         "opencl-cpu": [("blend_per_target", "state-capability", 7)],
     }
-    assert report.runs_on == ["everything", "gl-4.5"]
+    assert report.runs_on == ["everything", "gl-4.5", "webgpu"]
 
 
 def scattered_frame(device, changed=frozenset()):

@@ -265,6 +265,28 @@ def test_the_plugin_gives_fixtures(pytester: pytest.Pytester) -> None:
 
 def test_rhi_device_runs_on_each_backend_asked_for(pytester: pytest.Pytester) -> None:
     pytester.makepyfile("def test_it(rhi_device): print('on', rhi_device.backend_name)")
-    result = pytester.runpytest("--rhi-backend", "null", "--rhi-backend", "nul", "-p", "no:cacheprovider", "-s")
-    result.assert_outcomes(passed=1, errors=1)
-    result.stdout.fnmatch_lines(["*on null*", "*device-unknown*"])
+    function = "rhi.backends.null:create_backend"
+    result = pytester.runpytest("--rhi-backend", "null", "--rhi-backend", function, "-p", "no:cacheprovider", "-s")
+    result.assert_outcomes(passed=2)
+    result.stdout.fnmatch_lines(["*on null*", "*on null*"])
+
+
+def test_an_unknown_backend_stops_a_run_at_once_with_one_line(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile("def test_it(rhi_device): pass\ndef test_that(rhi_device): pass")
+    result = pytester.runpytest_subprocess("--rhi-backend", "null", "--rhi-backend", "nul")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    lines = [line for line in (*result.outlines, *result.errlines) if line]
+    assert len(lines) == 1, lines
+    assert re.fullmatch(r"ERROR: --rhi-backend: there is no backend 'nul' .*did you mean 'null'\?", lines[0])
+
+
+def test_an_unknown_backend_in_the_environment_stops_only_tests_that_need_it(
+    pytester: pytest.Pytester, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("RHI_BACKEND", "nul")
+    pytester.makepyfile("def test_it(rhi_device): pass")
+    result = pytester.runpytest_subprocess("-q")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(["ERROR: RHI_BACKEND: there is no backend 'nul' *"])
+    pytester.makepyfile("def test_it(null_device): pass")
+    assert pytester.runpytest_subprocess("-q").ret == 0

@@ -26,8 +26,9 @@ class BatchState:
         width: number of columns of the draws' rows.
         table: fields of the batch table, without what the launcher fills in.
         surfaces: the surfaces that the raster kernel draws into; `addresses`: those of their memory.
-        places: bytes that tell kernels where the surfaces begin in their memory and what they are cleared to.
-        bounds_depth: whether the raster kernel leaves bounds of depth in memory.
+        places: bytes that tell kernels the merger's key, where the surfaces begin in their memory and what they are
+            cleared to.
+        bounds_depth: whether the key permits bounds of depth.
     """
 
     __slots__ = (
@@ -46,10 +47,15 @@ class BatchState:
         surfaces = self.surfaces = target.surfaces_of(key)
         self.addresses = [surface.address for surface in surfaces] + [0] * (MAX_PLANES - len(surfaces))
         places = array("Q", [word for surface in surfaces for word in surface.place])
-        self.places = places.tobytes() + b"".join([surface.pattern for surface in surfaces])
+        self.places = key.words() + places.tobytes() + b"".join([surface.pattern for surface in surfaces])
         self.bounds_depth = key.bounds_depth
         self.table = table.copy()
         self.table["row_words"] = pipeline.starts[-1] + streams
+
+    @property
+    def leaves_bounds(self) -> bool:
+        """Whether the kernel that was launched last left bounds of depth in memory; general ones don't."""
+        return self.bounds_depth and not self.raster.is_quick
 
     def identify_bounds(self) -> tuple[object, ...]:
         """Return what the bounds of depth in memory depend on: surface, comparison, and changes other than draws."""

@@ -76,6 +76,11 @@ class Batch:
             self._alone = None
             self.rows.frombytes(draws.spread(row, counters).tobytes())
 
+    def drop_partial_row(self) -> None:
+        """Remove the words of a row that could not be written to its end: they would shift all rows behind them."""
+        assert self.state is not None
+        del self.rows[len(self.rows) - len(self.rows) % self.state.width :]
+
     def take(self) -> GatheredDraws:
         """Remove and return the gathered draws, of which there are some.
 

@@ -1,120 +1,260 @@
-"""Builds of the kernels that draw. Their machine code is generated while further draws are gathered.
+"""Builds of the kernels that draw: quickly at first, optimised later by other processes.
 
-- Source code is compiled at once, so that the call that needs it gets the driver's errors. PoCL generates machine code
-  only at a kernel's first launch, which takes two thirds of the time, and does one kernel at a time per context.
-- So for source code that isn't in the cache on disk yet, a thread with a context of its own launches the kernels with
-  an empty batch. That leaves the machine code in the cache, where the device finds it. Several threads generate several
-  kernels at the same time.
-- Only the device waits: launches in its queue wait for a user event, which is set however the thread's work ends. If
-  the thread failed, the device generates the machine code itself and reports the error.
-- The logger `rhi.kernels` reports at level INFO how many kernels of a first run are built. Cached kernels aren't
-  reported.
+- An optimised kernel takes PoCL up to ten times as long as one that isn't, and draws 1.5 to 4.5 times as fast. So a
+  kernel is at first compiled without optimisation, unless the optimised one is in the cache on disk. When it has been
+  given `HOT` work-items, it is optimised in the background and replaced by the result. Both compute the same bits.
+- PoCL compiles one kernel at a time per process, and no kernel can be launched while it generates machine code. So
+  other processes optimise kernels into the cache (`compiler.py`), from which a thread takes them.
+- `Kernel.optimise` begins that before the kernel is hot.
+- `RHI_KERNELS=quick` keeps the first kernels, `RHI_KERNELS=optimised` builds optimised ones at once. Drivers whose
+  cache isn't a folder (`rhi.backends.cl.cache`) always do the latter.
+- The logger `rhi.kernels` reports at level INFO how many kernels are built. Cached kernels aren't reported.
 """
 
 from __future__ import annotations
 
 import logging
 import os
+import queue
 import threading
-import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Final
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from typing import Final, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import PAGE, ClContext, allocate_pages, build, build_again
+from rhi.backends.cl.context import FLUSHES_DENORMALS, PAGE, QUICK, ClContext, build_again
+from rhi.backends.cl.raster.compiler import Compiler, Job
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 __rhi_internal__ = True
 
 LOGGER: Final = logging.getLogger("rhi.kernels")
-_POCL: Final = "Portable Computing Language"
-_COLD: Final = 0.06  # seconds of processor time: a compilation takes 0.15 or more, 0.03 from the cache on disk
-_MOST_THREADS: Final = 4
-_EMPTY_PAGES: Final = 16  # more than kernels read at any address of an empty batch
+ENVIRONMENT: Final = "RHI_KERNELS"
+HOT: Final = 2000
+"""Work-items after which a kernel is optimised: tiles of 64×64 texels, or a thousand vertices each. Up to here the time
+lost is of the order of what optimising takes."""
+_MOST_COMPILERS: Final = 4
+
+
+class Text(NamedTuple):
+    """The source code of some kernels."""
+
+    source: str
+    names: tuple[str, ...]
+    options: tuple[str, ...] = ()
+
+
+def make_text(source: str, names: Sequence[str], flushes_denormals: bool = False) -> Text:
+    """Return source code; `flushes_denormals`: whether numbers below 2^-126 count as 0 in it."""
+    return Text(source, tuple(names), (FLUSHES_DENORMALS,) if flushes_denormals else ())
+
+
+class Optimisation:
+    """Optimised kernels, in the course of being built.
+
+    Attributes:
+        text: their source code.
+        program: None until they are built.
+        done: the end of the build, with or without success; None until it begins.
+    """
+
+    __slots__ = ("_begin", "_heat", "done", "program", "text")
+
+    def __init__(self, text: Text, begin: Callable[[Optimisation], Future[None]]) -> None:
+        self.text = text
+        self.program: cl.Program | None = None
+        self.done: Future[None] | None = None
+        self._begin = begin
+        self._heat = 0
+
+    def warm(self, items: int) -> None:
+        """Count the work-items that the kernels to be replaced were given; begin when they are hot."""
+        self._heat += items
+        if self._heat >= HOT and self.done is None:
+            self.begin()
+
+    def begin(self) -> Future[None]:
+        """Build the kernels, unless that has begun."""
+        if self.done is None:
+            self.done = self._begin(self)
+        return self.done
 
 
 class Kernel:
     """A kernel that draws. Its only argument is the address of a batch table."""
 
-    __slots__ = ("_kernel", "_ready")
+    __slots__ = ("_kernel", "_name", "_optimisation")
 
-    def __init__(self, program: cl.Program, name: str, ready: cl.Event | None) -> None:
-        """`ready`: the event that launches wait for, if any."""
-        self._kernel = cl.Kernel(program, name)
+    def __init__(self, program: cl.Program, name: str, optimisation: Optimisation | None = None) -> None:
+        """`optimisation`: what is going to replace the kernel, if anything."""
+        self._name = name
+        self._optimisation = optimisation
+        self._take(program)
+
+    def _take(self, program: cl.Program) -> None:
+        self._kernel = cl.Kernel(program, self._name)
         self._kernel.set_scalar_arg_dtypes([np.uint64])
-        self._ready = ready
+
+    @property
+    def is_quick(self) -> bool:
+        """Whether the kernel isn't optimised."""
+        return self._optimisation is not None
+
+    def optimise(self) -> Future[None] | None:
+        """Begin to optimise the kernel; return the end of that, or None if there is nothing to do."""
+        return None if self._optimisation is None else self._optimisation.begin()
 
     def launch(self, queue: cl.CommandQueue, batch: int, items: int) -> cl.Event:
         """Enqueue `items` work-items on the batch table at this address."""
+        optimisation = self._optimisation
+        if optimisation is not None:
+            if optimisation.program is not None:
+                self._take(optimisation.program)
+                self._optimisation = None
+            else:
+                optimisation.warm(items)
         self._kernel.set_args(batch)  # with the argument's type set, 20 times as fast as `set_arg`
-        wait_for = None if self._ready is None else [self._ready]
-        event: cl.Event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,), wait_for=wait_for)
-        self._ready = None  # the queue is in order, so later launches wait for this one
+        event: cl.Event = cl.enqueue_nd_range_kernel(queue, self._kernel, (items,), (1,))
         return event
 
 
 class Builds:
-    """Builds the kernels of one device."""
+    """Builds the kernels of one device.
+
+    Attributes:
+        built: number of programs compiled in the calling thread, those from the cache not counted.
+    """
 
     def __init__(self, context: ClContext) -> None:
         self._context = context
-        self._threads: ThreadPoolExecutor | None = None
-        self._local = threading.local()
+        self._cache = context.cache
+        mode = os.environ.get(ENVIRONMENT, "")
+        self.is_quick = context.cache.works and context.shares_memory and mode != "optimised"
+        self._optimises = mode != "quick"
+        self._jobs: queue.SimpleQueue[tuple[Optimisation, Future[None]] | None] = queue.SimpleQueue()
+        self._compilers: list[Compiler] = []
+        self._threads: list[threading.Thread] = []
         self._lock = threading.Lock()
         self._begun = self._done = 0
-        caches = context.device.platform.name == _POCL and os.environ.get("POCL_KERNEL_CACHE", "1") != "0"
-        self._in_background = caches
+        self._waiting = 0
+        self._closed = False
+        self.built = 0
 
-    def build(self, source: str, names: Sequence[str], flushes_denormals: bool = False) -> list[Kernel]:
-        """Compile source code and return its kernels of these names.
+    def build(self, text: Text) -> list[Kernel]:
+        """Return kernels, which are optimised later unless they are in the cache.
 
         Raises:
             pyopencl.Error: the driver rejects the source code.
         """
-        started = time.thread_time()
-        program = build(self._context.context, source, flushes_denormals)
-        ready = None
-        if self._in_background and time.thread_time() - started > _COLD:
-            ready = self._begin(source, names, flushes_denormals)
-        return [Kernel(program, name, ready) for name in names]
+        if not self.is_quick or self.is_cached(text):
+            program = self.compile(text)
+            return [Kernel(program, name) for name in text.names]
+        program, optimisation = self.compile(text, quick=True), self.optimise(text)
+        return [Kernel(program, name, optimisation) for name in text.names]
 
-    def _begin(self, source: str, names: Sequence[str], flushes_denormals: bool) -> cl.Event | None:
-        """Let a thread generate machine code. Return the event that it sets at the end, or None if no thread can
-        start."""
-        if self._threads is None:
-            count = min(os.cpu_count() or 1, _MOST_THREADS)
-            self._threads = ThreadPoolExecutor(count, "rhi kernels")
-        ready = cl.UserEvent(self._context.context)
-        self._count(len(names), 0)
-        try:
-            self._threads.submit(self._generate, source, names, flushes_denormals, ready)
-        except RuntimeError:  # no more threads, or Python is shutting down
-            self._count(0, len(names))
-            return None
-        return ready
+    def is_cached(self, text: Text) -> bool:
+        """Return whether optimised machine code of these kernels is in the cache."""
+        return self._cache.knows(self._cache.identify(text.source, text.options), text.names)
 
-    def _generate(
-        self, source: str, names: Sequence[str], flushes_denormals: bool, ready: cl.UserEvent
-    ) -> None:
-        """Generate machine code in a thread. Errors are dropped, since the device will get them as well."""
+    def optimise(self, text: Text) -> Optimisation:
+        """Return the optimisation of a text, which hasn't begun."""
+        return Optimisation(text, self._begin)
+
+    def compile(self, text: Text, quick: bool = False) -> cl.Program:
+        """Compile source code, or take it from the cache.
+
+        Raises:
+            pyopencl.Error: the driver rejects it.
+        """
+        options = (*text.options, *QUICK) if quick else text.options
+        count = len(text.names)
+        known = self._cache.knows(self._cache.identify(text.source, options))
+        if not known:
+            self.built += 1
+            self._count(count, 0)
         try:
-            if not hasattr(self._local, "queue"):
-                self._local.queue = cl.CommandQueue(cl.Context([self._context.device]))
-            queue: cl.CommandQueue = self._local.queue
-            program = build_again(queue.context, source, flushes_denormals)
-            for name in names:
-                empty = _EmptyBatch()
-                kernel = cl.Kernel(program, name)
-                kernel.set_arg(0, np.uint64(empty.address))
-                cl.enqueue_nd_range_kernel(queue, kernel, (1,), (1,)).wait()
+            return self._context.compile(text.source, options)
         finally:
+            if not known:
+                self._count(0, count)
+
+    def close(self) -> None:
+        """End the other processes, and what they are doing."""
+        with self._lock:
+            self._closed = True
+            for compiler in self._compilers:
+                compiler.stop()
+        for _ in self._threads:
+            self._jobs.put(None)
+        for thread in self._threads:
+            thread.join()
+        for compiler in self._compilers:
+            compiler.close()
+        self._cache.finish()
+
+    # -- in the background -----------------------------------------------------------------------------------
+
+    def _begin(self, optimisation: Optimisation) -> Future[None]:
+        """Let another process optimise kernels. The future ends without an error, since the kernels at hand remain."""
+        done: Future[None] = Future()
+        if not self._optimises:
+            done.set_result(None)
+            return done
+        self._count(len(optimisation.text.names), 0)
+        with self._lock:
+            self._waiting += 1
+            if self._waiting > len(self._threads) < min(os.cpu_count() or 1, _MOST_COMPILERS):
+                thread = threading.Thread(target=self._work, name="rhi kernels", daemon=True)
+                try:
+                    thread.start()
+                    self._threads.append(thread)
+                except RuntimeError:  # no more threads, or Python is shutting down
+                    pass
+            alone = not self._threads
+        if alone:
+            done.set_result(None)
+        else:
+            self._jobs.put((optimisation, done))
+        return done
+
+    def _work(self) -> None:
+        """Optimise kernels until the device is closed."""
+        compiler: Compiler | None = None
+        while (job := self._jobs.get()) is not None:
+            optimisation, done = job
             try:
-                self._count(0, len(names))
+                if compiler is None:
+                    compiler = self._open_compiler()
+                if compiler is not None and not self._closed:
+                    self._optimise(compiler, optimisation)
+            except (OSError, EOFError, ValueError, MemoryError, cl.Error):
+                pass  # the kernels at hand remain
             finally:
-                ready.set_status(cl.command_execution_status.COMPLETE)
+                with self._lock:
+                    self._waiting -= 1
+                self._count(0, len(optimisation.text.names))
+                done.set_result(None)
+
+    def _open_compiler(self) -> Compiler | None:
+        with self._lock:
+            if self._closed:  # what is left of the queue is dropped
+                return None
+            compiler = Compiler(self._context.device)
+            self._compilers.append(compiler)
+            return compiler
+
+    def _optimise(self, compiler: Compiler, optimisation: Optimisation) -> None:
+        """Have kernels compiled into the cache, and load them."""
+        text, cache = optimisation.text, self._cache
+        key = cache.identify(text.source, text.options)
+        source = cache.mark(text.source, key)
+        if not cache.knows(key, text.names):
+            compiler.compile(Job(source, text.options, text.names, *_EMPTY_TABLE, cache.find_lock(key)))
+            cache.record(key)
+        if cache.knows(key, text.names):
+            optimisation.program = build_again(self._context.context, source, text.options)
 
     def _count(self, begun: int, done: int) -> None:
         with self._lock:
@@ -123,19 +263,17 @@ class Builds:
             LOGGER.info("building kernels, %d of %d", self._done, self._begun)
 
 
-class _EmptyBatch:
-    """A batch table without draws in host memory, which PoCL's kernels read in place. All that kernels read through it
-    is 0.
+def _describe_empty_table() -> tuple[bytes, tuple[int, ...], int]:
+    """Return a batch table without draws, the offsets of its addresses, and the bytes of zeros that these address."""
+    table = np.zeros((), BATCH_STRUCT)
+    table["tiles"] = table["tiles_x"] = table["bounded"] = 1
+    places: list[int] = []
+    for name in BATCH_STRUCT.names or ():
+        assert BATCH_STRUCT.fields is not None
+        dtype, offset, *_ = BATCH_STRUCT.fields[name]
+        if dtype.base == np.uint64:
+            places += range(offset, offset + dtype.itemsize, 8)
+    return table.tobytes(), tuple(places), 16 * PAGE
 
-    Attributes:
-        address: the table's address.
-    """
 
-    def __init__(self) -> None:
-        self._memory = allocate_pages(PAGE + _EMPTY_PAGES * PAGE)  # the table, then zeros
-        self.address: int = self._memory.ctypes.data
-        table = self._memory[: BATCH_STRUCT.itemsize].view(BATCH_STRUCT)
-        for name in BATCH_STRUCT.names or ():
-            if BATCH_STRUCT[name].base == np.uint64:
-                table[name] = self.address + PAGE
-        table["tiles"] = table["tiles_x"] = table["bounded"] = 1
+_EMPTY_TABLE: Final = _describe_empty_table()

@@ -5,6 +5,7 @@
 - A draw's prepared part is kept with its caller (`prepare_draw`) until the indices that it names change.
 - Indirect draws and their counts are read back and become direct draws.
 - Draws of programs that write memory are flushed one by one, since later draws may read what they wrote.
+- A draw that fails leaves the batch as it was: of its row nothing stays (`Batch.drop_partial_row`).
 """
 
 from __future__ import annotations
@@ -68,7 +69,11 @@ class Draws:
         self._prepare(slot, array, primitive, first, count, base_vertex, base_instance)
         pipeline = self._begin(array)
         self._columns[PREPARED], self._columns[INSTANCES] = slot.number, instances
-        self._batch.rows.extend(pipeline.pick(self._columns))
+        try:
+            self._batch.rows.extend(pipeline.pick(self._columns))
+        except BaseException:
+            self._batch.drop_partial_row()
+            raise
         self._end(pipeline)
 
     def prepare_draw(
@@ -84,7 +89,7 @@ class Draws:
         kernel, version = array.kernel, array.version
         slot = DrawSlot(self._prepared)
         number, known = slot.number, -1
-        extend, pick = self._batch.rows.extend, array.pipeline.pick
+        extend, pick, drop_partial_row = self._batch.rows.extend, array.pipeline.pick, self._batch.drop_partial_row
 
         def draw(instances: int) -> None:
             nonlocal known
@@ -95,7 +100,11 @@ class Draws:
                 get_ready(array)
             columns[PREPARED] = number
             columns[INSTANCES] = instances
-            extend(pick(columns))
+            try:  # costs nothing unless it fails
+                extend(pick(columns))
+            except BaseException:
+                drop_partial_row()
+                raise
 
         return draw
 
@@ -141,8 +150,8 @@ class Draws:
         indexed = bool(array.descriptor.index_buffer)
         found = self._lists.find(key, draws, counters, indexed, fill)
         pipeline = self._begin(array)
-        self._batch.gather(found, pipeline.pick(self._columns), start)
         self._state.ready_for = None  # the next draw has to spread a list that is alone
+        self._batch.gather(found, pipeline.pick(self._columns), start)
         self._end(pipeline)
 
     def _read_arguments(self, buffer: Id, offset: int, size: int) -> bytes:

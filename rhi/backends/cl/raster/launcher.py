@@ -137,7 +137,7 @@ class Launcher:
             self._boxes.drop()
         if event is not None:
             self._uploads.release(event)
-            self._bounds = bounds if state.bounds_depth else None
+            self._bounds = bounds if state.leaves_bounds else None
             for faults in state.pipeline.faults.values():
                 faults.read(self._queue)
         return event
@@ -182,7 +182,7 @@ class Launcher:
                 geometry.prefix.launch(queue, batch, 1)
                 geometry.scatter.launch(queue, batch, chunks)
             event = state.raster.launch(queue, batch, tiles)
-            table["bounded"], table["cleared"] = state.bounds_depth, 0
+            table["bounded"], table["cleared"] = state.leaves_bounds, 0
             for surface in state.surfaces:
                 surface.clear = None
         return event

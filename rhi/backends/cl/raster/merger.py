@@ -4,7 +4,8 @@
   targets that aren't written, tests that always pass and the like leave no trace, so few pipelines are built.
 - `make_state` packs the other states into `STATE_WORDS` words: factors, references and masks may change from draw to
   draw.
-- `MergerKey.defines` is the text in front of `kernels/targets.cl`, whose comments document the use of its functions.
+- `MergerKey.defines` is the text in front of `kernels/targets.cl` for one key, whose comments document the use of its
+  functions. `general_defines` is that for kernels which read the key as data, `MergerKey.words`.
 """
 
 from __future__ import annotations
@@ -72,6 +73,9 @@ _STENCIL_STATE: Final = 6  # two words for the front, two for the back
 _COLOR_STATE: Final = 10  # for each target: blend function, write mask of a texel's 4 words
 _COLOR_WORDS: Final = 5
 STATE_WORDS: Final = _COLOR_STATE + _COLOR_WORDS * MAX_TARGETS
+MAX_SAMPLES: Final = 4
+_MERGER_COLORS: Final = 12  # words of the struct `Merger` before its colors, which have 6 each
+MERGER_BYTES: Final = 4 * (_MERGER_COLORS + 6 * MAX_TARGETS)
 
 
 class TestOrder(enum.Enum):
@@ -141,12 +145,6 @@ class MergerKey:
         return self.depth_bits > 0
 
     @property
-    def surfaces(self) -> list[str]:
-        """The kernel's names for the surfaces that it takes, in order."""
-        colors = [f"color{place}" for place in range(len(self.colors))]
-        return colors + ["depth"] * self.has_depth + ["stencil"] * self.has_stencil
-
-    @property
     def stages_depth(self) -> bool:
         """Whether the raster kernel stages a tile's depth: with one sample and no stencil."""
         return self.has_depth and not self.has_stencil and self.samples == 1
@@ -170,10 +168,11 @@ class MergerKey:
             f"KIND_{color.kind.name}, {int(color.blends)})"
             for place, color in enumerate(self.colors)
         ]
-        parameters = [f"global uchar *{name}" for name in self.surfaces] + ["global const ulong *target_places"]
         numbers = {
             "SAMPLES": self.samples,
+            "MAX_SAMPLES": self.samples,
             "COLOR_COUNT": len(self.colors),
+            "MAX_COLORS": len(self.colors),
             "HAS_DEPTH": int(self.has_depth),
             "DEPTH_BITS": self.depth_bits,
             "DEPTH_PASSES": self.depth_passes,
@@ -184,16 +183,42 @@ class MergerKey:
             "TEST_ORDER": f"TEST_{self.order.name}",
             "SHADES": int(self.shades),
             "OUTPUT_WORDS": self.output_words,
+            "COLOR_TARGETS(X)": " ".join(rows),
         }
-        return _constants() + "".join(
-            f"#define {name} {value}\n"
-            for name, value in (
-                *numbers.items(),
-                ("COLOR_TARGETS(X)", " ".join(rows)),
-                ("TARGET_PARAMETERS", ", ".join(parameters)),
-                ("TARGET_ARGUMENTS", ", ".join([*self.surfaces, "target_places"])),
-            )
-        )
+        return _constants() + "".join(f"#define {name} {value}\n" for name, value in numbers.items())
+
+    def words(self) -> bytes:
+        """Return the key as the kernels' struct `Merger`."""
+        words = np.zeros(MERGER_BYTES // 4, np.int32)
+        words[:_MERGER_COLORS] = (
+            self.samples, len(self.colors), self.has_depth, self.depth_bits, self.depth_passes, self.depth_writes,
+            self.has_stencil, self.alpha_test, self.alpha_to_coverage, self.order.value, self.shades, 0,
+        )  # fmt: skip
+        for place, color in enumerate(self.colors):
+            words[_MERGER_COLORS + 6 * place :][:6] = (
+                color.location, color.components, color.channels, color.bits, _KINDS[color.kind], color.blends,
+            )  # fmt: skip
+        return words.tobytes()
+
+
+def general_defines(output_words: int) -> str:
+    """Return the macros that `kernels/targets.cl` is compiled with for all keys of a program.
+
+    `output_words`: as in a key.
+    """
+    fields = (
+        "SAMPLES", "COLOR_COUNT", "HAS_DEPTH", "DEPTH_BITS", "DEPTH_PASSES", "DEPTH_WRITES", "HAS_STENCIL",
+        "ALPHA_TEST", "ALPHA_TO_COVERAGE", "TEST_ORDER", "SHADES",
+    )  # fmt: skip
+    numbers: dict[str, object] = {name: f"(targets->merger->{name.lower()})" for name in fields}
+    each = ", ".join(f"targets->merger->colors[place][{field}]" for field in range(6))
+    numbers |= {
+        "MAX_SAMPLES": MAX_SAMPLES,
+        "MAX_COLORS": MAX_TARGETS,
+        "OUTPUT_WORDS": output_words,
+        "COLOR_TARGETS(X)": f"for (int place = 0; place < COLOR_COUNT; ++place) {{ X(place, {each}) }}",
+    }
+    return _constants() + "".join(f"#define {name} {value}\n" for name, value in numbers.items())
 
 
 def make_key(

@@ -11,7 +11,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -24,13 +26,14 @@ from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
 from rhi.backends.cl.raster import merger, tables
-from rhi.backends.cl.raster.builds import Builds, Kernel
+from rhi.backends.cl.raster.builds import Builds, Kernel, Optimisation, Text, make_text
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS, SLOT_COLUMNS
 from rhi.contract.descriptors import BindingKind, ProgramDescriptor, Stage, StageText, VertexStream
 
 __rhi_internal__ = True
 
 LANGUAGE: Final = "opencl16"
+_RASTER: Final = "raster"
 _BOXED: Final = "#define RHI_BOXED"
 
 StreamLayout: TypeAlias = tuple[tuple[int, bool, tuple[object, ...]], ...]
@@ -42,7 +45,7 @@ class GeometryKernels:
 
     def __init__(self, builds: Builds) -> None:
         source = tables.common_macros() + "".join(map(read_kernels, ("common", "polygon", "setup", "bin")))
-        self.set_up, self.prefix, self.scatter = builds.build(source, ("set_up", "prefix", "scatter"))
+        self.set_up, self.prefix, self.scatter = builds.build(make_text(source, ("set_up", "prefix", "scatter")))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,42 +97,90 @@ class Pipeline:
             self._fault_places[stage] = addresses.find(self.faults[stage].memory)
         self._vertex: dict[StreamLayout, VertexKernels] = {}
         self._raster: dict[merger.MergerKey, Kernel] = {}
+        self._general_raster: cl.Program | None = None
+        self._optimisations: dict[merger.MergerKey, Optimisation] = {}  # of kernels that no draw has needed yet
 
     def find_vertex(self, streams: Sequence[VertexStream]) -> VertexKernels:
         """Return the kernels for vertices of this layout, building them on first use."""
         layout = tuple((stream.stride, stream.per_instance, stream.attributes) for stream in streams)
         if layout not in self._vertex:
-            before = [tables.common_macros(), read_kernels("common")]
-            macros = tables.vertex_macros(self.descriptor, streams, self._fault_places[Stage.VERTEX])
-            behind = [macros, read_kernels("vertex")]
-            names = "transform", *(["measure"] if _BOXED in self._vertex_text.text else [])
-            kernels = self._build(Stage.VERTEX, names, before, self._vertex_text, behind)
+            text, faults = self._vertex_text, self._fault_places[Stage.VERTEX]
+            macros = tables.vertex_macros(self.descriptor, streams, faults)
+            source = "\n".join(
+                (tables.common_macros(), read_kernels("common"), text.text, macros, read_kernels("vertex"))
+            )
+            names = "transform", *(["measure"] if _BOXED in text.text else [])
+            whole = make_text(source, names, self.descriptor.flushes_denormals)
+            kernels = self._build(Stage.VERTEX, whole, text)
             self._vertex[layout] = VertexKernels(*kernels)
         return self._vertex[layout]
 
     def find_raster(self, key: merger.MergerKey) -> Kernel:
-        """Return the raster kernel for targets and states with this key, building it on first use."""
+        """Return the raster kernel for targets and states with this key.
+
+        It is at first a general one, which is built on first use and serves all keys. A kernel that is in the cache or
+        built for this key replaces it.
+        """
         if key not in self._raster:
-            before = [
-                tables.common_macros(), read_kernels("common"), read_kernels("polygon"), key.defines(),
-                merger.read_source(),
-            ]  # fmt: skip
-            macros = tables.raster_macros(self.descriptor, key, self._fault_places[Stage.FRAGMENT])
-            behind = [macros, read_kernels("raster")]
+            optimisation = self._optimisations.pop(key, None)
             text = self._fragment_text if key.shades else StageText("")
-            (self._raster[key],) = self._build(Stage.FRAGMENT, ("raster",), before, text, behind)
+            special = self._assemble_raster(text, key.defines(), key.shades, key.stages_depth, key.bounds_depth)
+            if optimisation is not None and optimisation.program is not None:
+                self._raster[key] = Kernel(optimisation.program, _RASTER)
+            elif self._builds.is_quick and not self._builds.is_cached(special):
+                optimisation = optimisation or self._builds.optimise(special)
+                self._raster[key] = Kernel(self._general(key.output_words), _RASTER, optimisation)
+            else:
+                (self._raster[key],) = self._build(Stage.FRAGMENT, special, text)
         return self._raster[key]
 
-    def _build(
-        self, stage: Stage, names: Sequence[str], before: list[str], text: StageText, behind: list[str]
-    ) -> list[Kernel]:
-        """Build kernels from the stage's text, and the text before and behind it."""
-        source = "\n".join([*before, text.text, *behind])
+    def optimise_raster(self, key: merger.MergerKey) -> Future[None] | None:
+        """Begin to build the raster kernel for this key; return the end of that, or None if there is nothing to do."""
+        if key in self._raster:
+            return self._raster[key].optimise()
+        if not self._builds.is_quick:
+            self.find_raster(key)
+            return None
+        if key not in self._optimisations:
+            text = self._fragment_text if key.shades else StageText("")
+            special = self._assemble_raster(text, key.defines(), key.shades, key.stages_depth, key.bounds_depth)
+            self._optimisations[key] = self._builds.optimise(special)
+        return self._optimisations[key].begin()
+
+    def _general(self, output_words: int) -> cl.Program:
+        """Return the raster kernel for all keys, building it on first use."""
+        if self._general_raster is None:
+            text, shades = self._fragment_text, Stage.FRAGMENT in self.descriptor.stages
+            general = self._assemble_raster(text, merger.general_defines(output_words), shades, False, False)
+            with self._locating_errors(Stage.FRAGMENT, general, text):
+                self._general_raster = self._builds.compile(general, quick=True)
+        return self._general_raster
+
+    def _assemble_raster(
+        self, text: StageText, defines: str, fragment: bool, stages_depth: bool, bounds_depth: bool
+    ) -> Text:  # fmt: skip
+        macros = tables.raster_macros(
+            self.descriptor, fragment, stages_depth, bounds_depth, self._fault_places[Stage.FRAGMENT]
+        )
+        parts = (
+            tables.common_macros(), read_kernels("common"), read_kernels("polygon"), defines, merger.read_source(),
+            text.text, macros, read_kernels("raster"),
+        )  # fmt: skip
+        return make_text("\n".join(parts), (_RASTER,), self.descriptor.flushes_denormals)
+
+    def _build(self, stage: Stage, kernels: Text, text: StageText) -> list[Kernel]:
+        """Build kernels that contain the stage's text."""
+        with self._locating_errors(stage, kernels, text):
+            return self._builds.build(kernels)
+
+    @contextmanager
+    def _locating_errors(self, stage: Stage, kernels: Text, text: StageText) -> Iterator[None]:
+        """Raise what the driver says of kernels as errors of the stage's text, which they contain."""
         try:
-            return self._builds.build(source, names, self.descriptor.flushes_denormals)
+            yield
         except cl.Error as error:
-            lines = "\n".join([*before, ""]).count("\n")
-            whole = StageText(source, (*[("", 0)] * lines, *text.origins))
+            lines = kernels.source[: kernels.source.index(text.text)].count("\n")
+            whole = StageText(kernels.source, (*[("", 0)] * lines, *text.origins))
             raise make_shader_error(self.descriptor, stage, whole, str(error)) from error
 
 

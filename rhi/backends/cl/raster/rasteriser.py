@@ -7,8 +7,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future
 from functools import partial
+from typing import Any
 
 import pyopencl as cl
 
@@ -20,10 +22,11 @@ from rhi.backends.cl.raster.assembly import Assembler
 from rhi.backends.cl.raster.batches import Batch
 from rhi.backends.cl.raster.bindings import Bindings
 from rhi.backends.cl.raster.boxes import AttributeBoxes
-from rhi.backends.cl.raster.builds import Builds
+from rhi.backends.cl.raster.builds import Builds, Kernel
 from rhi.backends.cl.raster.draw_state import DrawState
 from rhi.backends.cl.raster.draws import Draws
 from rhi.backends.cl.raster.launcher import Launcher
+from rhi.backends.cl.raster.merger import make_key
 from rhi.backends.cl.raster.pipelines import Pipeline
 from rhi.backends.cl.raster.prepared import PreparedDraws
 from rhi.backends.cl.raster.queries import SampleQueries
@@ -33,6 +36,7 @@ from rhi.backends.cl.samplers import Samplers
 from rhi.backends.cl.slots import Slots
 from rhi.backends.cl.textures import Textures
 from rhi.contract.descriptors import Binding, BindingKind, Id, ProgramDescriptor, VertexArrayDescriptor
+from rhi.contract.formats import Format
 
 __rhi_internal__ = True
 
@@ -75,12 +79,37 @@ class Rasteriser:
             self._flush_batch, self.change_stored,
         )  # fmt: skip
 
+    def close(self) -> None:
+        """End what is being built in the background."""
+        self._builds.close()
+
     # -- programs and vertex arrays --------------------------------------------------------------------------
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
         """Emit the code of a program that draws. Its kernels are built when vertex layout and targets are known."""
         self._programs[program] = Pipeline(self._context, self._builds, descriptor, self._addresses)
         _ = self._launcher.geometry
+
+    def prepare_kernels(
+        self, program: Id, vertex_array: Id, values: Mapping[type, Any], colors: Sequence[Format], depth: Format | None,
+        samples: int,
+    ) -> list[Future[None]]:  # fmt: skip
+        """Begin to optimise all kernels that draws of a program with these states and targets use; return the ends.
+
+        Args:
+            vertex_array: 0: none is known.
+            values: the value of each state type.
+            colors, depth: the formats of the targets; without any, none are known.
+        """
+        pipeline, geometry = self._programs[program], self._launcher.geometry
+        kernels: list[Kernel | None] = [geometry.set_up, geometry.prefix, geometry.scatter]
+        if vertex_array:
+            vertex = self.vertex_arrays.by_id[vertex_array].kernel
+            kernels += vertex.transform, vertex.measure
+        ends = [kernel.optimise() for kernel in kernels if kernel is not None]
+        if colors or depth is not None:
+            ends.append(pipeline.optimise_raster(make_key(pipeline.descriptor, values, colors, depth, samples)))
+        return [end for end in ends if end is not None]
 
     def destroy_program(self, program: Id) -> None:
         self.flush()

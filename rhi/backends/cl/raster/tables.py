@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from rhi.backends.cl.raster.merger import STATE_WORDS, MergerKey
+from rhi.backends.cl.raster.merger import STATE_WORDS
 from rhi.contract.descriptors import (
     Attribute,
     Binding,
@@ -155,23 +155,26 @@ def vertex_macros(descriptor: ProgramDescriptor, streams: Sequence[VertexStream]
     )
 
 
-def raster_macros(descriptor: ProgramDescriptor, key: MergerKey, faults: int = 0) -> str:
-    """Return the macros of kernels/raster.cl besides those of the merger; `faults`: as for `vertex_macros`."""
+def raster_macros(
+    descriptor: ProgramDescriptor, fragment: bool, stages_depth: bool, bounds_depth: bool, faults: int = 0
+) -> str:  # fmt: skip
+    """Return the macros of kernels/raster.cl besides those of the merger.
+
+    Args:
+        fragment: whether the fragment stage's text precedes the kernel's.
+        faults: as for `vertex_macros`.
+    """
     varyings = " ".join(
         f"{_INTERPOLATION[varying.interpolation]}({word})"
         for varying in descriptor.varyings
         for word in range(varying.word, varying.word + varying.words)
     )
-    opened = [
-        f"global uchar *{name} = AT(uchar, batch->surfaces[{place}]);" for place, name in enumerate(key.surfaces)
-    ]
-    opened.append("global const ulong *target_places = AT(const ulong, batch->places);")
     return (
         f"#define VARYING_WORDS {varying_words(descriptor)}\n"
         f"#define BINDINGS {_arguments(descriptor.bindings, faults)}\n"
-        f"#define VARYINGS(SMOOTH, FLAT, STRAIGHT) {varyings}\n#define OPEN_SURFACES {' '.join(opened)}\n"
+        f"#define VARYINGS(SMOOTH, FLAT, STRAIGHT) {varyings}\n#define FRAGMENT {int(fragment)}\n"
         f"#define GIVES_DEPTH {int(descriptor.writes_depth)}\n"
-        f"#define STAGES_DEPTH {int(key.stages_depth)}\n#define BOUNDS_DEPTH {int(key.bounds_depth)}\n"
+        f"#define STAGES_DEPTH {int(stages_depth)}\n#define BOUNDS_DEPTH {int(bounds_depth)}\n"
     )
 
 

@@ -9,6 +9,7 @@ import pytest
 from cl_kit import ClKit
 
 from rhi.backends.cl import create_backend
+from rhi.backends.cl.raster import builds
 from rhi.backends.cl.raster.builds import Kernel
 
 
@@ -17,6 +18,12 @@ def cl_kit() -> Iterator[ClKit]:
     kit = ClKit(create_backend())
     yield kit
     kit.close()
+
+
+@pytest.fixture
+def optimised_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Devices that build optimised kernels at once, which keep bounds of depth."""
+    monkeypatch.setenv(builds.ENVIRONMENT, "optimised")
 
 
 @pytest.fixture

@@ -1,5 +1,7 @@
 """The output merger in isolation: a kernel that merges given fragments, and the same in NumPy.
 
+The kernel is the general one, which reads formats and states as data; `special=True` takes that of the key alone.
+
 Images consist of whole blocks. Fragments are (samples, height, width) arrays: outputs as 32-bit words, depth, coverage.
 """
 
@@ -14,8 +16,9 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.context import build, open_context
-from rhi.backends.cl.raster.merger import MergerKey, make_key, make_state, read_source
+from rhi.backends.cl.context import QUICK, open_context
+from rhi.backends.cl.pools import Addresses
+from rhi.backends.cl.raster.merger import MergerKey, general_defines, make_key, make_state, read_source
 from rhi.conformance import reference
 from rhi.contract.descriptors import FragmentOutput, ProgramDescriptor, Stage, StageText
 from rhi.contract.formats import ChannelKind, Format
@@ -44,30 +47,33 @@ from rhi.contract.states import (
 from rhi.contract.texels import encode
 
 _KERNEL = """
-kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns, TARGET_PARAMETERS) {
-    Targets targets = open_targets(TARGET_ARGUMENTS);
+kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns,
+                  global const Merger *merger, global const ulong *surfaces) {
+    Targets opened = open_targets(merger, surfaces, (global const ulong *)(merger + 1)), *targets = &opened;
     int block = get_global_id(0), x = block % columns * 4, y = block / columns * 4;
     for (int sample = 0; sample < SAMPLES; ++sample) {
         global const uint16 *fragment = fragments + (block * SAMPLES + sample) * (OUTPUT_WORDS + 2);
         uint16 outputs[OUTPUT_WORDS];
         for (int word = 0; word < OUTPUT_WORDS; ++word) outputs[word] = fragment[word];
         int16 mask = as_int16(fragment[OUTPUT_WORDS]);
-        mask = cover_by_alpha(test_alpha(state, mask, outputs), outputs, sample);
+        mask = cover_by_alpha(targets, test_alpha(targets, state, mask, outputs), outputs, sample);
         float16 z = as_float16(fragment[OUTPUT_WORDS + 1]);
-#if TEST_ORDER == TEST_SPLIT
-        mask = test_depth_stencil(&targets, state, x, y, sample, front, mask, z);
-#endif
-        mask = merge_depth_stencil(&targets, state, x, y, sample, front, mask, z);
-        merge_colors(&targets, state, x, y, sample, mask, outputs);
+        if (TEST_ORDER == TEST_SPLIT) mask = test_depth_stencil(targets, state, x, y, sample, front, mask, z);
+        mask = merge_depth_stencil(targets, state, x, y, sample, front, mask, z);
+        merge_colors(targets, state, x, y, sample, mask, outputs);
     }
 }
 """
 _context = cache(open_context)
 
 
+_addresses = cache(lambda: Addresses(_context()))
+
+
 @cache
-def _build(key: MergerKey) -> cl.Kernel:
-    return cl.Kernel(build(_context().context, key.defines() + read_source() + _KERNEL), "merge")
+def _build(defines: str) -> cl.Kernel:
+    source = "#define AT(type, address) ((global type *)(address))\n" + defines + read_source() + _KERNEL
+    return cl.Kernel(_context().compile(source, QUICK), "merge")
 
 
 @dataclass
@@ -116,10 +122,11 @@ def describe(formats: Sequence[Format], components: int = 4, **more: Any) -> Pro
 
 def merge(
     key: MergerKey, state: NDArray[np.uint32], planes: Planes, outputs: NDArray[Any], z: NDArray[np.float32],
-    covered: NDArray[np.bool_], front: bool = True,
+    covered: NDArray[np.bool_], front: bool = True, special: bool = False,
 ) -> Planes:  # fmt: skip
     """Merge fragments into the planes by the kernel; `outputs`: (samples, height, width, words) of 4 bytes."""
-    kernel, queue = _build(key), _context().queue
+    kernel = _build(key.defines() if special else general_defines(key.output_words))
+    queue = _context().queue
     samples, height, width = covered.shape
     words = np.concatenate(
         [
@@ -147,10 +154,10 @@ def merge(
         rows[:, :, : width * texel] = np.ascontiguousarray(plane).view(np.uint8).reshape(samples, height, -1)
         buffers.append((upload(memory), memory, rows, plane))
         places.append((start, pitch, layer))
-    given = upload(state), upload(np.ascontiguousarray(blocks)), upload(np.array(places or [(0, 0, 0)], "u8"))
-    kernel.set_args(  # which doesn't keep them alive
-        *given[:2], np.int32(front), np.int32(width // 4), *(buffer for buffer, *_ in buffers), given[2]
-    )
+    table = np.frombuffer(key.words() + np.array(places, "u8").tobytes(), np.uint8)
+    surfaces = np.array([_addresses().find(buffer) for buffer, *_ in buffers] or [0], "u8")
+    given = upload(state), upload(np.ascontiguousarray(blocks)), upload(table), upload(surfaces)
+    kernel.set_args(*given[:2], np.int32(front), np.int32(width // 4), *given[2:])  # which doesn't keep them alive
     cl.enqueue_nd_range_kernel(queue, kernel, (width * height // 16,), (1,))
     queue.finish()
     after = planes.copy()
@@ -180,12 +187,12 @@ def upload(data: NDArray[Any]) -> cl.Buffer:
 
 def run(
     formats: Sequence[Format], depth: Format | None, states: Sequence[State], planes: Planes, outputs: NDArray[Any],
-    z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, **program: Any,
+    z: NDArray[np.float32], covered: NDArray[np.bool_], front: bool = True, special: bool = False, **program: Any,
 ) -> Planes:  # fmt: skip
     """`merge` by states and formats."""
     values = state_values(*states)
     key = make_key(describe(formats, **program), values, formats, depth, len(covered))
-    return merge(key, make_state(values, formats), planes, outputs, z, covered, front)
+    return merge(key, make_state(values, formats), planes, outputs, z, covered, front, special)
 
 
 # -- the same in NumPy ---------------------------------------------------------------------------------------

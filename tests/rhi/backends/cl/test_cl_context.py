@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 from types import SimpleNamespace
+from typing import Any
 
 import pyopencl as cl
 import pytest
@@ -24,10 +25,10 @@ def devices_twice(monkeypatch: pytest.MonkeyPatch, first_probe: str) -> None:
     """The machine's device listed twice, the first with another probe kernel."""
     probes = [first_probe, context._PROBE]
 
-    def probe(made: cl.Context, queue: cl.CommandQueue) -> tuple[cl.Program, bool]:
+    def probe(*given: Any) -> tuple[cl.Program, bool]:
         with monkeypatch.context() as patch:
             patch.setattr(context, "_PROBE", probes.pop(0))
-            return REAL_PROBE(made, queue)
+            return REAL_PROBE(*given)
 
     monkeypatch.delenv("RHI_CL_DEVICE", raising=False)
     monkeypatch.setattr(context, "find_devices", lambda: find_devices()[:1] * 2)

@@ -21,6 +21,7 @@ from rhi import (
     Format,
     PolygonOffset,
     Primitive,
+    Scissor,
     StencilTest,
     Viewport,
 )
@@ -82,7 +83,7 @@ def device() -> Iterator[Device]:
 def distant_device(monkeypatch: pytest.MonkeyPatch) -> Iterator[Device]:
     """A device that the backend treats as one that doesn't read host memory in place."""
     probe = context.probe
-    monkeypatch.setattr(context, "probe", lambda made, queue: (probe(made, queue)[0], False))
+    monkeypatch.setattr(context, "probe", lambda *given: (probe(*given)[0], False))
     with rhi.create_device("cl") as made:
         yield made
 
@@ -146,6 +147,25 @@ def test_states_that_are_compiled_end_a_batch(device: Device, launches: list[str
         with device.states(BlendFunction.ADDITIVE):
             device.draw(device.program(Colored), mesh)
     assert launches.count("raster") == 2
+
+
+@pytest.mark.parametrize("wrong", [1.0, None, "1", -1, 1 << 64], ids=repr)
+@pytest.mark.parametrize("prepared", [True, False], ids=["prepared", "by the contract"])
+def test_a_draw_that_fails_leaves_its_batch_as_it_was(device: Device, wrong: Any, prepared: bool) -> None:
+    """Part of a row would shift all rows behind it, whose words would then be read as others: as addresses."""
+    program, colors = device.program(Tinted), np.arange(1, 8) / 8
+    with device.texture((8, 1), Format.R32F) as image, device.mesh(rectangle()) as mesh:
+        tints = [device.uniform(Tint(color=(color, 0, 0, 0))) for color in colors]
+        with device.render_pass(image):
+            for i, tint in enumerate(tints):
+                with device.states(Scissor(i, 0, 1, 1)):
+                    device.draw(program, mesh, tint=tint)
+                with pytest.raises((TypeError, OverflowError)):  # what the front end refuses
+                    if prepared:
+                        mesh.prepared_draws[program](wrong)
+                    else:
+                        program.draw_unprepared(mesh, wrong)
+        assert image.read()[0].tolist() == [*colors, 0]
 
 
 def test_a_write_between_draws_is_seen_by_the_later_one_alone(device: Device) -> None:
@@ -573,6 +593,7 @@ def test_what_is_hidden_behind_earlier_slices_is_what_the_test_drops(
     assert survivors[0] > 0
 
 
+@pytest.mark.usefixtures("optimised_kernels")
 def test_draws_that_are_hidden_or_beside_the_view_are_not_set_up(
     device: Device, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -624,6 +645,7 @@ def _draw_unbounded(depth: rhi.Texture, other: rhi.Texture, device: Device) -> N
         device.draw(device.program(Colored), mesh)
 
 
+@pytest.mark.usefixtures("optimised_kernels")
 @pytest.mark.parametrize(
     ("change", "hides", "samples"),
     [

@@ -26,7 +26,6 @@ from rhi import (
     TextureKind,
 )
 from rhi.backends.cl import planes
-from rhi.backends.cl.raster import builds
 from rhi.conformance.shaders import Colored, Corner
 from rhi.conformance.shapes import corners, rectangle
 from rhi.shading import Shader, StorageRW, Struct, Texture2D, global_id, vec2, vec4
@@ -267,7 +266,6 @@ class Commands:
 
 @pytest.mark.parametrize("failures", [3, pytest.param(1, marks=pytest.mark.nightly)])
 def test_each_command_may_fail_and_the_device_goes_on(monkeypatch: pytest.MonkeyPatch, failures: int) -> None:
-    monkeypatch.setattr(builds, "_COLD", 1e9)  # no threads, whose commands would fail unseen
     commands = Commands(monkeypatch)
     errors: list[DeviceError] = []
     for do in (work, move):

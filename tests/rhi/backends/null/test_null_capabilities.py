@@ -2,11 +2,23 @@
 
 import dataclasses
 
+import numpy as np
 import pytest
 from null_kit import hand_made_program
 
 import rhi
-from rhi import BlendFunction, Format, PolygonOffset, Stage, ValidationError
+from rhi import (
+    BlendFunction,
+    Format,
+    PolygonOffset,
+    SamplerDescriptor,
+    Stage,
+    StencilReadMask,
+    StencilReference,
+    StencilWriteMask,
+    ValidationError,
+    Wrap,
+)
 from rhi.backends.null import PROFILES, SimulatedBackend, Simulation, find_profile
 from rhi.contract.descriptors import Binding, BindingKind
 
@@ -53,6 +65,14 @@ def target(form):
     return call
 
 
+def copy(offset, target_offset, size):
+    def call(device):
+        with device.buffer(16, np.dtype("u1")) as source, device.buffer(16, np.dtype("u1")) as into:
+            source.copy_to(into, offset=offset, target_offset=target_offset, size=size)
+
+    return call
+
+
 def slots(kind, count):
     def call(device):
         bindings = [Binding(f"b{i}", kind, i) for i in range(count)]
@@ -86,6 +106,23 @@ def slots(kind, count):
         ("gl-3.3", lambda d: d.occlusion_query(emulated=True), "device-capability"),
         ("opencl-cpu", lambda d: d.texture((4, 4), Format.RGBA8, samples=4), "texture-samples"),
         ("gl-3.3", lambda d: d.texture((4, 4), Format.RGBA8, samples=4), None),
+        ("webgpu", lambda d: d.texture((4, 4), Format.RGBA8, samples=2), "texture-samples"),
+        ("webgpu", lambda d: d.texture((4, 4), Format.RGBA8, samples=4), None),
+        ("webgpu", lambda d: d.sampler(SamplerDescriptor(wrap_w=Wrap.BORDER)), "device-capability"),
+        ("webgpu", lambda d: d.sampler(SamplerDescriptor(border=(1, 1, 1, 1))), None),
+        ("gl-3.3", lambda d: d.sampler(SamplerDescriptor(wrap_w=Wrap.BORDER)), None),
+        ("webgpu", scope(StencilReference(1)), "state-capability"),
+        ("webgpu", scope(StencilReference(1, 1)), None),
+        ("webgpu", scope(StencilReadMask(1)), "state-capability"),
+        ("webgpu", scope(StencilReadMask(1, 1)), None),
+        ("webgpu", scope(StencilWriteMask(1)), "state-capability"),
+        ("webgpu", scope(StencilWriteMask(1, 1)), None),
+        ("gl-3.3", scope(StencilReference(1), StencilReadMask(1), StencilWriteMask(1)), None),
+        ("webgpu", copy(0, 4, 8), None),
+        ("webgpu", copy(0, 4, 6), "buffer-alignment"),
+        ("webgpu", copy(2, 4, 8), "buffer-alignment"),
+        ("webgpu", copy(0, 2, 8), "buffer-alignment"),
+        ("gl-3.3", copy(1, 3, 5), None),
         ("gl-3.3", scope(rhi.AlphaTest.ON), "state-capability"),
         ("opencl-cpu", scope(rhi.AlphaToCoverage.ON), "state-capability"),
         ("gl-3.3", scope(BlendFunction.ALPHA), None),

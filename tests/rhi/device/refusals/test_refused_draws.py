@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 import pytest
 from refused_shaders import Everything, Passing
 
-from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Primitive
+from rhi import DRAW, Access, CullMode, Device, Format, IndirectDraws, Primitive, ValidationError
 from rhi.conformance.shaders import Colored, IntColored, UintColored
 from rhi.conformance.shapes import VertexRows, corners, rectangle
 from rhi.conformance.validation.refusal import loose, refuses
@@ -53,7 +54,27 @@ def test_a_draw_needs_a_pass(recording: Device) -> None:
             recording.draw_indirect(program, mesh, IndirectDraws(arguments, 1))
 
 
-@pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, "two", None])
+@pytest.mark.parametrize("name", ["missing", "narrow"])
+def test_a_refused_draw_shows_the_user_s_frames(recording: Device, name: str) -> None:
+    """Beside them two frames, and no Python error that led to the refusal."""
+    program, wrong = recording.program(Colored), wrong_meshes()[name]
+    with recording.texture(SIZE, Format.R8) as image, recording.mesh(wrong) as mesh, recording.render_pass(image):
+        draws: list[Callable[[], None]] = [
+            lambda: recording.draw(program, mesh),
+            lambda: program.draw(mesh),
+            lambda: loose(recording).draw(program, None),
+            lambda: loose(recording).draw(program, mesh, tint=1),
+        ]
+        for draw in draws:
+            with pytest.raises(ValidationError) as caught:
+                draw()
+            shown = "".join(traceback.format_exception(caught.value))
+            assert "During handling" not in shown
+            own = [frame for frame in traceback.extract_tb(caught.value.__traceback__) if frame.filename != __file__]
+            assert len(own) <= 2
+
+
+@pytest.mark.parametrize("instances", [-1, 1 << 31, 1.5, 1.0, True, "two", None])
 def test_instances_are_counted(recording: Device, instances: Any) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.mesh(rectangle()) as mesh:
         with recording.render_pass(image):

@@ -10,13 +10,18 @@ import pytest
 
 from rhi import (
     BlendColor,
+    BlendFactor,
     BlendFunction,
     ColorWrite,
+    Comparison,
     CullMode,
     DepthBias,
     Device,
     Format,
     Scissor,
+    StencilBack,
+    StencilFront,
+    StencilOperation,
     StencilReference,
     TextureKind,
     ValidationError,
@@ -267,11 +272,6 @@ def test_a_pass_does_not_store_to_its_target(recording: Device) -> None:
 # -- states ------------------------------------------------------------------------------------------------
 
 
-def test_a_scope_needs_a_state(recording: Device) -> None:
-    with refuses(rules.STATE_NOTHING, recording), recording.states():
-        pass
-
-
 @pytest.mark.parametrize("wrong", ["CullMode.NONE", 3, None, {}, Format.R8], ids=str)
 def test_a_scope_takes_states_only(recording: Device, wrong: Any) -> None:
     with refuses(rules.STATE_TYPE, recording), recording.states(CullMode.NONE, wrong):
@@ -324,6 +324,17 @@ def test_a_refused_scope_leaves_no_trace(recording: Device) -> None:
         (lambda: BlendColor(float("nan")), lambda: BlendColor(-1.0, 2.0)),
         (lambda: BlendFunction.ALPHA.at(8), lambda: BlendFunction.ALPHA.at(7)),
         (lambda: ColorWrite.OFF.at(-1), lambda: ColorWrite.OFF.at(0)),
+        (lambda: ColorWrite.OFF.at(True), lambda: ColorWrite.OFF.at(np.int64(1))),
+        (lambda: ColorWrite(1), lambda: ColorWrite(np.bool_(True))),
+        (lambda: Scissor(0.5, 0, 1, 1), lambda: Scissor(np.int32(5), 0, 1, 1)),
+        (lambda: Scissor(0, 0, 4 / 2, 1), lambda: Scissor(0, 0, 4 // 2, 1)),
+        (lambda: Viewport(0, 0, 1e30, 10), lambda: Viewport(0, 0, 16_384, 10)),
+        (lambda: Viewport(0, 0, 10, 16_385), lambda: Viewport(-32_767, 32_767.0, 10, 0.5)),
+        (lambda: Viewport(-32_768, 0, 10, 10), lambda: Viewport(np.float32(0.5), 0, 10, 10)),
+        (lambda: StencilFront(1), lambda: StencilFront(Comparison.LESS)),
+        (lambda: StencilBack(depth_fail=Comparison.LESS), lambda: StencilBack(depth_fail=StencilOperation.KEEP)),
+        (lambda: BlendFunction("one"), lambda: BlendFunction(BlendFactor.ONE)),
+        (lambda: BlendFunction(source_alpha=1), lambda: BlendFunction(source_alpha=BlendFactor.ONE)),
     ],
 )
 def test_a_state_s_numbers_are_checked_when_it_is_made(recording: Device, wrong: Any, fitting: Any) -> None:

@@ -18,6 +18,7 @@ ELSEWHERE = {
     rules.DEVICE_MEMORY: "needs a device without memory",
     rules.DEVICE_LOST: "needs a device that is lost",
     rules.DEVICE_DEBUG: "needs a driver that complains",
+    rules.DEVICE_CONTEXT: "needs a platform with contexts",
     rules.DEVICE_ANSWER: "needs a device that never answers",
     rules.SHADER_DRIVER: "needs native source, which belongs to one backend",
     rules.TRANSIENT_SIZE: "needs more memory than a test should take",

@@ -198,6 +198,28 @@ BODIES = [
         ["x = self.albedo.gather(vec2(0), 3)"],
         "0 to 3",
     ),
+    ("out-of-range", ["x = self.scale / 0.0"], ["x = self.scale / 0.5"], "division by zero"),
+    ("out-of-range", ["x = self.scale / 0"], ["x = self.scale / 1"], "division by zero"),
+    ("out-of-range", ["x = vec4(self.scale) / 0.0"], ["x = vec4(self.scale) / 2.0"], "division by zero"),
+    ("out-of-range", ["x = vec4(1.0) / 0.0"], ["x = vec4(1.0) / 2.0"], "division by zero"),
+    ("out-of-range", ["x = 1.0 / vec2(1, 0)"], ["x = 1.0 / vec2(1, 2)"], "division by zero"),
+    ("out-of-range", ["x = vec2(2) / vec2(0)"], ["x = vec2(0) / vec2(2)"], "division by zero"),
+    ("out-of-range", ["x = vec2(2)", "x /= 0.0"], ["x = vec2(2)", "x /= 2.0"], "division by zero"),
+    ("out-of-range", ["x = mat2(2) / 0.0"], ["x = mat2(2) / 1.0"], "division by zero"),
+    ("out-of-range", ["x = self.scale // 0.0"], ["x = self.scale // 1.0"], "division by zero"),
+    ("out-of-range", ["x = self.scale % 0.0"], ["x = self.scale % 1.0"], "division by zero"),
+    ("out-of-range", ["x = ivec2(3) // ivec2(1, 0)"], ["x = ivec2(3) // ivec2(1, 1)"], "integer division"),
+    ("out-of-range", ["x = ivec2(3) % 0"], ["x = ivec2(3) % 2"], "integer division"),
+    ("out-of-range", ["x = vec2(0.0, 1.0) ** -1"], ["x = vec2(2.0, 1.0) ** -1"], "negative power"),
+    ("out-of-range", ["x = self.counts[0] << 32"], ["x = self.counts[0] << 31"], "a shift by 32"),
+    ("out-of-range", ["x = self.counts[0] >> -1"], ["x = self.counts[0] >> 0"], "a shift by -1"),
+    ("too-large", ["x = array(float, 4097)"], ["x = array(float, 4096)"], "4097 numbers"),
+    (
+        "too-deep",
+        ["x = " + "sin(" * 65 + "1.0" + ")" * 65],
+        ["x = " + "sin(" * 60 + "1.0" + ")" * 60],
+        "more than 64 levels",
+    ),
     ("evaluated-twice", ["b = 0 < self.bump() < 4"], ["n = self.bump()", "b = 0 < n < 4"], ""),
     ("evaluated-twice", ["self.out[self.bump()] += 1.0"], ["n = self.bump()", "self.out[n] += 1.0"], ""),
     ("stage", ["x = ddx(1.0)"], ["x = sin(1.0)"], "ddx in the compute stage"),
@@ -466,6 +488,7 @@ def test_a_shader_without_source_is_refused():
 
 
 TESTED_ELSEWHERE = {
+    *("shading-text", "shading-spirv", "shading-language"),
     *("shading-no-source", "shading-native", "shading-struct-value", "shading-device-only"),
     *("shading-index", "shading-different"),  # checked shaders
 }

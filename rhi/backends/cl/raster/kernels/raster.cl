@@ -8,8 +8,8 @@
 //   such triangles.
 // - Multi-sampled targets have four coverages and one shading.
 // - Depth of one sample without stencil is staged: read and written once per tile, and bounded (BOUNDS_DEPTH).
-// - targets.cl, the fragment stage and the macros of tables.py precede this text: OPEN_SURFACES, BINDINGS, VARYING_WORDS,
-//   VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH.
+// - targets.cl, the fragment stage and the macros of tables.py precede this text: FRAGMENT, BINDINGS, VARYING_WORDS,
+//   VARYINGS, GIVES_DEPTH, STAGES_DEPTH, BOUNDS_DEPTH. In a general kernel (targets.cl) depth isn't staged.
 
 #define LANE_X (int16)(0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3, 0, 1, 2, 3)
 #define LANE_Y (int16)(0, 0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 2, 3, 3, 3, 3)
@@ -61,20 +61,17 @@ INLINE int next_record(Records *records) {
 typedef struct {
     int a[3], b[3];        // per texel
     int x, y;              // the texel at which `c` is valid
-    int c[SAMPLES][3];     // rounded down to whole texels
+    int c[MAX_SAMPLES][3];     // rounded down to whole texels
     int16 lanes[3];        // increments for the texels of a block
 } Edges;
 
-#if SAMPLES == 4
-constant int sample_x[4] = {-32, 96, -96, 32}, sample_y[4] = {-96, -32, 32, 96};  // from the texel's centre, in subtexels
-#elif SAMPLES == 2
-constant int sample_x[2] = {-32, 32}, sample_y[2] = {-96, 96};  // off both diagonals, whose edges would cover both or none
-#else
-constant int sample_x[1] = {0}, sample_y[1] = {0};
-#endif
+constant int sample_x[7] = {0, -32, 32, -32, 96, -96, 32};  // from the texel's centre, in subtexels: for 1, 2, 4 samples;
+constant int sample_y[7] = {0, -96, 96, -96, -32, 32, 96};  // two lie off both diagonals, whose edges cover both or none
+#define SAMPLE_X(sample) sample_x[SAMPLES - 1 + (sample)]
+#define SAMPLE_Y(sample) sample_y[SAMPLES - 1 + (sample)]
 
 // Compute the edges of a triangle of any size at texel x, y. Return false if it covers nothing of the tile from there on.
-INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
+INLINE bool find_edges(const Targets *targets, const int2 *points, int x, int y, Edges *edges) {
     edges->x = x;
     edges->y = y;
     UNROLL for (int i = 0; i < 3; ++i) {
@@ -88,7 +85,7 @@ INLINE bool find_edges(const int2 *points, int x, int y, Edges *edges) {
         edges->a[i] = holds ? 0 : a;
         edges->b[i] = holds ? 0 : b;
         UNROLL for (int sample = 0; sample < SAMPLES; ++sample)
-            edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * sample_x[sample] + (long)b * sample_y[sample]) >> 8);
+            edges->c[sample][i] = holds ? 0 : (int)((start + (long)a * SAMPLE_X(sample) + (long)b * SAMPLE_Y(sample)) >> 8);
     }
     return true;
 }
@@ -111,13 +108,13 @@ INLINE uint cross_squares(const Edges *edges, int x, int y, const int bits, int1
         const int a = edges->a[i], b = edges->b[i];
         starts[i] = (edges->lanes[i] << bits) + (edges->c[0][i] + a * x + b * y);
         int16 most = starts[i] + (max(a, 0) + max(b, 0)) * ((1 << bits) - 1);
-        if (SAMPLES > 1) most = add_sat(most, (int16)(abs(a) + abs(b)));  // samples lie off the centres
+        if (MAX_SAMPLES > 1) most = add_sat(most, (int16)(abs(a) + abs(b)));  // samples lie off the centres
         innermost |= most;
     }
     return bits_of(innermost >= 0);
 }
 
-#if SHADES
+#if FRAGMENT
 // Weights of the corners at 16 places, which interpolate the varyings.
 typedef struct {
     float16 near_w, weight1, weight2;  // with perspective
@@ -246,14 +243,16 @@ SINGLE raster(ulong address) {
 #endif
     const uint cleared = batch->cleared;
     if (place < 0 && !cleared) return;
-    OPEN_SURFACES
-    const Targets targets = open_targets(TARGET_ARGUMENTS);
+    global const Merger *merger = AT(const Merger, batch->places);
+    global const ulong *target_places = (global const ulong *)(merger + 1);
+    const Targets opened = open_targets(merger, batch->surfaces, target_places);
+    const Targets *targets = &opened;
     const int width = min(TILE, ((batch->width + 3) & ~3) - tile_x);  // of the part inside the target, in whole blocks
     const int height = min(TILE, ((batch->height + 3) & ~3) - tile_y);
     // Depth that is staged and written back is cleared in the staging area.
     const bool fills = STAGES_DEPTH && DEPTH_WRITES && place >= 0 && cleared >> COLOR_COUNT & 1;
     const uint in_memory = cleared ^ (uint)fills << COLOR_COUNT;
-    if (in_memory) clear_targets(&targets, target_places, in_memory, tile_x, tile_y, width, height);
+    if (in_memory) clear_targets(targets, target_places, in_memory, tile_x, tile_y, width, height);
     if (place < 0) return;
 #if STAGES_DEPTH
     float16 blocks[PARTS * PARTS * PART_BLOCKS];
@@ -264,7 +263,7 @@ SINGLE raster(ulong address) {
 #endif
     const float fresh_depth = as_float(*CLEAR_TEXEL(target_places, COLOR_COUNT));
     if (fills) fill_blocks(blocks, width, height, fresh_depth);
-    else stage_depth(&targets, tile_x, tile_y, width, height, blocks, false);
+    else stage_depth(targets, tile_x, tile_y, width, height, blocks, false);
 #if BOUNDS_DEPTH
     float16 block_bounds[PARTS * PARTS];
     float bounds[PARTS * PARTS] __attribute__((aligned(64)));
@@ -349,13 +348,13 @@ SINGLE raster(ulong address) {
         // Difference between the depth of a block's first texel and that of its nearest corner.
         const float to_nearest = fma(depth_x, GETS_NEARER(depth_x) ? 3.0f : 0.0f, depth_y * (GETS_NEARER(depth_y) ? 3.0f : 0.0f));
 #endif
-#if SHADES
+#if FRAGMENT
         global const float *planes = AT(const float, batch->planes) + (long)place * 16;
 #if VARYING_WORDS
         global const uint *varyings = AT(const uint, batch->varyings), *slots = (global const uint *)planes + SLOTS;
-        global const uint *corner0 = varyings + (long)slots[0] * VARYING_WORDS;
-        global const uint *corner1 = varyings + (long)slots[1] * VARYING_WORDS;
-        global const uint *corner2 = varyings + (long)slots[2] * VARYING_WORDS;
+        global const uint *corner0 = varyings + (SHADES ? (long)slots[0] * VARYING_WORDS : 0);
+        global const uint *corner1 = varyings + (SHADES ? (long)slots[1] * VARYING_WORDS : 0);
+        global const uint *corner2 = varyings + (SHADES ? (long)slots[2] * VARYING_WORDS : 0);
 #endif
 #endif
 
@@ -387,7 +386,7 @@ SINGLE raster(ulong address) {
                     triangle[1] = points[piece + 1];
                     triangle[2] = points[piece + 2];
                 }
-                if (!find_edges(triangle, x0, y0, &edges)) continue;
+                if (!find_edges(targets, triangle, x0, y0, &edges)) continue;
             }
             UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
             int16 starts[3];
@@ -404,8 +403,9 @@ SINGLE raster(ulong address) {
                 if (todo & (todo - 1)) {
                     todo &= cross_squares(&edges, part_x, part_y, 2, starts);
                     const float16 first_depths = lane_depth * 4.0f + part_depth;
-#if BOUNDS_DEPTH && DEPTH_WRITES  // without writes, most blocks have the bound of their part, which was tested
-                    todo &= ~bits_of(BEHIND(quantize_depth(first_depths + to_nearest), block_bounds[part]));
+#if BOUNDS_DEPTH
+                    if (DEPTH_WRITES)  // without writes, most blocks have the bound of their part, which was tested
+                        todo &= ~bits_of(BEHIND(quantize_depth(targets, first_depths + to_nearest), block_bounds[part]));
 #endif
                     if (!todo) continue;
                     UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
@@ -416,8 +416,8 @@ SINGLE raster(ulong address) {
                     UNROLL for (int i = 0; i < 3; ++i) start[i][block] = edges.c[0][i] + edges.a[i] * x + edges.b[i] * y;
                     start_depth[block] = fma(depth_x, (float)column, depth_y * (float)row_of_blocks) * 4.0f + part_depth;
                 }
-#if BOUNDS_DEPTH && DEPTH_WRITES
-                writes[part] += popcount(todo);
+#if BOUNDS_DEPTH
+                if (DEPTH_WRITES) writes[part] += popcount(todo);
 #endif
                 for (; todo; todo &= todo - 1) {
                     const int place_in_part = 31 - clz(todo & -todo);
@@ -429,7 +429,7 @@ SINGLE raster(ulong address) {
                     int16 box = (int16)(-1);
                     if (flags & 8)
                         box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
-                    int16 masks[SAMPLES], covered = (int16)(0);
+                    int16 masks[MAX_SAMPLES], covered = (int16)(0);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
                                                 (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
@@ -439,9 +439,9 @@ SINGLE raster(ulong address) {
 #if STAGES_DEPTH
                     // The same as merge_depth_stencil for one sample without stencil, on the staged block.
                     float16 *block = blocks + part * PART_BLOCKS + place_in_part;
-                    float16 stored = *block, fresh = quantize_depth(z);
+                    float16 stored = *block, fresh = quantize_depth(targets, z);
 #if TEST_ORDER != TEST_LATE || !SHADES
-                    covered &= compare_depth(fresh, stored);
+                    covered &= compare_depth(targets, fresh, stored);
                     masks[0] = covered;
 #if DEPTH_WRITES && (TEST_ORDER == TEST_EARLY || !SHADES)
 #if SHADES
@@ -454,28 +454,28 @@ SINGLE raster(ulong address) {
 #endif
 #endif
 #endif
-#if SHADES || !STAGES_DEPTH
+#if FRAGMENT || !STAGES_DEPTH
                     if (!bits_of(covered)) continue;
 #endif
-#define SAMPLE_DEPTH (z + (depth_x * (sample_x[sample] / 256.0f) + depth_y * (sample_y[sample] / 256.0f)))
-#if !STAGES_DEPTH && (TEST_ORDER != TEST_LATE || !SHADES)
-                    covered = (int16)(0);
-                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
-#if TEST_ORDER == TEST_EARLY || !SHADES
-                        masks[sample] =
-                            merge_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-                        passed -= masks[sample];
-#else
-                        masks[sample] =
-                            test_depth_stencil(&targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-#endif
-                        covered |= masks[sample];
+#define SAMPLE_DEPTH (z + (depth_x * (SAMPLE_X(sample) / 256.0f) + depth_y * (SAMPLE_Y(sample) / 256.0f)))
+#if !STAGES_DEPTH
+                    if (TEST_ORDER != TEST_LATE || !SHADES) {
+                        covered = (int16)(0);
+                        UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                            if (TEST_ORDER == TEST_EARLY || !SHADES) {
+                                masks[sample] =
+                                    merge_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                                passed -= masks[sample];
+                            } else
+                                masks[sample] =
+                                    test_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                            covered |= masks[sample];
+                        }
+                        if (SHADES && !bits_of(covered)) continue;
                     }
-#if SHADES
-                    if (!bits_of(covered)) continue;
 #endif
-#endif
-#if SHADES
+#if FRAGMENT
+                    if (!SHADES) continue;
                     float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
                     Weights weights = find_weights(planes, away_x, away_y);
                     uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
@@ -488,35 +488,38 @@ SINGLE raster(ulong address) {
                     int16 kept = rhi_fragment(
                         BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
                         front, as_int(planes[NUMBER]), covered, outputs, &depth);
-                    kept = test_alpha(state, kept, outputs);
+                    kept = test_alpha(targets, state, kept, outputs);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         int16 mask = masks[sample] & kept;
-                        if (SAMPLES > 1) mask = cover_by_alpha(mask, outputs, sample);
-#if STAGES_DEPTH && TEST_ORDER != TEST_EARLY
-                        fresh = quantize_depth(GIVES_DEPTH ? depth : z);
-                        mask &= compare_depth(fresh, stored);
+                        if (MAX_SAMPLES > 1) mask = cover_by_alpha(targets, mask, outputs, sample);
+#if STAGES_DEPTH
+#if TEST_ORDER != TEST_EARLY
+                        fresh = quantize_depth(targets, GIVES_DEPTH ? depth : z);
+                        mask &= compare_depth(targets, fresh, stored);
                         if (DEPTH_WRITES) *block = mask ? fresh : stored;
                         passed -= mask;
-#elif TEST_ORDER != TEST_EARLY
-                        mask = merge_depth_stencil(&targets, state, x, y, sample, front, mask,
-                                                   GIVES_DEPTH ? depth : SAMPLE_DEPTH);
-                        passed -= mask;
 #endif
-#if COLOR_COUNT
-                        if (SAMPLES == 1 || bits_of(mask)) merge_colors(&targets, state, x, y, sample, mask, outputs);
+#else
+                        if (TEST_ORDER != TEST_EARLY) {
+                            mask = merge_depth_stencil(targets, state, x, y, sample, front, mask,
+                                                       GIVES_DEPTH ? depth : SAMPLE_DEPTH);
+                            passed -= mask;
+                        }
 #endif
+                        if (COLOR_COUNT && (MAX_SAMPLES == 1 || bits_of(mask)))
+                            merge_colors(targets, state, x, y, sample, mask, outputs);
                     }
 #endif
                 }
-#if BOUNDS_DEPTH && DEPTH_WRITES
-                if (writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
+#if BOUNDS_DEPTH
+                if (DEPTH_WRITES && writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
 #endif
             }
         }
     }
     count_samples(batch, samples, passed);
-#if STAGES_DEPTH && DEPTH_WRITES
-    stage_depth(&targets, tile_x, tile_y, width, height, blocks, true);
+#if STAGES_DEPTH
+    if (DEPTH_WRITES) stage_depth(targets, tile_x, tile_y, width, height, blocks, true);
 #endif
 #if BOUNDS_DEPTH
     for (int part = 0; part < PARTS * PARTS; ++part) {

@@ -3,11 +3,21 @@
 // - A block is 4×4 texels in 16 lanes, lane = x + 4 y. A mask is an int16 of 0 and −1.
 // - Targets are linear planes of memory whose pitch is a multiple of 4 texels, so a block is loaded as 4 aligned rows.
 // - Numbers are converted as in rhi.contract.texels: clamp, scale, round to nearest even, NaN to 0.
-// - States that affect the code are macros, written by merger.py: formats, whether a target blends, the depth function, the
-//   order of tests and shading. All other states are words of the draw's state block, read here as scalars: branches on
-//   them are uniform over all blocks of a draw.
+// - Formats, whether a target blends, the depth function, the order of tests and shading are macros, written by merger.py.
+//   In a kernel for one combination of them they are constants. In a general kernel they are fields of the batch's
+//   `Merger`, and the same text branches on them. MAX_SAMPLES and MAX_COLORS, the sizes of arrays, are always constants.
+// - All other states are words of the draw's state block, read here as scalars: branches on them are uniform over all
+//   blocks of a draw.
 
 #define MERGER static inline __attribute__((always_inline, overloadable))
+
+// The states of a batch that kernels are compiled for, as data; merger.py writes it.
+typedef struct {
+    int samples, color_count, has_depth, depth_bits, depth_passes, depth_writes, has_stencil;
+    int alpha_test, alpha_to_coverage, test_order, shades, unused;
+    int colors[8][6];  // location, components, channels, bits, kind, blends
+} Merger;
+
 #define EACH(c, first, last) _Pragma("unroll") for (int c = first; c <= last; ++c)  // PoCL unrolls only loops with a pragma
 
 typedef struct {
@@ -16,7 +26,8 @@ typedef struct {
 } Surface;
 
 typedef struct {
-    Surface color[COLOR_COUNT + 1];  // OpenCL C has no empty arrays
+    global const Merger *merger;
+    Surface color[MAX_COLORS + 1];  // OpenCL C has no empty arrays
     Surface depth, stencil;
 } Targets;
 
@@ -27,7 +38,7 @@ MERGER Surface open_surface(global uchar *memory, global const ulong *place) {
 
 MERGER global uchar *locate(const Surface *surface, int x, int y, int sample, const int bytes) {
     global uchar *row = surface->first + y * surface->pitch;
-    if (SAMPLES > 1) row += sample * surface->layer;
+    if (MAX_SAMPLES > 1) row += sample * surface->layer;
     return row + x * bytes;
 }
 
@@ -184,21 +195,17 @@ COMPARE(uint16)
 // -- depth and stencil ---------------------------------------------------------------------------------------------
 
 // Clamp to 0…1 and round to the format's values: floats that represent multiples of 1/65535 or 1/(2^24 − 1).
-MERGER float16 quantize_depth(float16 z) {
+MERGER float16 quantize_depth(const Targets *targets, float16 z) {
     z = clamp_to(z, 0.0f, 1.0f);
-#if DEPTH_BITS == 16
-    return convert_float16(as_int16(round_unsigned(z, 65535.0f))) / 65535.0f;
-#elif DEPTH_BITS == 24
+    if (DEPTH_BITS == 16) return convert_float16(as_int16(round_unsigned(z, 65535.0f))) / 65535.0f;
+    if (DEPTH_BITS != 24) return z;
     // Beyond 1/2 the product is an integer already.
     float16 coarse = z * 16777215.0f, fine = fma(z, (float16)(16777215.0f), (float16)(8388608.0f)) - 8388608.0f;
     float16 steps = z > 0.5f ? coarse : fine;
     return fma(steps, (float16)(0x1p-24f), steps * 0x1.000002p-48f);  // 1/(2^24 − 1) = 2^-24 + 2^-48 + 2^-72…
-#else
-    return z;
-#endif
 }
 
-MERGER int16 compare_depth(float16 z, float16 stored) { return compare(z, stored, DEPTH_PASSES); }
+MERGER int16 compare_depth(const Targets *targets, float16 z, float16 stored) { return compare(z, stored, DEPTH_PASSES); }
 
 MERGER float16 load_depth(const Targets *targets, int x, int y, int sample) {
     uint16 words[1];
@@ -211,7 +218,6 @@ MERGER void store_depth(const Targets *targets, int x, int y, int sample, float1
     store_block(locate(&targets->depth, x, y, sample, 4), targets->depth.pitch, 4, words);
 }
 
-#if HAS_STENCIL
 MERGER uint16 change_stencil(uint16 stored, uint reference, uint operation) {
     switch (operation & 15u) {
     case STENCIL_ZERO: return (uint16)(0);
@@ -224,7 +230,6 @@ MERGER uint16 change_stencil(uint16 stored, uint reference, uint operation) {
     default: return stored;
     }
 }
-#endif
 
 // Return the lanes of `mask` that pass the stencil and depth tests. With `writes` both planes are updated.
 MERGER int16 test_depth_stencil(
@@ -232,29 +237,29 @@ MERGER int16 test_depth_stencil(
     const bool writes
 ) {
     int16 near = mask;
-#if HAS_DEPTH
-    z = quantize_depth(z);
-    float16 stored_z = load_depth(targets, x, y, sample);
-    near &= compare_depth(z, stored_z);
-#endif
-#if HAS_STENCIL
-    global const uint *side = state + (front ? STENCIL_STATE : STENCIL_STATE + 2);
-    uint rules = side[0], reference = side[1] & 255u, read_mask = side[1] >> 8 & 255u, write_mask = side[1] >> 16;
-    uint16 stored;
-    global uchar *block = locate(&targets->stencil, x, y, sample, 1);
-    load_block(block, targets->stencil.pitch, 1, &stored);
-    int16 equal = mask & compare((uint16)(reference & read_mask), stored & read_mask, rules & 7u);
-    near &= equal;
-    if (writes) {
-        uint16 value = equal ? change_stencil(stored, reference, rules >> 8) : change_stencil(stored, reference, rules >> 4);
-        value = near ? change_stencil(stored, reference, rules >> 12) : value;
-        value = bitselect(stored, value, as_uint16(mask) & write_mask);
-        store_block(block, targets->stencil.pitch, 1, &value);
+    float16 stored_z = (float16)(0.0f);
+    if (HAS_DEPTH) {
+        z = quantize_depth(targets, z);
+        stored_z = load_depth(targets, x, y, sample);
+        near &= compare_depth(targets, z, stored_z);
     }
-#endif
-#if HAS_DEPTH && DEPTH_WRITES
-    if (writes) store_depth(targets, x, y, sample, near ? z : stored_z);
-#endif
+    if (HAS_STENCIL) {
+        global const uint *side = state + (front ? STENCIL_STATE : STENCIL_STATE + 2);
+        uint rules = side[0], reference = side[1] & 255u, read_mask = side[1] >> 8 & 255u, write_mask = side[1] >> 16;
+        uint16 stored;
+        global uchar *block = locate(&targets->stencil, x, y, sample, 1);
+        load_block(block, targets->stencil.pitch, 1, &stored);
+        int16 equal = mask & compare((uint16)(reference & read_mask), stored & read_mask, rules & 7u);
+        near &= equal;
+        if (writes) {
+            uint16 value =
+                equal ? change_stencil(stored, reference, rules >> 8) : change_stencil(stored, reference, rules >> 4);
+            value = near ? change_stencil(stored, reference, rules >> 12) : value;
+            value = bitselect(stored, value, as_uint16(mask) & write_mask);
+            store_block(block, targets->stencil.pitch, 1, &value);
+        }
+    }
+    if (HAS_DEPTH && DEPTH_WRITES && writes) store_depth(targets, x, y, sample, near ? z : stored_z);
     return near;
 }
 
@@ -272,21 +277,15 @@ MERGER int16 merge_depth_stencil(
 
 // -- alpha of the first output -------------------------------------------------------------------------------------
 
-MERGER int16 test_alpha(global const uint *state, int16 mask, const uint16 *outputs) {
-#if ALPHA_TEST
+MERGER int16 test_alpha(const Targets *targets, global const uint *state, int16 mask, const uint16 *outputs) {
+    if (!ALPHA_TEST) return mask;
     return mask & compare(as_float16(outputs[3]), (float16)(as_float(state[ALPHA_STATE + 1])), state[ALPHA_STATE]);
-#else
-    return mask;
-#endif
 }
 
 // Cover a number of samples in proportion to alpha, rounded to nearest.
-MERGER int16 cover_by_alpha(int16 mask, const uint16 *outputs, int sample) {
-#if ALPHA_TO_COVERAGE
+MERGER int16 cover_by_alpha(const Targets *targets, int16 mask, const uint16 *outputs, int sample) {
+    if (!ALPHA_TO_COVERAGE) return mask;
     return mask & (as_float16(outputs[3]) * SAMPLES >= sample + 0.5f);
-#else
-    return mask;
-#endif
 }
 
 // -- color ---------------------------------------------------------------------------------------------------------
@@ -399,12 +398,12 @@ MERGER void merge_colors(
 
 // Set all samples of a region of whole blocks to one texel, which is repeated to 4 words.
 MERGER void clear_surface(
-    const Surface *surface, global const uint *texel, int x, int y, int width, int height, const int bytes
+    const Surface *surface, global const uint *texel, int x, int y, int width, int height, const int bytes, int samples
 ) {
     const uint4 four = (uint4)(texel[0], texel[1], texel[2], texel[3]);
     const uint16 sixteen = (uint16)(four, four, four, four);
     const int words = width * bytes / 4;
-    for (int sample = 0; sample < SAMPLES; ++sample)
+    for (int sample = 0; sample < samples; ++sample)
         for (int row = 0; row < height; ++row) {
             global uint *line = (global uint *)locate(surface, x, y + row, sample, bytes);
             int word = 0;
@@ -423,30 +422,28 @@ MERGER void clear_targets(
 ) {
 #define CLEAR_ONE(place, surface, bytes) \
     if (surfaces >> (place) & 1) \
-        clear_surface(surface, CLEAR_TEXEL(target_places, place), x, y, width, height, bytes);
+        clear_surface(surface, CLEAR_TEXEL(target_places, place), x, y, width, height, bytes, SAMPLES);
 #define CLEAR_COLOR(place, location, components, channels, bits, kind, blends) \
     CLEAR_ONE(place, &targets->color[place], channels * bits / 8)
     COLOR_TARGETS(CLEAR_COLOR)
-#if HAS_DEPTH
-    CLEAR_ONE(COLOR_COUNT, &targets->depth, 4)
-#endif
-#if HAS_STENCIL
-    CLEAR_ONE(COLOR_COUNT + HAS_DEPTH, &targets->stencil, 1)
-#endif
+    if (HAS_DEPTH) CLEAR_ONE(COLOR_COUNT, &targets->depth, 4)
+    if (HAS_STENCIL) CLEAR_ONE(COLOR_COUNT + HAS_DEPTH, &targets->stencil, 1)
 #undef CLEAR_ONE
 #undef CLEAR_COLOR
 }
 
-MERGER Targets open_targets(TARGET_PARAMETERS) {
-    Targets targets;
-#define OPEN(place, ...) targets.color[place] = open_surface(color##place, target_places + 3 * place);
+// `surfaces`: the addresses of their memory; `target_places`: where they lie in it.
+MERGER Targets open_targets(
+    global const Merger *merger, global const ulong *surfaces, global const ulong *target_places
+) {
+    Targets opened, *targets = &opened;
+    opened.merger = merger;
+#define OPEN_ONE(place) open_surface(AT(uchar, surfaces[place]), target_places + 3 * (place))
+#define OPEN(place, ...) opened.color[place] = OPEN_ONE(place);
     COLOR_TARGETS(OPEN)
 #undef OPEN
-#if HAS_DEPTH
-    targets.depth = open_surface(depth, target_places + 3 * COLOR_COUNT);
-#endif
-#if HAS_STENCIL
-    targets.stencil = open_surface(stencil, target_places + 3 * (COLOR_COUNT + HAS_DEPTH));
-#endif
-    return targets;
+    if (HAS_DEPTH) opened.depth = OPEN_ONE(COLOR_COUNT);
+    if (HAS_STENCIL) opened.stencil = OPEN_ONE(COLOR_COUNT + HAS_DEPTH);
+#undef OPEN_ONE
+    return opened;
 }

@@ -1,0 +1,102 @@
+"""Conway's Game of Life: a compute shader steps between two images, and the last one is drawn enlarged."""
+
+from __future__ import annotations
+
+import numpy as np
+from frame import main
+
+import rhi
+from rhi.shading import (
+    Shader,
+    Struct,
+    UintImage2D,
+    UintTexture2D,
+    Uniform,
+    fragment_coordinate,
+    global_id,
+    image,
+    ivec2,
+    uint,
+    uvec4,
+    vec2,
+    vec4,
+    vertex_index,
+)
+
+CELLS = (128, 96)
+GENERATIONS = 100
+GROUP = 8
+
+
+class Generation(Shader):
+    """One generation on a torus."""
+
+    work_group = (GROUP, GROUP)
+    now: UintImage2D = image(rhi.Format.R8UI)
+    then: UintImage2D = image(rhi.Format.R8UI)
+
+    def compute(self) -> None:
+        at = ivec2(global_id().xy)
+        size = self.now.size()
+        alive = 0
+        for dy in range(-1, 2):
+            for dx in range(-1, 2):
+                alive += int(self.now.load((at + ivec2(dx, dy) + size) % size).x)
+        own = int(self.now.load(at).x)
+        lives = alive == 3 or (alive == 4 and own == 1)  # the cell itself is counted, too
+        self.then.store(at, uvec4(uint(lives), 0, 0, 0))
+
+
+class Window(Struct):
+    size: vec2
+
+
+class Enlarged(Shader):
+    """Each cell as a square."""
+
+    window: Uniform[Window]
+    cells: UintTexture2D
+
+    def vertex(self) -> vec4:
+        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
+        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
+
+    def fragment(self) -> vec4:
+        cell = ivec2(fragment_coordinate().xy / self.window.size * vec2(self.cells.size()))
+        return vec4(0.3, 0.9, 0.5, 1.0) if int(self.cells.load(cell).x) == 1 else vec4(0.03, 0.05, 0.08, 1.0)
+
+
+def make_cells() -> np.ndarray:
+    """Return (height, width) cells, a third of them alive."""
+    return (np.random.default_rng(3).random(CELLS[::-1]) < 1 / 3).astype(np.uint8)
+
+
+def step(cells: np.ndarray) -> np.ndarray:
+    """Return the next generation, on the CPU: what the shader must compute."""
+    count = np.sum([np.roll(cells, (dy, dx), (0, 1)) for dy in (-1, 0, 1) for dx in (-1, 0, 1)], axis=0)
+    return np.asarray((count == 3) | (count == 4) & (cells == 1), np.uint8)
+
+
+def simulate(device: rhi.Device) -> rhi.Texture:
+    """Return the texture of the last generation."""
+    now = device.texture(make_cells(), rhi.Format.R8UI)
+    then = device.texture(CELLS, rhi.Format.R8UI)
+    program = device.program(Generation)
+    for _ in range(GENERATIONS):
+        device.dispatch(program, (CELLS[0] // GROUP, CELLS[1] // GROUP), now=now.image(), then=then.image())
+        now, then = then, now
+    return now
+
+
+def render(device: rhi.Device, size: tuple[int, int]) -> rhi.Texture:
+    """Step GENERATIONS times and draw the cells."""
+    cells = simulate(device)
+    picture = device.texture(size, rhi.Format.RGBA8)
+    window = device.uniform(Window(size=size))
+    with device.render_pass(picture):
+        device.draw(device.program(Enlarged), device.mesh(3), window=window, cells=cells)
+    return picture
+
+
+if __name__ == "__main__":
+    main(render)

@@ -1,0 +1,160 @@
+"""Compiles kernels in another process, into the driver's cache on disk.
+
+PoCL has one compiler per process, and while it generates machine code, no kernel can be launched. The other process
+runs this file as a script: it imports nothing of rhi, which would take longer than a kernel.
+
+- Machine code is generated at a kernel's first launch. So the process launches each kernel with an empty batch, which
+  it reads and leaves.
+- The process isn't killed, since a half-written file in the cache would harm those who read it: when its device is
+  closed, it finishes its kernels and ends. Until then it holds the lock of what it writes.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import select
+import subprocess
+import sys
+import threading
+from contextlib import suppress
+from typing import IO, Any, Final, NamedTuple
+
+__rhi_internal__ = True
+
+_NICE: Final = 10  # frames go first
+_PATIENCE: Final = 0.02  # seconds that closing a device waits at most
+
+
+class Job(NamedTuple):
+    """Kernels to compile.
+
+    Attributes:
+        table: the table that each of them is launched with.
+        addresses: the offsets of addresses in the table; they are set to memory of `zeros` bytes, all 0.
+        lock: a file to lock meanwhile; empty for none.
+    """
+
+    source: str
+    options: tuple[str, ...]
+    names: tuple[str, ...]
+    table: bytes
+    addresses: tuple[int, ...]
+    zeros: int
+    lock: str
+
+
+class Compiler:
+    """A process that compiles kernels."""
+
+    def __init__(self, device: Any) -> None:
+        """Start the process.
+
+        Args:
+            device: an OpenCL device.
+
+        Raises:
+            OSError: it can't be started.
+        """
+        devices = device.platform.get_devices()
+        place = device.platform.name, device.platform.version, str(devices.index(device))
+        environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+            "POCL_MAX_PTHREAD_COUNT": "1",
+        }
+        self._process = subprocess.Popen(
+            [sys.executable, "-W", "ignore", __file__, *place],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment,
+        )  # fmt: skip
+        self._closed = False
+
+    def compile(self, job: Job) -> None:
+        """Compile kernels, and wait for it.
+
+        Raises:
+            OSError, EOFError: the process has ended, or `close` was called.
+            ValueError: the driver refused.
+        """
+        stdin, stdout = self._process.stdin, self._process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        pickle.dump(tuple(job), stdin)
+        stdin.flush()
+        while not select.select([stdout], [], [], _PATIENCE)[0]:
+            if self._closed:
+                raise EOFError("the device was closed")
+        if not pickle.load(stdout):
+            raise ValueError("the driver refused kernels")
+
+    def stop(self) -> None:
+        """Let `compile` end at once; from any thread."""
+        self._closed = True
+
+    def close(self) -> None:
+        """Let the process end when it has finished its kernels. No thread may be in `compile`."""
+        for pipe in (self._process.stdin, self._process.stdout):
+            assert pipe is not None
+            with suppress(OSError):
+                pipe.close()
+        threading.Thread(target=self._process.wait, name="rhi kernels' end", daemon=True).start()
+
+
+def _serve(platform_name: str, version: str, index: int, jobs: IO[bytes], answers: IO[bytes]) -> None:
+    import numpy as np
+    import pyopencl as cl
+
+    platforms = [each for each in cl.get_platforms() if (each.name, each.version) == (platform_name, version)]
+    context = cl.Context([platforms[0].get_devices()[index]])
+    queue = cl.CommandQueue(context)
+    while True:
+        source, options, names, table, addresses, zeros, path = pickle.load(jobs)
+        lock = _lock(path)
+        try:
+            program = cl.Program(context, source).build(["-w", *options])
+            for name in names:
+                memory = np.zeros((zeros + 2 * len(table)) // 8, np.uint64)
+                memory[: len(table) // 8] = np.frombuffer(table, np.uint64)
+                memory[np.array(addresses) // 8] = memory.ctypes.data + -(-len(table) // 64) * 64
+                kernel = cl.Kernel(program, name)
+                kernel.set_arg(0, np.uint64(memory.ctypes.data))
+                cl.enqueue_nd_range_kernel(queue, kernel, (1,), (1,)).wait()
+        except cl.Error:
+            pickle.dump(False, answers)
+        else:
+            pickle.dump(True, answers)
+        finally:
+            if lock is not None:
+                lock.close()
+        answers.flush()
+
+
+def _lock(path: str) -> IO[bytes] | None:
+    """Lock a file; return it, or None where there are no locks."""
+    if not path:
+        return None
+    try:
+        import fcntl
+
+        lock = open(path, "wb")  # noqa: SIM115
+    except (ImportError, OSError):
+        return None
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    return lock
+
+
+def _main() -> None:
+    import signal
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes; the other one decides
+    with suppress(OSError):
+        os.nice(_NICE)
+    answers = os.fdopen(os.dup(1), "wb")
+    silent = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(silent, 1)
+    with suppress(EOFError, BrokenPipeError):
+        _serve(sys.argv[1], sys.argv[2], int(sys.argv[3]), sys.stdin.buffer, answers)
+    os._exit(0)  # drivers take their time to end
+
+
+if __name__ == "__main__":
+    _main()

@@ -1,0 +1,212 @@
+"""The languages that shaders are written in: a table from a language's name to the function that writes a stage in it.
+
+A language is one function `(ShaderCode, Stage) -> StageText` and its row, made by `register_language`, here or in the
+package of a port. It writes from the typed tree of the stage (`ShaderCode.stages`), as GLSL does, or from lane code
+(`ShaderCode.lower_compute`), as OpenCL C and NumPy do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from rhi.contract.descriptors import Binding, Stage, StageText, StageVarying
+from rhi.errors import ShaderError, find_call_site, refuse
+from rhi.shading.glsl.stages import StageOptions, write_stage
+from rhi.shading.ir import tree
+from rhi.shading.language import rules
+from rhi.shading.language.builtins import Precision
+
+__rhi_internal__ = True
+
+# Lane code, OpenCL C and the writers of further languages are imported when a shader first needs them: they would take
+# a tenth of the time of `import rhi`.
+if TYPE_CHECKING:
+    from rhi.shading.ir.lanes import Code
+
+WIDTHS: Final = (1, 4, 8, 16)
+"""The numbers of lanes that compute kernels are written for."""
+
+
+class ShaderCode:
+    """A type-checked shader, from which its stages are written in a language when they are first requested.
+
+    - Texts are kept by language and stage, because several devices may request them.
+    - Lane code is kept only until its text is written: nothing reads it afterwards. It is kept at all because a compute
+      stage is lowered for 16 lanes when it is checked, long before its text may be requested.
+
+    Attributes:
+        stages: the typed tree of each stage.
+        options: what the trees don't hold: the interface of the stages, the slots of the bindings, the work-group.
+        bindings: the bindings, in order.
+        varyings: the varyings that the fragment stage reads.
+        precision: how exact built-ins must be.
+        checked: whether faults are reported on the device.
+    """
+
+    def __init__(
+        self, stages: Mapping[Stage, tree.StageTree], options: StageOptions, bindings: tuple[Binding, ...],
+        varyings: tuple[StageVarying, ...], precision: Precision, checked: bool,
+    ) -> None:  # fmt: skip
+        self.stages = stages
+        self.options = options
+        self.bindings = bindings
+        self.varyings = varyings
+        self.precision = precision
+        self.checked = checked
+        self._texts: dict[tuple[str, Stage], StageText] = {}
+        self._lane_code: dict[int, Code] = {}  # of the compute stage, by width
+
+    def emit(self, language: str, stage: Stage) -> StageText:
+        """Return a stage's text in a language, writing it on first use; see `ProgramDescriptor.emit`.
+
+        Raises:
+            ShaderError: `shading-native`: the stage can't be had in this language.
+        """
+        text = self._texts.get((language, stage))
+        if text is None:
+            found = _LANGUAGES.get(language)
+            if found is None or stage not in found.stages:
+                known = ", ".join(name for name, row in _LANGUAGES.items() if stage in row.stages)
+                raise ShaderError(
+                    rules.NATIVE, f"{self.options.name}: emit({language!r}, {stage})", language, known
+                )
+            try:
+                text = self._texts[language, stage] = found.write(self, stage)
+            except RecursionError:
+                raise make_depth_error(self.options.name) from None
+        return text
+
+    def lower_compute(self, width: int) -> Code:
+        """Return the lane code of the compute stage for `width` lanes, or for whole arrays with 0.
+
+        Raises:
+            ShaderError: a rule that only lane code can check, such as one about barriers.
+        """
+        code = self._lane_code.get(width)
+        if code is None:
+            from rhi.shading.lowering.functions import lower_compute
+
+            stage, options = self.stages[Stage.COMPUTE], self.options
+            code = lower_compute(stage, options.name, options.work_group, width, self.checked)
+            self._lane_code[width] = code
+        return code
+
+    def take_compute(self, width: int) -> Code:
+        """Return the lane code of the compute stage, and forget it."""
+        code = self.lower_compute(width)
+        del self._lane_code[width]
+        return code
+
+
+Write = Callable[[ShaderCode, Stage], StageText]
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceLanguage:
+    """A row of the table: the function that writes a stage, and the stages that it can write."""
+
+    write: Write
+    stages: frozenset[Stage]
+
+
+_LANGUAGES: Final[dict[str, DeviceLanguage]] = {}
+
+
+def register_language(name: str, write: Write, stages: Collection[Stage] = tuple(Stage)) -> None:
+    """Add a language: `ProgramDescriptor.emit(name, stage)` then returns what `write(code, stage)` returns.
+
+    Raises:
+        ValidationError `shading-language`: a language has this name.
+    """
+    if name in _LANGUAGES:
+        refuse(
+            rules.LANGUAGE,
+            f"register_language({name!r}, …)",
+            name,
+            "a name other than " + ", ".join(_LANGUAGES),
+        )
+    _LANGUAGES[name] = DeviceLanguage(write, frozenset(stages))
+
+
+def make_depth_error(name: str) -> ShaderError:
+    """Return the error for a shader, within the limits of nesting, that is compiled where the stack is deep already."""
+    tip = "compile it where fewer functions have been called, or raise sys.setrecursionlimit(…)"
+    return ShaderError(
+        rules.TOO_DEEP,
+        f"class {name}",
+        "Python's recursion limit was reached",
+        tip=tip,
+        site=find_call_site(),
+    )
+
+
+# -- the languages --------------------------------------------------------------------------------------------
+
+
+def _write_glsl(code: ShaderCode, stage: Stage) -> StageText:
+    """Write a stage as GLSL 4.30 for OpenGL."""
+    return write_stage(code.stages[stage], code.options)
+
+
+def _write_vulkan(code: ShaderCode, stage: Stage) -> StageText:
+    """Write a stage as GLSL 4.50 for Vulkan."""
+    from rhi.shading.glsl.vulkan import write_vulkan_stage
+
+    return write_vulkan_stage(code.stages[stage], code.options)
+
+
+def _write_spirv(code: ShaderCode, stage: Stage) -> StageText:
+    """Write a stage as GLSL for Vulkan, with its SPIR-V."""
+    from rhi.shading.glsl.spirv import compile_spirv
+
+    return compile_spirv(code.emit("vulkan", stage), stage, code.options.name)
+
+
+def _write_opencl(width: int) -> Write:
+    """Return the function that writes OpenCL C for `width` lanes: a kernel, or the function of a draw's stage."""
+
+    def write(code: ShaderCode, stage: Stage) -> StageText:
+        return _write_kernel(code, width) if stage is Stage.COMPUTE else _write_function(code, stage)
+
+    return write
+
+
+def _write_kernel(code: ShaderCode, width: int) -> StageText:
+    from rhi.shading.ir.lanes import Code
+    from rhi.shading.opencl.writer import write_opencl_kernel
+
+    entry, options = code.stages[Stage.COMPUTE].entry, code.options
+    if f"opencl{width}" in entry.native:
+        empty = Code(options.name, width, [], (), work_group=options.work_group)
+        return write_opencl_kernel(empty, code.bindings, code.precision, entry)
+    return write_opencl_kernel(code.take_compute(width), code.bindings, code.precision)
+
+
+def _write_function(code: ShaderCode, stage: Stage) -> StageText:
+    from rhi.shading.lowering.bounds import bound_positions
+    from rhi.shading.lowering.stages import lower_stage
+    from rhi.shading.opencl.stages import write_opencl_stage
+
+    options, interface = code.options, code.options.interface
+    lanes = lower_stage(code.stages[stage], options.name, interface, code.varyings, checked=code.checked)
+    bounds = bound_positions(lanes) if stage is Stage.VERTEX else None
+    return write_opencl_stage(code.stages[stage], lanes, bounds, code.bindings, code.precision)
+
+
+def _write_numpy(code: ShaderCode, stage: Stage) -> StageText:
+    """Write a compute stage as a NumPy module."""
+    from rhi.shading.numpy.kernel import write_numpy_kernel
+
+    return StageText(write_numpy_kernel(code.take_compute(0)))
+
+
+register_language("glsl", _write_glsl)
+for _width in WIDTHS:
+    register_language(
+        f"opencl{_width}", _write_opencl(_width), [Stage.COMPUTE] if _width < max(WIDTHS) else list(Stage)
+    )
+register_language("numpy", _write_numpy, [Stage.COMPUTE])
+register_language("vulkan", _write_vulkan)
+register_language("spirv", _write_spirv)

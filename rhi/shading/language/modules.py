@@ -1,0 +1,119 @@
+"""Shaders from strings, for editors, notebooks and generators: a text is executed like a module of its own.
+
+- The text is kept with the module, where `rhi.shading.language.source` finds it, so that errors show its lines. Nothing
+  is written to a file, to `linecache` or, once the text has run, to `sys.modules`.
+- Names may be passed in, which are the module's globals before the text runs.
+"""
+
+from __future__ import annotations
+
+import itertools
+import sys
+from collections.abc import Mapping
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any, Final, NoReturn, overload
+
+from rhi.errors import CallSite, RhiError, ShaderError, find_call_site
+from rhi.shading.language import rules
+from rhi.shading.language.function import ShadingFunction
+from rhi.shading.language.shader import Shader
+from rhi.shading.language.source import SourceFile, SourceSpan, show, suggest, suggest_name
+
+__rhi_internal__ = True
+
+_numbers: Final = itertools.count(1)
+
+
+@overload
+def from_source(text: str, *, file: str = ..., scope: Mapping[str, object] | None = ...) -> type[Shader]: ...
+@overload
+def from_source(
+    text: str, name: str, /, *, file: str = ..., scope: Mapping[str, object] | None = ...
+) -> Any: ...
+@overload
+def from_source(
+    text: str, name: str, second: str, /, *more: str, file: str = ..., scope: Mapping[str, object] | None = ...
+) -> tuple[Any, ...]: ...
+def from_source(
+    text: str, *names: str, file: str = "<shader>", scope: Mapping[str, object] | None = None
+) -> Any:
+    """Execute Python text that defines shaders, and return the last shader class that it defines at its top level.
+
+    The text runs as Python, with everything that Python may do: never pass text from a source that you don't trust.
+
+    Args:
+        text: a module's text, with its imports.
+        names: the names to return instead: classes, structs or functions. One name returns one object, several names
+            return a tuple in their order.
+        file: the name that errors show for the text, such as the path of an editor's buffer.
+        scope: names that the text may use without importing them.
+
+    Raises:
+        ShaderError: `shading-text`: the text isn't Python, raises an exception or doesn't define what is wanted; the
+            error shows the line. Errors of the shading language are raised as they are.
+    """
+    source = SourceFile(file)
+    source.lines, source.spec = text.splitlines(keepends=True), None
+    module = ModuleType(f"shader_text_{next(_numbers)}")
+    module.__spec__ = ModuleSpec(module.__name__, None, loader_state=source)
+    vars(module).update(scope or {})
+    sys.modules[module.__name__] = module  # where classes look for their module's names while they are made
+    try:
+        exec(compile(text, file, "exec", dont_inherit=True), vars(module))
+    except RhiError:
+        raise
+    except Exception as error:
+        _refuse_error(source, error, module)
+    finally:
+        del sys.modules[module.__name__]
+    found = [_find(source, module, name) for name in names]
+    if not names:
+        return _last_shader(source, module)
+    return found[0] if len(found) == 1 else tuple(found)
+
+
+def _last_shader(source: SourceFile, module: ModuleType) -> type[Shader]:
+    shaders = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type) and issubclass(value, Shader) and _is_own(value, module)
+    ]
+    if not shaders:
+        given, allowed = "no shader", "a class derived from Shader"
+        raise ShaderError(rules.TEXT, f"from_source({source})", given, allowed, site=find_call_site())
+    return shaders[-1]
+
+
+def _find(source: SourceFile, module: ModuleType, name: str) -> Any:
+    if name not in vars(module):
+        known = [key for key, value in vars(module).items() if _is_own(value, module)]
+        call, allowed = f"from_source({source})", ", ".join(known)
+        raise ShaderError(rules.TEXT, call, repr(name), allowed, suggest(name, known), find_call_site())
+    return vars(module)[name]
+
+
+def _is_own(value: object, module: ModuleType) -> bool:
+    """Return whether a text itself defines a value of its module: a class or a function."""
+    value = value.python if isinstance(value, ShadingFunction) else value
+    return getattr(value, "__module__", "") == module.__name__
+
+
+def _refuse_error(source: SourceFile, error: Exception, module: ModuleType) -> NoReturn:
+    """Raise the error for an exception that executing a text has raised, at the text's innermost line."""
+    line, given = 0, f"{type(error).__name__}: {error}"
+    if isinstance(error, SyntaxError) and error.filename == source:
+        line, given = error.lineno or 0, f"SyntaxError: {error.msg}"
+    trace = error.__traceback__
+    while trace is not None:
+        if trace.tb_frame.f_code.co_filename == source:
+            line = trace.tb_lineno
+        trace = trace.tb_next
+    call = f"from_source\n{show(source, SourceSpan(line))}" if line else f"from_source({source})"
+    site = CallSite(str(source), line) if line else find_call_site()
+    unknown = error.name if isinstance(error, NameError) and error.name else ""
+    tip = suggest_name(unknown, vars(module)) if unknown else ""
+    raise ShaderError(rules.TEXT, call, given, tip=tip, site=site) from error
+
+
+__all__ = ["from_source"]

@@ -1,0 +1,56 @@
+"""The road of a port can be walked in its order: no step needs a later one."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+
+import partial_backends
+import pytest
+
+import rhi
+from rhi.conformance.steps import STEPS
+
+
+def run_step(number: int, written: int) -> tuple[int, str]:
+    """Run the groups of a step on a port that has been written up to another one; return exit status and output."""
+    modules = [
+        "rhi.conformance." + group.replace(" · ", ".test_").replace(" ", "_") for group in STEPS[number - 1].groups
+    ]
+    run = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider", "--color=no",
+         "--rhi-backend", "partial_backends:create_backend", "--pyargs", *modules],
+        capture_output=True, text=True, check=False, cwd=os.path.dirname(partial_backends.__file__),
+        env=os.environ | {
+            partial_backends.STEP: str(written),
+            "PYTHONPATH": os.pathsep.join(path for path in sys.path if path),
+        },
+    )  # fmt: skip
+    assert run.returncode in (0, 1), run.stdout + run.stderr
+    return run.returncode, run.stdout
+
+
+@pytest.fixture(autouse=True)
+def gl() -> None:
+    try:
+        rhi.create_device("gl").close()
+    except rhi.DeviceError as error:
+        pytest.skip(f"no GL device here: {error.given or error.rule.sentence}")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", range(1, len(STEPS) + 1))
+def test_a_step_passes_with_the_methods_of_it_and_those_before(number: int) -> None:
+    status, output = run_step(number, number)
+    assert status == 0, output
+    assert re.search(r"total +[1-9]\d* passed +0 failed", output), output
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("number", range(1, len(STEPS)))
+def test_a_step_fails_without_its_own_methods(number: int) -> None:
+    status, output = run_step(number, number - 1)
+    assert status == 1, output
+    assert f"next: step {number}, {STEPS[number - 1].title} (docs/porting.md)" in output, output

@@ -1,0 +1,181 @@
+"""Every parameter of every public method, given every kind of wrong value: refused by a rule, or allowed by the docs.
+
+Nothing else happens: no Python error comes out of the inside or of a backend, and the device draws as before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import inspect
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import numpy as np
+import pytest
+from argument_samples import NOT_USED, SAMPLES, House, Sample
+
+import rhi
+from rhi.conformance.compare import assert_same
+from rhi.conformance.shapes import rectangle
+from rhi.contract.states import STATE_TYPES
+
+CLASSES: list[Any] = [
+    rhi.Device, rhi.CommandBuffer, rhi.TransientMemory, rhi.Buffer, rhi.UniformBuffer, rhi.UniformArray,
+    rhi.StorageBuffer, rhi.Texture, rhi.Mesh, rhi.TransientMesh, rhi.Program, rhi.OcclusionQuery, rhi.QuerySet,
+    rhi.Immediate, rhi.ColorWrite, rhi.BlendFunction,
+]  # fmt: skip
+VALUES: list[Any] = [
+    rhi.Region, rhi.SamplerDescriptor, rhi.IndirectDraws, rhi.TextureTarget, rhi.Sampler, rhi.FixedStack,
+    rhi.FixedQueue, rhi.ProgramDescriptor, *(kind for kind in STATE_TYPES if dataclasses.is_dataclass(kind)),
+]  # fmt: skip
+INTERNAL = {
+    "CommandBuffer": {"note_retired"},
+    "TransientMemory": {"mark", "place_mesh"},
+    "Mesh": {"create_vertex_array", "place_draws"},
+    "TransientMesh": {"create_vertex_array", "place_draws"},
+    "Program": {
+        "check", "check_can_dispatch", "check_can_draw", "check_instances", "check_names", "draw_unprepared", "explain",
+        "find_vertex_array", "prepare_draw",
+    },
+    "OcclusionQuery": {"check_ended", "check_usable", "mark_submitted", "write_begin", "write_end"},
+    "QuerySet": {"check_ended", "check_rows", "draw", "mark_rows_drawn", "mark_rows_submitted", "mark_submitted"},
+}  # fmt: skip
+"""Methods that the package's own modules call on each other."""
+
+EXTRA = {"args", "bindings", "fields", "options"}
+"""Parameters that stand for any number of others; samples name those of their own program."""
+PLAIN: dict[str, Any] = {
+    "1.5": 1.5, "True": True, "None": None, "-1": -1, "2**70": 2**70, "'x'": "x", "nan": float("nan"),
+    "inf": float("inf"), "1e300": 1e300, "an enum's member": NOT_USED, "an enum": enum.Enum, "object()": object(),
+    "[]": [], "[1.5]": [1.5], "[[1], [1, 2]]": [[1], [1, 2]], "{}": {}, "b'x'": b"x", "1j": 1j, "a class": int,
+    "a function": len, "float32": np.float32(0.5), "int64": np.int64(-7), "bool_": np.bool_(True),
+    "array of objects": np.array([object()]), "array of text": np.array(["x"]), "array of nan": np.full(4, np.nan),
+    "array of bools": np.ones(2, bool), "array of 2**70": np.array([2**70]), "range": range(3),
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module", params=["null", "gl", "cl"])
+def street(request: pytest.FixtureRequest) -> Iterator[tuple[House, dict[str, Any]]]:
+    """A house on a device of each backend, and the wrong values: also objects of another device, and destroyed ones."""
+    with rhi.create_device(request.param, record=False) as device, rhi.create_device("null") as other:
+        house, foreign, ruin = House(device), House(other), House(device)
+        wrong = dict(PLAIN)
+        for resource in house.resources:
+            wrong[f"a {type(resource).__name__}"] = resource
+        for resource in foreign.resources:
+            wrong[f"another device's {type(resource).__name__}"] = resource
+        for resource in ruin.resources:
+            if type(resource) is not rhi.Program:  # of which a device has one for each shader
+                resource.destroy()
+                wrong[f"a destroyed {type(resource).__name__}"] = resource
+        wrong["a target of another device"] = foreign.image.at()
+        wrong["a binding"] = house.image.sampled(house.sampler)
+        wrong["the device"] = device
+        yield house, wrong
+
+
+def run(house: House, sample: Sample, arguments: dict[str, Any]) -> None:
+    """Make a call, and enter and leave the scope that it returns; destroy what it creates, but no view."""
+    with ExitStack() as stack:
+        sample.within(house, stack)
+        made = sample.call(house, **arguments)
+        if sample.enters:
+            with made:
+                pass
+        viewed = getattr(made, "owner", None) or getattr(getattr(made, "data", None), "vertices", None)
+        if hasattr(made, "destroy") and not house.owns(viewed) and viewed is not house.mesh.vertices:
+            made.destroy()
+
+
+def given_arguments(house: House, sample: Sample) -> dict[str, Any]:
+    made = {name: value for name, (value, _) in sample.parameters.items()}
+    return {
+        name: value(house) if inspect.isfunction(value) else value for name, value in made.items()
+    }
+
+
+def check_drawing(house: House) -> None:
+    """Check that the device draws, and that no draw before it left anything that shifts or hides this one."""
+    device = house.device
+    assert not device.transient._core.locked
+    with device.render_pass(house.target, clear=(0, 0, 0, 0)):
+        device.draw(house.program, house.mesh, tint=house.tint)
+        device.draw(house.plain, house.mesh)
+    if device.capabilities.renders:
+        assert_same(house.target.read(), 255)
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_a_wrong_argument_is_refused_by_a_rule(street: tuple[House, dict[str, Any]], name: str) -> None:
+    house, wrong = street
+    sample = SAMPLES[name]
+    if not all(getattr(house.device.capabilities, need) for need in sample.needs):
+        pytest.skip(f"{house.device.backend_name} lacks {sample.needs}")
+    house.mesh.vertices.write(rectangle())  # type: ignore[union-attr]
+    right = given_arguments(house, sample)
+    run(house, sample, right)
+    faults = []
+    for parameter, (_, takes) in sample.parameters.items():
+        for shown, value in wrong.items():
+            try:
+                run(house, sample, right | {parameter: value})
+            except rhi.RhiError:
+                continue
+            except BaseException as error:
+                faults.append(f"{parameter}={shown}: {error!r}")
+            else:
+                if not takes(house, value):
+                    faults.append(f"{parameter}={shown}: accepted")
+    check_drawing(house)
+    assert not faults, "\n".join(faults)
+
+
+def as_numpy(value: Any) -> Any:
+    """Return a number or flag as NumPy's own type; None for anything else."""
+    if isinstance(value, bool):
+        return np.bool_(value)
+    if isinstance(value, int):
+        return np.int32(value)
+    return np.float32(value) if isinstance(value, float) else None
+
+
+@pytest.mark.parametrize("name", SAMPLES)
+def test_numpys_numbers_are_numbers(street: tuple[House, dict[str, Any]], name: str) -> None:
+    house, sample = street[0], SAMPLES[name]
+    if not all(getattr(house.device.capabilities, need) for need in sample.needs):
+        pytest.skip(f"{house.device.backend_name} lacks {sample.needs}")
+    right = given_arguments(house, sample)
+    for parameter, value in right.items():
+        if as_numpy(value) is not None:
+            run(house, sample, right | {parameter: as_numpy(value)})
+    check_drawing(house)
+
+
+def public_parameters() -> dict[str, set[str]]:
+    """Return the names of the parameters of every public method and of every value's fields."""
+    found: dict[str, set[str]] = {"create_device": set(inspect.signature(rhi.create_device).parameters)}
+    for kind in CLASSES:
+        for name, member in inspect.getmembers(kind):
+            if name.startswith("_") or name in INTERNAL.get(kind.__name__, ()):
+                continue
+            if isinstance(member, property):
+                parameters = set() if member.fset is None else set(inspect.signature(member.fset).parameters)
+            elif inspect.isfunction(member):
+                parameters = set(inspect.signature(member).parameters)
+            else:
+                continue
+            found[f"{kind.__name__}.{name}"] = parameters - {"self"}
+    for kind in VALUES:
+        found[kind.__name__] = set(inspect.signature(kind.__init__).parameters) - {"self"}
+    found["Program.draw"] = {"mesh", "instances"}  # generated for each program
+    return {name: parameters - EXTRA for name, parameters in found.items() if parameters - EXTRA}
+
+
+def test_every_public_parameter_has_a_sample() -> None:
+    wanted = public_parameters()
+    assert len(wanted) > 90
+    lacking = {name: sorted(each - SAMPLES[name].parameters.keys()) if name in SAMPLES else "no sample"
+               for name, each in wanted.items()}  # fmt: skip
+    assert not {name: each for name, each in lacking.items() if each}
