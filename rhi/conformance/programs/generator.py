@@ -109,11 +109,12 @@ class Theme:
     kinds: tuple[PassKind, ...]
 
 
-def make_theme(seed: int, capabilities: Capabilities, samples: tuple[int, ...] = (1, 1, 1, 4)) -> Theme:
+def make_theme(seed: int, capabilities: Capabilities) -> Theme:
     """Return a random theme of what a device offers."""
     random = Random(f"theme {seed}")
     colors = [f for f in COLOR_FORMATS if f not in capabilities.unrenderable_formats]
     depths = [f for f in DEPTH_FORMATS if f not in capabilities.unsupported_formats]
+    samples = [1, 1, 1, *(count for count in capabilities.sample_counts if count in (2, 4))]
     kinds: list[PassKind] = []
     for number in range(2):
         count = random.choice(samples)

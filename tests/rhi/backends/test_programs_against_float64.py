@@ -207,7 +207,7 @@ def test_themes_have_all_formats_and_inks() -> None:
     assert {f for kind in kinds for f in kind.colors} == set(COLOR_FORMATS)
     assert {kind.depth for kind in kinds} == {None, *DEPTH_FORMATS}
     assert {pipeline.ink for kind in kinds for pipeline in kind.pipelines} == set(Ink)
-    assert {kind.samples for kind in kinds} == {1, 4}
+    assert {kind.samples for kind in kinds} == {1, 2, 4}
 
 
 def test_programs_have_all_steps_states_and_kinds_of_textures() -> None:
