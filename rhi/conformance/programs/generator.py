@@ -73,6 +73,8 @@ from rhi.conformance.reference import largest
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind
 
 SIZES: Final = ((24, 20), (16, 16), (40, 33), (70, 45), (67, 9), (32, 16), (64, 64), (5, 3))
+FORMATS: Final = tuple(f for f in COLOR_FORMATS if not f.is_packed)
+"""The formats of color targets: those whose channels are numbers of their own."""
 _GRID: Final = 16
 _FLOAT_INKS: Final = (
     Ink.FLAT, Ink.FLAT, Ink.SMOOTH, Ink.HOLES, Ink.HOLES_EARLY, Ink.DEEP, Ink.COUNT, Ink.COUNT_EARLY, Ink.LOAD,
@@ -112,7 +114,7 @@ class Theme:
 def make_theme(seed: int, capabilities: Capabilities) -> Theme:
     """Return a random theme of what a device offers."""
     random = Random(f"theme {seed}")
-    colors = [f for f in COLOR_FORMATS if f not in capabilities.unrenderable_formats]
+    colors = [f for f in FORMATS if f not in capabilities.unrenderable_formats]
     depths = [f for f in DEPTH_FORMATS if f not in capabilities.unsupported_formats]
     samples = [1, 1, 1, *(count for count in capabilities.sample_counts if count in (2, 4))]
     kinds: list[PassKind] = []

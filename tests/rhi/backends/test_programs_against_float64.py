@@ -37,7 +37,7 @@ from rhi import (
 from rhi.conformance import reference
 from rhi.conformance.programs import EXACT, Program, Rules, check, interpret
 from rhi.conformance.programs import steps as step_types
-from rhi.conformance.programs.generator import make_program, make_theme
+from rhi.conformance.programs.generator import FORMATS, make_program, make_theme
 from rhi.conformance.programs.intervals import Interval
 from rhi.conformance.programs.merging import blend
 from rhi.conformance.programs.reducer import reduce
@@ -54,7 +54,7 @@ from rhi.conformance.programs.steps import (
     Write,
     to_python,
 )
-from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS
+from rhi.contract.formats import DEPTH_FORMATS
 
 PROGRAMS = 12
 """Programs of a theme."""
@@ -204,7 +204,7 @@ def test_most_texels_have_one_possible_value() -> None:
 def test_themes_have_all_formats_and_inks() -> None:
     themes = [make_theme(number, ALL_FORMATS) for number in range(250)]
     kinds = [kind for theme in themes for kind in theme.kinds]
-    assert {f for kind in kinds for f in kind.colors} == set(COLOR_FORMATS)
+    assert {f for kind in kinds for f in kind.colors} == set(FORMATS)
     assert {kind.depth for kind in kinds} == {None, *DEPTH_FORMATS}
     assert {pipeline.ink for kind in kinds for pipeline in kind.pipelines} == set(Ink)
     assert {kind.samples for kind in kinds} == {1, 2, 4}

@@ -19,14 +19,16 @@ import queue
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 import pyopencl as cl
 
 from rhi.backends.cl.context import FLUSHES_DENORMALS, PAGE, QUICK, ClContext, build_again
-from rhi.backends.cl.raster.compiler import Compiler, Job
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
+
+if TYPE_CHECKING:
+    from rhi.backends.cl.raster.compiler import Compiler
 
 __rhi_internal__ = True
 
@@ -238,6 +240,8 @@ class Builds:
                 done.set_result(None)
 
     def _open_compiler(self) -> Compiler | None:
+        from rhi.backends.cl.raster.compiler import Compiler  # which most programs never need
+
         with self._lock:
             if self._closed:  # what is left of the queue is dropped
                 return None
@@ -247,6 +251,8 @@ class Builds:
 
     def _optimise(self, compiler: Compiler, optimisation: Optimisation) -> None:
         """Have kernels compiled into the cache, and load them."""
+        from rhi.backends.cl.raster.compiler import Job
+
         text, cache = optimisation.text, self._cache
         key = cache.identify(text.source, text.options)
         source = cache.mark(text.source, key)
