@@ -16,6 +16,7 @@ Drivers are loaded when a device is created, not when this package is imported.
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import Command, CommandStream, Op, Refusal
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.clip_space import convert_projection
 from rhi.contract.descriptors import (
     DRAW,
@@ -80,6 +81,7 @@ from rhi.device.registry import backend_names, create_device, report
 from rhi.device.resources.buffers import Buffer, StorageBuffer, UniformArray, UniformBuffer
 from rhi.device.resources.meshes import Drawable, Mesh
 from rhi.device.resources.programs import Program
+from rhi.device.resources.readbacks import Readback
 from rhi.device.resources.textures import Sampler, Texture, TextureTarget
 from rhi.device.transient import TransientMemory, TransientMesh
 from rhi.errors import RULES, CallSite, DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse
@@ -109,6 +111,7 @@ __all__ = [
     "CommandBuffer",
     "CommandStream",
     "Comparison",
+    "CompressedFormat",
     "CullMode",
     "DepthBias",
     "DepthFunction",
@@ -136,6 +139,7 @@ __all__ = [
     "Program",
     "ProgramDescriptor",
     "QuerySet",
+    "Readback",
     "Recorder",
     "Refusal",
     "Region",

@@ -43,6 +43,8 @@ class Op(enum.IntEnum):
     WRITE_TEXTURE = enum.auto()
     READ_TEXTURE = enum.auto()
     COPY_TEXTURE = enum.auto()
+    COPY_TEXTURE_TO_BUFFER = enum.auto()
+    COPY_BUFFER_TO_TEXTURE = enum.auto()
     RESOLVE_TEXTURE = enum.auto()
     GENERATE_MIPMAPS = enum.auto()
     BEGIN_PASS = enum.auto()

@@ -69,6 +69,8 @@ class CommandMethods:
         write_texture = Backend.write_texture
         read_texture = Backend.read_texture
         copy_texture = Backend.copy_texture
+        copy_texture_to_buffer = Backend.copy_texture_to_buffer
+        copy_buffer_to_texture = Backend.copy_buffer_to_texture
         resolve_texture = Backend.resolve_texture
         generate_mipmaps = Backend.generate_mipmaps
         begin_pass = Backend.begin_pass

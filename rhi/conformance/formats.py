@@ -26,6 +26,12 @@ def require_renderable(device: Device, format: Format) -> None:
         pytest.skip(f"{device.backend_name} declares {format.name} unrenderable")
 
 
+def require_point_sizes(device: Device) -> None:
+    """Skip the test if the device's points are one texel."""
+    if device.capabilities.max_point_size <= 1.0:
+        pytest.skip(f"{device.backend_name} declares max_point_size 1")
+
+
 def require_samples(device: Device, samples: int) -> None:
     """Skip the test if the device's textures can't have this many samples."""
     if samples not in device.capabilities.sample_counts:
@@ -33,9 +39,13 @@ def require_samples(device: Device, samples: int) -> None:
 
 
 def random_texels(format: Format, *shape: int, seed: int = 0) -> NDArray[Any]:
-    """Return (*shape, channels) random texels over the format's whole range, both ends included."""
+    """Return (*shape, components) random texels over the format's whole range, both ends included; floats are
+    finite."""
     rng = np.random.default_rng([seed, *shape])
-    full = (*shape, format.channels)
+    full = (*shape, format.components)
+    if format is Format.R11G11B10F:  # each exponent below that of infinity, each fraction
+        parts = (rng.integers(0, 31 << bits - 5, full, np.uint32) for bits in format.channel_bits)
+        return sum((part << 11 * place for place, part in enumerate(parts)), np.zeros(full, np.uint32))
     if format.dtype.kind == "f":
         return rng.normal(0, 100, full).astype(format.dtype)
     # The two smallest numbers of a signed normalised format both mean -1, and a copy may return either.
@@ -48,4 +58,4 @@ def random_texels(format: Format, *shape: int, seed: int = 0) -> NDArray[Any]:
 
 def squeezed(format: Format, texels: NDArray[Any]) -> NDArray[Any]:
     """Return texels in the shape of `Texture.read`: a single channel has no axis."""
-    return texels[..., 0] if format.channels == 1 else texels
+    return texels[..., 0] if format.components == 1 else texels

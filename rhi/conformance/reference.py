@@ -130,11 +130,30 @@ def smallest(format: Format) -> int:
     return int(np.iinfo(cast("np.dtype[np.integer[Any]]", format.dtype)).min)
 
 
+def channels_of(format: Format, texels: Array) -> Array:
+    """Return the numbers of each channel, (…, channels), of texels as `Texture.read` returns them."""
+    if not format.is_packed:
+        return texels if format.components > 1 else np.asarray(texels[..., None])
+    starts = np.cumsum((0, *format.channel_bits[:-1]))
+    numbers = texels[..., None].astype(np.int64) >> starts & (1 << np.array(format.channel_bits)) - 1
+    if format.kind is not ChannelKind.FLOAT:
+        return np.asarray(numbers)
+    fraction = np.array(format.channel_bits) - 5
+    exponent, rest = numbers >> fraction, numbers & (1 << fraction) - 1
+    normal = (1 + rest / 2.0**fraction) * 2.0 ** (exponent - 15)
+    return np.asarray(np.where(exponent == 0, rest * 2.0 ** (-14 - fraction), normal))
+
+
+def _scale(format: Format) -> Any:
+    """Return the stored number of each channel of a normalised format that means 1."""
+    return (1 << np.array(format.channel_bits)) - 1 if format.is_packed else largest(format)
+
+
 def decode(format: Format, stored: ArrayLike) -> Float:
     """Return the (…, 4) value that a shader reads for `stored` (…, channels); missing channels are 0, 0, 1."""
     values = np.asarray(stored, np.float64)
     if format.kind is ChannelKind.UNORM:
-        values = values / largest(format)
+        values = values / _scale(format)
     elif format.kind is ChannelKind.SNORM:
         values = np.maximum(values / largest(format), -1.0)
     elif format.kind is ChannelKind.SRGB:
@@ -150,23 +169,27 @@ def encode(format: Format, color: ArrayLike) -> Float:
     """Return the (…, channels) numbers to store for `color` (…, 4), not yet rounded."""
     values = np.asarray(color, np.float64)[..., : format.channels]
     if format.kind is ChannelKind.UNORM:
-        return np.asarray(np.clip(values, 0.0, 1.0) * largest(format))
+        return np.asarray(np.clip(values, 0.0, 1.0) * _scale(format))
     if format.kind is ChannelKind.SNORM:
         return np.asarray(np.clip(values, -1.0, 1.0) * largest(format))
     if format.kind is ChannelKind.SRGB:
         values = np.clip(values, 0.0, 1.0)
         return 255.0 * np.concatenate([linear_to_srgb(values[..., :3]), values[..., 3:]], axis=-1)
-    return values
+    return np.maximum(values, 0.0) if format is Format.R11G11B10F else values
 
 
 def rounding(format: Format, expected: Float) -> tuple[Float, str]:
     """Return (tolerance, reason) for a conversion whose exact result is `expected`."""
+    if format is Format.R11G11B10F:  # truncation is allowed here, too
+        return np.maximum(np.abs(expected) * 2.0 ** -np.array([6, 6, 5]), 2.0**-19), "truncation to 6, 6 and 5 bits"
     if format.dtype.kind == "f":
         # A device may truncate instead of rounding (OpenGL 4.3, section 2.3.4.1: implementation-dependent).
         bits = 10 if format.dtype.itemsize == 2 else 23
         return np.abs(expected) * 2.0**-bits, f"truncation to {bits} fraction bits"
     if format.kind is ChannelKind.SRGB:
         return np.ones_like(expected), "sRGB curves may be approximated within one stored number"
+    if format.is_packed:
+        return np.ones_like(expected), "llvmpipe converts to 10 bits within one stored number"
     # The product with 2^n - 1 is computed in float32, so a value near a half may round either way.
     return 0.5 + np.abs(expected) * 2.0**-22, "rounding to the nearest stored number"
 

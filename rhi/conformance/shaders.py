@@ -2,7 +2,19 @@
 
 from __future__ import annotations
 
-from rhi.shading import Flat, FragmentDepth, Shader, Storage, Struct, Uniform, ivec4, uvec4, vec2, vec4
+from rhi.shading import (
+    Flat,
+    FragmentDepth,
+    PointSize,
+    Shader,
+    Storage,
+    Struct,
+    Uniform,
+    ivec4,
+    uvec4,
+    vec2,
+    vec4,
+)
 
 
 class Corner(Struct):
@@ -131,3 +143,29 @@ class TexturedVertex(Struct):
 
     position: vec4
     uv: vec2
+
+
+class Dot(Struct):
+    """A vertex in clip space, with a color and a size."""
+
+    position: vec4
+    color: vec4
+    size: float
+
+
+class SizedShade(Struct):
+    """A position, a color and a size."""
+
+    clip: vec4
+    color: vec4
+    size: PointSize
+
+
+class Sized(Shader):
+    """Draws points in their color."""
+
+    def vertex(self, v: Dot) -> SizedShade:
+        return SizedShade(clip=v.position, color=v.color, size=v.size)
+
+    def fragment(self, v: SizedShade) -> vec4:
+        return v.color

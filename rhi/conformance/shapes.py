@@ -54,3 +54,23 @@ def window_to_clip(points: ArrayLike, size: Sequence[int]) -> NDArray[np.float64
     """Return the clip positions of (n, 2) window points in texels, x to the right and y down."""
     w, h = size
     return np.asarray(points, np.float64) * (2.0 / w, -2.0 / h) + (-1.0, 1.0)
+
+
+def point_rows(
+    places: ArrayLike, size: Sequence[int], sizes: ArrayLike, colors: ArrayLike = (1, 1, 1, 1), depth: float = 0.5,
+    w: float = 1.0,
+) -> NDArray[Any]:  # fmt: skip
+    """Return vertices of `shaders.Sized` at window positions in texels, with their sizes."""
+    plane = window_to_clip(places, size)
+    rows = np.zeros(len(plane), [("position", "f4", 4), ("color", "f4", 4), ("size", "f4")])
+    rows["position"][:, :2], rows["position"][:, 2:] = plane, (depth, 1.0)
+    rows["position"] *= w
+    rows["color"], rows["size"] = colors, sizes
+    return rows
+
+
+def point_square(x: float, y: float, side: float, size: Sequence[int]) -> NDArray[np.bool_]:
+    """Return the texels whose centres lie in a square; its left and top edges belong to it."""
+    columns, rows = np.arange(size[0]) + 0.5, np.arange(size[1])[:, None] + 0.5
+    half = side / 2
+    return (columns >= x - half) & (columns < x + half) & (rows >= y - half) & (rows < y + half)

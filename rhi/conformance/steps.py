@@ -35,8 +35,8 @@ STEPS: Final = (
     ),
     Step(
         "textures and passes",
-        ("create_texture", "create_sampler", "write_texture", "read_texture", "copy_texture", "generate_mipmaps",
-         "begin_pass", "end_pass"),
+        ("create_texture", "create_sampler", "write_texture", "read_texture", "copy_texture", "copy_texture_to_buffer",
+         "copy_buffer_to_texture", "generate_mipmaps", "begin_pass", "end_pass"),
         ("operation · textures",),
     ),
     Step(
@@ -55,7 +55,8 @@ STEPS: Final = (
         "draws",
         ("create_vertex_array", "set_states", "draw", "draw_indirect"),
         ("operation · orientation", "operation · rasterisation", "operation · topology", "operation · meshes",
-         "operation · transient", "operation · scopes", "operation · recording", "operation · draw times"),
+         "operation · points", "operation · transient", "operation · scopes", "operation · recording",
+         "operation · draw times"),
     ),
     Step(
         "depth, stencil, blending and targets",

@@ -14,6 +14,7 @@ from rhi.contract.backend import (
     PreparesKernels,
     PreparesQueries,
 )
+from rhi.contract.blocks import CompressedFormat, decode_blocks
 from rhi.contract.descriptors import (
     DRAW,
     DRAW_UNINDEXED,
@@ -109,7 +110,7 @@ from rhi.contract.states import (
     Viewport,
     default_values,
 )
-from rhi.contract.texels import decode, encode, from_srgb, halve
+from rhi.contract.texels import decode, encode, from_srgb, halve, pack, unpack
 from rhi.errors import DeviceError, RhiError, Rule, ShaderError, ValidationError, refuse, rules
 
 __all__ = [
@@ -148,6 +149,7 @@ __all__ = [
     "ChannelKind",
     "ColorWrite",
     "Comparison",
+    "CompressedFormat",
     "CullMode",
     "DepthAttachment",
     "DepthBias",
@@ -210,6 +212,7 @@ __all__ = [
     "Viewport",
     "Wrap",
     "decode",
+    "decode_blocks",
     "default_values",
     "describe_layout",
     "dtype_of",
@@ -220,10 +223,12 @@ __all__ = [
     "is_host_shareable",
     "list_draws",
     "make_driver_error",
+    "pack",
     "place",
     "refuse",
     "rules",
     "scalar_places",
     "shape_of",
     "stride_of",
+    "unpack",
 ]

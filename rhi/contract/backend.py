@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Buffer as BytesLike
 
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import (
     BufferDescriptor,
     Id,
@@ -74,11 +75,18 @@ class Capabilities:
     max_dispatch: tuple[int, int, int] = (65535, 65535, 65535)
     max_shared_bytes: int = 32768
     max_anisotropy: float = 1.0
+    max_point_size: float = 1.0
+    """The largest side of a point's square in texels, to which sizes are clamped. With 1.0, programs can't write point
+    sizes or read point coordinates."""
     uniform_alignment: int = 256
     storage_alignment: int = 256
     copy_alignment: int = 1
     """Offsets and sizes of `Backend.copy_buffer` are multiples of this number of bytes. Writes and reads aren't bound
     by it."""
+    copy_offset_alignment: int = 4
+    """Alignment in bytes of a buffer's offset in copies between textures and buffers, besides that to whole texels."""
+    copy_row_alignment: int = 1
+    """Alignment in bytes of the distance between rows in such copies, besides that to whole texels."""
 
     compute: bool = True
     draws: bool = True
@@ -103,6 +111,10 @@ class Capabilities:
     blend_per_target: bool = True
     border_colors: bool = True
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
+    texture_buffer_copies: bool = False
+    """Whether textures are copied to and from buffers. Without it, `Texture.read_async` waits for the device."""
+    compressed_formats: frozenset[CompressedFormat] = frozenset()
+    """Block-compressed formats that textures can be stored in. The front end decodes the others."""
     unsupported_formats: frozenset[Format] = frozenset()
     """Formats that textures can't have."""
     unrenderable_formats: frozenset[Format] = frozenset()
@@ -252,7 +264,8 @@ class Backend(Protocol):
         """Write bytes, in order with other commands. Writes to a `BufferUsage.STREAM` buffer may be unordered."""
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        """Wait for all earlier commands, then return the bytes."""
+        """Wait for all earlier commands, then return the bytes. A `BufferUsage.READBACK` buffer is read only when the
+        fence has passed all commands that write it, so it needs no wait."""
 
     def copy_buffer(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:
         """Copy bytes between buffers, or within one. The two ranges don't overlap."""
@@ -261,7 +274,9 @@ class Backend(Protocol):
         """Fill a range with a 32-bit pattern. Offset and size are multiples of 4."""
 
     def write_texture(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats."""
+        """Write texels: tightly packed rows, top row first, of the format's `dtype`. Not for depth formats. To a
+        compressed texture, write tightly packed blocks; the region begins at a block and ends with one, or at the edge
+        of the level."""
 
     def read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> NDArray[np.generic]:
         """Wait for all earlier commands, then return (layers, height, width, channels) of the format's `dtype`. Depth
@@ -272,6 +287,19 @@ class Backend(Protocol):
         layer: int,
     ) -> None:  # fmt: skip
         """Copy texels between textures of equal format, or within one. The regions don't overlap."""
+
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        """Copy texels to a buffer, as `read_texture` returns them, without stencil. Rows begin `row_bytes` apart,
+        layers follow each other with `region.height` rows each. Bytes between the rows are left as they are. Not for
+        multi-sampled textures."""
+
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        """Copy texels from a buffer, laid out as by `copy_texture_to_buffer`. Not for depth formats and multi-sampled
+        textures."""
 
     def resolve_texture(self, source: Id, target: Id) -> None:
         """Resolve a multi-sampled color texture: average its samples into a single-sampled one of equal size."""

@@ -14,6 +14,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import Format, IndexFormat
 from rhi.contract.states import Comparison
 from rhi.errors.arguments import Fields
@@ -63,11 +64,14 @@ class BufferUsage(enum.Enum):
     """How a buffer's contents change.
 
     STATIC: written rarely. STREAM: ring memory. The CPU writes it only where the ring's fences guarantee that the GPU
-    has finished reading, so a backend may map it and write without synchronisation.
+    has finished reading, so a backend may map it and write without synchronisation. READBACK: the target of copies,
+    which the CPU reads only where a fence guarantees that the GPU has finished writing. A backend may treat both like
+    STATIC.
     """
 
     STATIC = "static"
     STREAM = "stream"
+    READBACK = "readback"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +97,8 @@ class TextureKind(enum.Enum):
 @dataclass(frozen=True, slots=True)
 class TextureDescriptor:
     """The shape and format of a texture. `size` is (width, height); `layers` are array layers, cube faces (6) or the
-    depth of a 3D texture."""
+    depth of a 3D texture. A texture that is stored as blocks names their format as `compressed`; then `format` is that
+    of its texels, and it is only written and sampled."""
 
     size: tuple[int, int]
     format: Format
@@ -102,6 +107,7 @@ class TextureDescriptor:
     levels: int = 1
     samples: int = 1
     label: str = ""
+    compressed: CompressedFormat | None = None
 
     def level_size(self, level: int) -> tuple[int, int]:
         """Return the (width, height) of a mip level."""
@@ -404,10 +410,12 @@ class ProgramDescriptor:
             "opencl4" and "opencl8"; for compute stages "numpy", a Python module; "vulkan" (GLSL 4.50 for Vulkan) and
             "spirv", its `binary`; and those of `rhi.shading.register_language`.
         work_group: size of a work-group in invocations.
-        varyings: the varyings that the fragment stage reads, in the order of their words.
+        varyings: the varyings that the fragment stage reads, and the point size, in the order of their words.
         shared_bytes: memory that a work-group shares, in bytes.
         checked: whether the stages report faults on OpenCL and NumPy (`rhi.shading.ir.faults`).
         flushes_denormals: whether numbers below 2^-126 may be treated as 0, which OpenGL may always do.
+        point_size: the name of the varying that is the size of points, "" if there is none.
+        reads_point_coordinates: whether the fragment stage reads its place inside a point.
     """
 
     name: str
@@ -425,6 +433,8 @@ class ProgramDescriptor:
     shared_bytes: int = 0
     checked: bool = False
     flushes_denormals: bool = False
+    point_size: str = ""
+    reads_point_coordinates: bool = False
 
     def __post_init__(self) -> None:
         fields = Fields(self)

@@ -2,6 +2,8 @@
 
 - A `Format` has channels of one kind, and the NumPy dtype that `Texture.read` and `Texture.write` use. A backend keeps
   its own table from `Format` to the names of its API.
+- In a packed format all channels of a texel share one number, the first channel in its lowest bits. Arrays have one
+  number per texel, as stored; `rhi.contract.texels` packs and unpacks them.
 - Depth formats read back as float32, however they are stored; stencil reads back as uint8.
 """
 
@@ -31,7 +33,12 @@ class ChannelKind(enum.Enum):
 class Format(enum.Enum):
     """A texel format: (channels, kind, NumPy dtype of one channel, bytes of a stored texel).
 
-    The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`.
+    The parts are also attributes: `channels`, `kind`, `dtype` and `texel_bytes`. Packed formats also name the bits of
+    each channel; their `dtype` is that of a texel.
+
+    Attributes:
+        components: numbers of `dtype` per texel in arrays: the channels, or 1 in a packed format.
+        channel_bits: bits of each channel, in the order of the channels.
     """
 
     R8 = (1, ChannelKind.UNORM, "u1", 1)
@@ -62,6 +69,9 @@ class Format(enum.Enum):
     R32I = (1, ChannelKind.INT, "i4", 4)
     RG32I = (2, ChannelKind.INT, "i4", 8)
     RGBA32I = (4, ChannelKind.INT, "i4", 16)
+    RGB10A2 = (4, ChannelKind.UNORM, "u4", 4, (10, 10, 10, 2))
+    RGB10A2UI = (4, ChannelKind.UINT, "u4", 4, (10, 10, 10, 2))
+    R11G11B10F = (3, ChannelKind.FLOAT, "u4", 4, (11, 11, 10))
     D16 = (1, ChannelKind.DEPTH, "f4", 2)
     D24 = (1, ChannelKind.DEPTH, "f4", 4)
     D32F = (1, ChannelKind.DEPTH, "f4", 4)  # noqa: PIE796 (members are numbered, see __new__)
@@ -74,19 +84,35 @@ class Format(enum.Enum):
     kind: ChannelKind
     dtype: np.dtype[np.generic]
     texel_bytes: int
+    components: int
+    channel_bits: tuple[int, ...]
 
-    def __init__(self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int) -> None:
+    def __init__(
+        self, channels: int, kind: ChannelKind, dtype: str, texel_bytes: int, packed: tuple[int, ...] = ()
+    ) -> None:
         # Two formats may have the same four parts (D24 and D32F do). Enum would make them aliases if their values
         # were equal, so __new__ below numbers them.
         self.channels = channels
         self.kind = kind
         self.dtype = np.dtype(dtype)
         self.texel_bytes = texel_bytes
+        self.components = 1 if packed else channels
+        self.channel_bits = packed or (8 * self.dtype.itemsize,) * channels
 
     def __new__(cls, *parts: object) -> Format:
         member = object.__new__(cls)
         member._value_ = len(cls.__members__)
         return member
+
+    @property
+    def transfer_bytes(self) -> int:
+        """The bytes of a texel in arrays and in copies to and from buffers."""
+        return self.components * self.dtype.itemsize
+
+    @property
+    def is_packed(self) -> bool:
+        """Whether the channels of a texel share one number."""
+        return self.components < self.channels
 
     @property
     def is_depth(self) -> bool:

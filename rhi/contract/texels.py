@@ -4,6 +4,8 @@
   They are computed in float64 and rounded once.
 - sRGB formats store gamma-encoded colors and linear alpha (IEC 61966-2-1, the exact piecewise curve).
 - Depth is stored as float32, rounded to values that the format can represent.
+- Floats of 11 and 10 bits have no sign: 5 bits of exponent as float16, 6 and 5 of fraction. Negative numbers become 0,
+  finite ones that are too large the largest (OpenGL 4.5, 2.3.4.3).
 """
 
 from __future__ import annotations
@@ -22,8 +24,11 @@ _STRIP: Final = 256  # rows of a level that are filtered at once, to bound the f
 
 
 def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
-    """Return (…, channels) linear values as the format stores them. The last axis must fit the format's channels."""
+    """Return (…, channels) linear values as the format stores them: (…, components) of its dtype. The last axis must
+    fit the format's channels."""
     kind = format.kind
+    if format.is_packed:
+        return pack(format, _encode_channels(format, np.asarray(values, np.float64)))
     if kind is ChannelKind.FLOAT:
         with np.errstate(over="ignore"):  # values that are too large become infinite
             return values.astype(format.dtype)
@@ -45,7 +50,10 @@ def encode(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
 
 
 def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
-    """Return the linear values of stored texels, as a shader reads them."""
+    """Return the linear values (…, channels) of stored texels, as a shader reads them."""
+    if format.is_packed:
+        values = unpack(format, texels).astype(np.float64)
+        return values / _largest_channels(format) if format.kind is ChannelKind.UNORM else values
     values = texels.astype(np.float64)
     kind = format.kind
     if kind in (ChannelKind.UNORM, ChannelKind.SRGB):
@@ -57,14 +65,67 @@ def decode(format: Format, texels: NDArray[np.generic]) -> NDArray[np.float64]:
     return values
 
 
+def unpack(format: Format, texels: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return the numbers of each channel, (…, channels), of packed texels (…, 1): uint16, or float16, which represents
+    all floats of 11 and 10 bits. Texels of other formats are returned as they are."""
+    if not format.is_packed:
+        return texels
+    words, start, parts = np.asarray(texels)[..., 0].astype(np.uint32), 0, []
+    for bits in format.channel_bits:
+        parts.append((words >> np.uint32(start)) & np.uint32((1 << bits) - 1))
+        start += bits
+    numbers = np.stack(parts, axis=-1).astype(np.uint16)
+    if format.kind is ChannelKind.FLOAT:  # the same exponent as float16, with fewer bits behind it
+        return (numbers << np.array([15 - bits for bits in format.channel_bits], np.uint16)).view(np.float16)
+    return numbers
+
+
+def pack(format: Format, numbers: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return packed texels (…, 1) of the numbers (…, channels) that `unpack` returns. Bits that a channel doesn't have
+    are dropped. Texels of other formats are returned as they are."""
+    if not format.is_packed:
+        return numbers
+    numbers = np.asarray(numbers)
+    if format.kind is ChannelKind.FLOAT:
+        shifts = np.array([15 - bits for bits in format.channel_bits], np.uint16)
+        numbers = np.ascontiguousarray(numbers, np.float16).view(np.uint16) >> shifts
+    words, start = np.zeros(numbers.shape[:-1], np.uint32), 0
+    for channel, bits in enumerate(format.channel_bits):
+        words |= (numbers[..., channel].astype(np.uint32) & np.uint32((1 << bits) - 1)) << np.uint32(start)
+        start += bits
+    return words[..., None].astype(format.dtype)
+
+
+def _encode_channels(format: Format, values: NDArray[np.float64]) -> NDArray[np.generic]:
+    """Return the numbers of each channel of a packed format, as `pack` takes them."""
+    if format.kind is not ChannelKind.FLOAT:
+        largest = _largest_channels(format)
+        values = np.where(np.isnan(values), 0.0, values)
+        scaled = values if format.is_integer else np.clip(values, 0.0, 1.0) * largest
+        return np.clip(np.rint(scaled), 0, largest).astype(np.uint16)
+    fraction = np.array(format.channel_bits) - 5
+    largest = 2.0**16 - 2.0 ** (15 - fraction)
+    finite = np.where(np.isfinite(values), np.clip(values, 0.0, largest), 0.0)
+    exponent = np.maximum(np.frexp(finite)[1] - 1, -14)
+    step = np.exp2(exponent - fraction)
+    result = np.minimum(np.rint(finite / step) * step, largest)
+    result = np.where(np.isposinf(values), np.inf, result)
+    return np.where(np.isnan(values), np.nan, result).astype(np.float16)
+
+
+def _largest_channels(format: Format) -> NDArray[np.float64]:
+    """Return the largest number of each channel of a packed format."""
+    return np.exp2(np.array(format.channel_bits, np.float64)) - 1
+
+
 def halve(format: Format, level: NDArray[np.generic], layers: int) -> NDArray[np.generic]:
-    """Return the next mip level of a (layers, height, width, channels) level, with `layers` layers.
+    """Return the next mip level of a (layers, height, width, components) level, with `layers` layers.
 
     Each texel is the mean of the area that it covers: 2 texels along an even axis, 3 with fractional weights along an
     odd one. So no row or column is lost, and the mean of the level is preserved.
     """
-    depth, height, width, channels = level.shape
-    shape = (layers, max(1, height // 2), max(1, width // 2), channels)
+    depth, height, width, components = level.shape
+    shape = (layers, max(1, height // 2), max(1, width // 2), components)
     result = np.empty(shape, level.dtype)
     for layer in range(layers):
         for start in range(0, shape[1], _STRIP):

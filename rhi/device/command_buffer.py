@@ -213,6 +213,20 @@ class CommandBuffer(Encoder):
         self._check_texture("commands.copy_texture", "source", source)
         source._copy(self._recorder, target, level, region, target_level, x, y, layer)
 
+    def copy_texture_to_buffer(
+        self, source: Texture, target: Buffer | StorageBuffer[Any], *, level: int = 0, region: Region | None = None,
+        offset: int = 0, row_bytes: int | None = None,
+    ) -> None:  # fmt: skip
+        """Record a `Texture.copy_to_buffer`."""
+        source._copy_to_buffer(self._recorder, target, level, region, offset, row_bytes)
+
+    def copy_buffer_to_texture(
+        self, source: Buffer | StorageBuffer[Any], target: Texture, *, offset: int = 0, row_bytes: int | None = None,
+        level: int = 0, region: Region | None = None,
+    ) -> None:  # fmt: skip
+        """Record a `Texture.copy_from_buffer`."""
+        target._copy_from_buffer(self._recorder, source, level, region, offset, row_bytes)
+
     def resolve(self, source: Texture, target: Texture) -> None:
         """Record a `Texture.resolve_to`."""
         self._check_texture("commands.resolve", "source", source)

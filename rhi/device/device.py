@@ -21,6 +21,7 @@ from typing_extensions import ParamSpec
 from rhi.commands.recorder import Recorder
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Backend, Capabilities
+from rhi.contract.blocks import BLOCK, CompressedFormat
 from rhi.contract.descriptors import (
     BufferUsage,
     Primitive,
@@ -166,6 +167,7 @@ class Device(Encoder):
         """
         core = self._core
         core.check_open()
+        core.check_thread("device.release_current")
         if core.render_pass is not None:
             core.refuse(PASS_OPEN, "device.release_current", "an open render pass")
         core.release_current()
@@ -239,6 +241,8 @@ class Device(Encoder):
     ) -> Buffer:
         """Create a buffer: a number of zeroed elements of `dtype` (default: bytes), or a copy of an array."""
         check = Arguments("device.buffer", self._core.refuse)
+        if usage is BufferUsage.READBACK:
+            check.fail("usage", usage, "STATIC or STREAM", "use read_async")
         wanted = None
         if dtype is not None:
             try:  # NumPy takes the dtype of any object that has one
@@ -312,7 +316,7 @@ class Device(Encoder):
     def texture(
         self,
         source: tuple[int, int] | NDArray[Any],
-        format: Format,
+        format: Format | CompressedFormat,
         *,
         kind: TextureKind = TextureKind.D2,
         layers: int | None = None,
@@ -323,11 +327,15 @@ class Device(Encoder):
         """Create a texture: zeroed, of (width, height), or with the texels of an array.
 
         An array is (height, width, channels), (height, width) for one channel, or (layers, height, width,
-        channels), top row first, of the format's dtype. `levels` None means all mip levels down to 1×1; they are
-        generated from an array's texels if the format can be filtered.
+        channels), top row first, of the format's dtype; alpha may be missing, see `Texture.write`. `levels` None means
+        all mip levels down to 1×1; they are generated from an array's texels if the format can be filtered.
+
+        An array for a compressed format is (rows, columns, bytes), or with layers in front: blocks of 4×4 texels. A
+        device that lacks the format (`capabilities.compressed_formats`) gets them decoded, in 2 to 8 times the memory.
         """
+        compressed = format if isinstance(format, CompressedFormat) else None
         check = Arguments("device.texture", self._core.refuse)
-        check.choice("format", format, Format)
+        format = compressed.decoded if compressed is not None else check.choice("format", format, Format)
         check.choice("kind", kind, TextureKind)
         layers = check.whole_or_none("layers", layers)
         levels = check.whole_or_none("levels", levels)
@@ -336,10 +344,13 @@ class Device(Encoder):
         data = None
         if isinstance(source, np.ndarray):
             data = source
-            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > (format.channels == 1):
+            plain = compressed is None and format.components == 1
+            if data.ndim not in (2, 3, 4) or (data.ndim == 2) > plain:
                 allowed = "(height, width, channels), or with layers in front"
                 self._core.refuse(TEXTURE_DATA, "device.texture", f"shape {data.shape}", allowed)
             height, width = data.shape[1:3] if data.ndim == 4 else data.shape[:2]
+            if compressed is not None:
+                height, width = BLOCK * height, BLOCK * width
             layers = (data.shape[0] if data.ndim == 4 else 1) if layers is None else layers
         else:
             size = tuple(as_whole(n) for n in source) if isinstance(source, (tuple, list)) else ()
@@ -353,11 +364,11 @@ class Device(Encoder):
         if levels is None:
             levels = full_levels(width, height, layers if kind is TextureKind.D3 else 1)
         descriptor = TextureDescriptor((width, height), format, kind, layers, levels, samples, label)
-        texture = Texture(self._core, descriptor)
+        texture = Texture(self._core, descriptor, compressed)
         if data is not None:
             with destroy_on_error(texture):
                 texture.write(data)
-                if levels > 1 and not format.is_integer:
+                if levels > 1 and not format.is_integer and compressed is None:
                     texture.generate_mipmaps()
         return texture
 

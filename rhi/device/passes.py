@@ -153,11 +153,12 @@ class RenderPass:
             core.refuse(PASS_TARGET, call, "the same texture twice", "each level and layer once")
         for target in colors:
             form = target.texture.format
-            if form.is_depth or form in core.capabilities.unrenderable_formats:
+            compressed = target.texture.compressed
+            if form.is_depth or form in core.capabilities.unrenderable_formats or compressed is not None:
                 core.refuse(
                     PASS_TARGET,
                     call,
-                    f"{form.name} as color target",
+                    f"{(compressed or form).name} as color target",
                     "a color format the device can render to",
                 )
         if depth is not None and not depth.texture.format.is_depth:

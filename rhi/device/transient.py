@@ -38,6 +38,7 @@ __rhi_internal__ = True
 
 T = TypeVar("T")
 MAX_LAYOUTS: Final = 1024
+"""Pairs of a program and a layout of vertices that are kept from frame to frame."""
 
 VertexArrays: TypeAlias = NDArray[Any] | Mapping[str, NDArray[Any]]
 """Vertices or instances: a structured array, or arrays by attribute name."""
@@ -268,16 +269,18 @@ class TransientMemory:
     def mark(self, fence: int) -> None:
         """End the frame: destroy the vertex arrays that no later frame uses, as `Ring.mark` frees the rings' memory.
 
-        They are those of buffers that a grown ring has replaced, and those of instances.
+        They are those of buffers that a grown ring has replaced, and those of instances; and all of them, if there are
+        very many, most of which then belong to programs that are gone.
         """
-        if len(self._layouts) > MAX_LAYOUTS:
+        crowded = len(self._layouts) > MAX_LAYOUTS
+        if crowded:
             self._layouts.clear()
         current = (self._vertices.buffer, self._indices.buffer, 0)
         for key in list(self._vertex_arrays):
             _, sources, index_buffer, _ = key
-            if index_buffer not in current[1:] or any(
+            if crowded or index_buffer not in current[1:] or any(
                 source.buffer != current[0] or source.per_instance for source in sources
-            ):
+            ):  # fmt: skip
                 self._core.timeline.retire(self._vertex_arrays.pop(key))
 
 

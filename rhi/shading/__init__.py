@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rhi.shading.compile import compile_shader, opencl_kernel, stage_trees
 from rhi.shading.emitters import ShaderCode, register_language
 from rhi.shading.language import functions, textures, vectors
-from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, value_type_of
+from rhi.shading.language.annotations import Flat, FragmentDepth, NoPerspective, PointSize, value_type_of
 from rhi.shading.language.bindings import (
     ImageBinding,
     Storage,
@@ -66,6 +66,7 @@ __all__ = [
     "ImageBinding",
     "NoPerspective",
     "NumpyKernel",
+    "PointSize",
     "Precision",
     "Shader",
     "ShaderCode",

@@ -24,6 +24,7 @@ from rhi.shading.language.types import VOID, ImageType, StorageType
 from rhi.shading.parser.interface import (
     check_fragment_input,
     fragment_outputs,
+    point_size_of,
     varyings_of,
     varyings_read,
     vertex_inputs,
@@ -92,7 +93,7 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
 
         needs_lane_check = has_lane_code(compute)
         checked = checked and needs_lane_check
-    varyings = varyings_read(fragment, interface.varyings) if fragment is not None else ()
+    varyings = varyings_read(fragment, interface.varyings, interface.point_size)
     code = ShaderCode(stages, options, bindings, varyings, shader.precision, checked)
     if needs_lane_check:
         # Finds barriers that part of a work-group may not reach, and races.
@@ -117,6 +118,9 @@ def _compile(shader: type[Shader]) -> ProgramDescriptor:
         ),
         checked=checked,
         flushes_denormals=shader.precision is Precision.FAST,
+        point_size=interface.point_size,
+        reads_point_coordinates=fragment is not None
+        and any(builtin.name == "point_coordinate" for builtin in fragment.builtins),
     )
 
 
@@ -160,11 +164,12 @@ def _interface(entries: dict[Stage, Callee]) -> Interface:
     vertex, fragment = entries[Stage.VERTEX], entries.get(Stage.FRAGMENT)
     attributes = vertex_inputs(vertex)
     position, varyings = varyings_of(vertex)
+    point_size = point_size_of(vertex)
     if fragment is None:
-        return Interface(attributes, varyings, position)
+        return Interface(attributes, varyings, position, point_size=point_size)
     check_fragment_input(fragment, varyings)
     depth, outputs = fragment_outputs(fragment)
-    return Interface(attributes, varyings, position, outputs, depth)
+    return Interface(attributes, varyings, position, outputs, depth, point_size)
 
 
 _KINDS = {

@@ -81,6 +81,10 @@ class BufferTracker:
             else:
                 part = slice(source_offset, source_offset + size)
                 self._set(target, target_offset, copied.data[part].copy(), copied.known[part].copy())
+        elif op is Op.COPY_TEXTURE_TO_BUFFER and values[3] in buffers:
+            _, _, region, target, offset, row_bytes = values
+            size = min(row_bytes * region.height * region.layers, len(buffers[target].data) - offset)
+            self._set(target, offset, np.zeros(size, np.uint8), False)
         elif op in DRAWS or op in DISPATCHES:
             for binding in _program_bindings(self.context.resources.get(self.context.program)):
                 bound = self.context.slots.get((binding.kind, binding.slot))

@@ -162,7 +162,8 @@ def _write_array(writer: ArchiveWriter, numbers: dict[bytes, int], command: Comm
     array: NDArray[Any] = np.frombuffer(data, np.uint8)
     if command.op is Op.WRITE_TEXTURE:
         texture, region = command.resource(command["texture"]), command["region"]
-        if isinstance(texture, TextureDescriptor) and len(data) == _texel_bytes(texture, region):
+        plain = isinstance(texture, TextureDescriptor) and texture.compressed is None
+        if isinstance(texture, TextureDescriptor) and plain and len(data) == _texel_bytes(texture, region):
             array = array.view(texture.format.dtype).reshape(_texel_shape(texture, region))
     digest = hashlib.sha256(f"{array.dtype.str}{array.shape}".encode() + data).digest()
     if digest not in numbers:
@@ -172,12 +173,11 @@ def _write_array(writer: ArchiveWriter, numbers: dict[bytes, int], command: Comm
 
 
 def _texel_shape(texture: TextureDescriptor, region: Region) -> tuple[int, int, int, int]:
-    return region.layers, region.height, region.width, texture.format.channels
+    return region.layers, region.height, region.width, texture.format.components
 
 
 def _texel_bytes(texture: TextureDescriptor, region: Region) -> int:
-    layers, height, width, channels = _texel_shape(texture, region)
-    return layers * height * width * channels * texture.format.dtype.itemsize
+    return region.layers * region.height * region.width * texture.format.transfer_bytes
 
 
 # -- reading -------------------------------------------------------------------------------------------------

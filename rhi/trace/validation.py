@@ -19,6 +19,7 @@ from rhi.commands.context import StreamContext
 from rhi.commands.ops import WIDTHS, Op
 from rhi.commands.stream import CommandStream
 from rhi.contract.backend import Capabilities
+from rhi.contract.blocks import BLOCK
 from rhi.contract.descriptors import (
     DRAW,
     BufferDescriptor,
@@ -172,7 +173,7 @@ class SequenceValidator:
             self._need(layers == 1, f"{layers} layers of a 2D texture")
         if descriptor.kind is TextureKind.CUBE:
             self._need(layers == 6 and width == height, f"a cube of {width}×{height}, {layers} layers")
-        texels = max(descriptor.format.texel_bytes, descriptor.format.dtype.itemsize * descriptor.format.channels)
+        texels = max(descriptor.format.texel_bytes, descriptor.format.transfer_bytes)
         self._create(texture, 2 * width * height * layers * samples * texels)  # twice: levels
 
     def _create_sampler(self, sampler: Id, descriptor: SamplerDescriptor) -> None:
@@ -221,8 +222,11 @@ class SequenceValidator:
     def _write_texture(self, texture: Id, level: int, region: Region, data: bytes) -> None:
         descriptor = self._region(texture, level, region)
         self._need(not descriptor.format.is_depth and descriptor.samples == 1, f"{descriptor.format.name}")
-        texel = descriptor.format.channels * descriptor.format.dtype.itemsize
-        wanted = region.width * region.height * region.layers * texel
+        wanted = region.width * region.height * region.layers * descriptor.format.transfer_bytes
+        if descriptor.compressed is not None:
+            columns, rows = -(-region.width // BLOCK), -(-region.height // BLOCK)
+            wanted = columns * rows * region.layers * descriptor.compressed.block_bytes
+            self._need(region.x % BLOCK == 0 and region.y % BLOCK == 0, f"{region} of blocks")
         self._need(len(data) == wanted, f"{len(data)} bytes instead of {wanted}")
 
     def _read_texture(self, texture: Id, level: int, region: Region, stencil: bool) -> None:
@@ -239,6 +243,28 @@ class SequenceValidator:
         target_region = Region(x, y, region.width, region.height, layer, region.layers)
         given = self._region(target, target_level, target_region)
         self._need(taken.format is given.format and taken.samples == given.samples, "different formats")
+
+    def _copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        self._rows(self._region(source, level, region), region, target, offset, row_bytes)
+
+    def _copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        descriptor = self._region(target, level, region)
+        self._need(not descriptor.format.is_depth, descriptor.format.name)
+        self._rows(descriptor, region, source, offset, row_bytes)
+
+    def _rows(
+        self, texture: TextureDescriptor, region: Region, buffer: Id, offset: int, row_bytes: int
+    ) -> None:
+        texel = texture.format.transfer_bytes
+        self._need(texture.samples == 1, "several samples")
+        fits = row_bytes >= region.width * texel and row_bytes % texel == 0 and offset % texel == 0
+        self._need(fits, f"rows of {row_bytes} bytes at {offset}")
+        rows = region.height * region.layers
+        self._range(buffer, offset, (rows - 1) * row_bytes + region.width * texel)
 
     def _resolve_texture(self, source: Id, target: Id) -> None:
         taken, given = self._find(source, TextureDescriptor), self._find(target, TextureDescriptor)
@@ -383,6 +409,8 @@ def check_capabilities(stream: CommandStream, limits: Capabilities) -> None:
     checks: dict[Op, Callable[[Capabilities, Any], Iterator[str]]] = {
         Op.CREATE_TEXTURE: _limit_texture,
         Op.CREATE_SAMPLER: _limit_sampler,
+        Op.COPY_TEXTURE_TO_BUFFER: _limit_copy_to_buffer,
+        Op.COPY_BUFFER_TO_TEXTURE: _limit_copy_to_texture,
         Op.CREATE_QUERY: _limit_query,
         Op.CREATE_PROGRAM: _limit_program,
         Op.BEGIN_PASS: _limit_pass,
@@ -418,6 +446,8 @@ def _limit_texture(limits: Capabilities, values: Any) -> Iterator[str]:
         yield f"up to {limits.max_texture_layers} layers"
     if descriptor.samples not in limits.sample_counts:
         yield f"{', '.join(map(str, limits.sample_counts))} samples"
+    if descriptor.compressed is not None and descriptor.compressed not in limits.compressed_formats:
+        yield f"formats other than {descriptor.compressed.name}"
     if descriptor.format in limits.unsupported_formats:
         yield f"formats other than {descriptor.format.name}"
 
@@ -427,6 +457,21 @@ def _limit_sampler(limits: Capabilities, values: Any) -> Iterator[str]:
         yield f"anisotropy up to {limits.max_anisotropy:g}"
     if values[1].uses_border and not limits.border_colors:
         yield "needs capabilities.border_colors"
+
+
+def _limit_copy_to_buffer(limits: Capabilities, values: Any) -> Iterator[str]:
+    return _limit_copy(limits, values[4], values[5])
+
+
+def _limit_copy_to_texture(limits: Capabilities, values: Any) -> Iterator[str]:
+    return _limit_copy(limits, values[1], values[2])
+
+
+def _limit_copy(limits: Capabilities, offset: int, row_bytes: int) -> Iterator[str]:
+    if not limits.texture_buffer_copies:
+        yield "needs capabilities.texture_buffer_copies"
+    if offset % limits.copy_offset_alignment or row_bytes % limits.copy_row_alignment:
+        yield f"offsets at {limits.copy_offset_alignment}, rows at multiples of {limits.copy_row_alignment} bytes"
 
 
 def _limit_query(limits: Capabilities, values: Any) -> Iterator[str]:
@@ -443,6 +488,8 @@ def _limit_program(limits: Capabilities, values: Any) -> Iterator[str]:
             yield f"work-groups up to {limits.max_work_group}, {limits.max_work_group_invocations} in all"
         if descriptor.shared_bytes > limits.max_shared_bytes:
             yield f"up to {limits.max_shared_bytes} bytes of shared memory"
+    if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
+        yield "points of one texel, without sizes and coordinates"
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         yield f"up to {limits.max_vertex_attributes} attributes"
 

@@ -26,6 +26,8 @@ GROUPS = {
     "write_texture": "textures",
     "read_texture": "textures",
     "copy_texture": "textures",
+    "copy_texture_to_buffer": "textures",
+    "copy_buffer_to_texture": "textures",
     "resolve_texture": "targets",
     "generate_mipmaps": "textures",
     "begin_pass": "textures",

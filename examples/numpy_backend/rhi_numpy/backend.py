@@ -46,6 +46,7 @@ class NumpyBackend:
             max_image_slots=0,
             uniform_alignment=16,
             storage_alignment=16,
+            texture_buffer_copies=True,
             draws=False,
             indirect_count=False,
             occlusion_queries=False,
@@ -119,6 +120,19 @@ class NumpyBackend:
     ) -> None:
         region = Region(x, y, source_region.width, source_region.height, layer, source_region.layers)
         self._memory.copy_texture(source, source_level, source_region, target, target_level, region)
+
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        rows = self._memory.texture_rows(source, level, region)
+        self._memory.buffer_rows(target, offset, row_bytes, rows)[:] = rows
+
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        rows = self._memory.texture_rows(target, level, region)
+        data = self._memory.buffer_rows(source, offset, row_bytes, rows).tobytes()
+        self._memory.write_texture(target, level, region, data)
 
     def generate_mipmaps(self, texture: Id) -> None:
         self._memory.generate_mipmaps(texture)

@@ -54,7 +54,7 @@ class Memory:
         for level in range(descriptor.levels):
             width, height = descriptor.level_size(level)
             box = descriptor.level_layers(level), height, width
-            created.levels.append(_zeros((*box, format.channels), format.dtype, "device.texture"))
+            created.levels.append(_zeros((*box, format.components), format.dtype, "device.texture"))
             if format.has_stencil:
                 created.stencil.append(_zeros((*box, 1), np.dtype(np.uint8), "device.texture"))
         self.textures[texture] = created
@@ -78,6 +78,19 @@ class Memory:
         self.box(target, target_level, target_region)[:] = self.box(source, level, region)
         if self.textures[source].stencil:
             self.box(target, target_level, target_region, True)[:] = self.box(source, level, region, True)
+
+    def texture_rows(self, texture: Id, level: int, region: Region) -> NDArray[np.uint8]:
+        """Return a copy of a region's rows as bytes: (rows of all layers, bytes of a row)."""
+        texels = np.ascontiguousarray(self.box(texture, level, region))
+        return texels.view(np.uint8).reshape(region.layers * region.height, -1)
+
+    def buffer_rows(
+        self, buffer: Id, offset: int, row_bytes: int, like: NDArray[np.uint8]
+    ) -> NDArray[np.uint8]:
+        """Return a view of rows of a buffer that begin `row_bytes` apart, in the shape of `like`."""
+        count, size = like.shape
+        memory = self.buffers[buffer][offset : offset + (count - 1) * row_bytes + size]
+        return np.lib.stride_tricks.as_strided(memory, (count, size), (row_bytes, 1))
 
     def generate_mipmaps(self, texture: Id) -> None:
         stored = self.textures[texture]

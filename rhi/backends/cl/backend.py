@@ -176,7 +176,8 @@ class ClBackend:
 
     @_reports_errors_as("Buffer.read")
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
-        self._flush()
+        if not self._buffers[buffer].read_in_place:
+            self._flush()
         return self._buffers.read(buffer, offset, size)
 
     @_reports_errors_as("Buffer.copy_to")
@@ -208,6 +209,21 @@ class ClBackend:
     ) -> None:  # fmt: skip
         self._flush()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
+
+    @_reports_errors_as("Texture.copy_to_buffer")
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        self._flush()
+        self._vertex_arrays.change(target)
+        self._textures.copy_to_buffer(source, level, region, self._buffers[target].cl, offset, row_bytes)
+
+    @_reports_errors_as("Texture.copy_from_buffer")
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        self._flush()
+        self._textures.copy_from_buffer(self._buffers[source].cl, offset, row_bytes, target, level, region)
 
     @_reports_errors_as("Texture.resolve_to")
     def resolve_texture(self, source: Id, target: Id) -> None:

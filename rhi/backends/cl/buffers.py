@@ -4,7 +4,8 @@
   is followed by padding, since vector loads may run past its end.
 - Data that the CPU writes is copied first, and the copy is kept until the device has read it (`Staging`). A write that
   is too large for that waits for the device.
-- A STREAM buffer is host memory that kernels read in place, if the device can; writing it is then a plain copy.
+- A STREAM buffer is host memory that kernels read in place, if the device can; writing it is then a plain copy. So is
+  reading a READBACK buffer.
 """
 
 from __future__ import annotations
@@ -35,9 +36,10 @@ class BufferMemory:
         host: the host memory that kernels read in place, or None.
         ranges: the sub-buffers that were bound, by offset and size.
         device_wrote: whether a command or a shader may have written it; if not, `host` is what the CPU wrote last.
+        read_in_place: whether reads take what `host` holds now, without waiting.
     """
 
-    __slots__ = ("cl", "device_wrote", "host", "ranges", "size")
+    __slots__ = ("cl", "device_wrote", "host", "ranges", "read_in_place", "size")
 
     def __init__(self, made: cl.Buffer, size: int, host: NDArray[np.uint8] | None = None) -> None:
         self.cl = made
@@ -45,6 +47,7 @@ class BufferMemory:
         self.host = host
         self.ranges: dict[tuple[int, int], cl.Buffer] = {}
         self.device_wrote = False
+        self.read_in_place = False
 
     def release(self) -> None:
         for part in self.ranges.values():
@@ -63,11 +66,12 @@ class Buffers:
 
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         with translate_errors("device.buffer", f"{descriptor.size} bytes"):
-            if descriptor.usage is BufferUsage.STREAM and self._context.shares_memory:
+            if descriptor.usage is not BufferUsage.STATIC and self._context.shares_memory:
                 host = allocate_pages(round_to_grain(descriptor.size) + GRAIN)
                 flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
                 shared = cl.Buffer(self._context.context, flags, hostbuf=host)
                 made = BufferMemory(shared, descriptor.size, host)
+                made.read_in_place = descriptor.usage is BufferUsage.READBACK
             else:
                 made = BufferMemory(allocate(self._context, descriptor.size), descriptor.size)
         self._buffers[buffer] = made
@@ -104,9 +108,12 @@ class Buffers:
                 self._staging.clear()
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
+        memory = self._buffers[buffer]
+        if memory.read_in_place and memory.host is not None:
+            return memory.host[offset : offset + size].tobytes()
         data = np.empty(size, np.uint8)
         if size:
-            cl.enqueue_copy(self._queue, data, self._buffers[buffer].cl, src_offset=offset)
+            cl.enqueue_copy(self._queue, data, memory.cl, src_offset=offset)
         return data.tobytes()
 
     def copy(self, source: Id, source_offset: int, target: Id, target_offset: int, size: int) -> None:

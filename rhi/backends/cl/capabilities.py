@@ -11,6 +11,7 @@ from rhi.contract.backend import Capabilities
 __rhi_internal__ = True
 
 _MAX_UNIFORM_BYTES: Final = 65536
+_MAX_POINT_SIZE: Final = 1024.0  # MAX_POINT_SIZE in kernels/polygon.cl
 _MAX_TEXTURE_SIZE: Final = 8192  # the largest window position that kernels represent, see kernels/common.cl
 
 
@@ -33,6 +34,8 @@ def query_capabilities(context: ClContext, draws: bool) -> Capabilities:
         storage_alignment=grain,
         max_texture_size=_MAX_TEXTURE_SIZE,
         draws=draws,
+        texture_buffer_copies=True,
+        max_point_size=_MAX_POINT_SIZE if draws else 1.0,
         indirect_count=draws,
         occlusion_queries=draws,
         sample_counter=draws,

@@ -21,7 +21,7 @@ from rhi.contract.texels import from_srgb
 __rhi_internal__ = True
 
 _SOURCE: Final = """
-enum { UNORM8, UNORM16, SNORM8, SRGB8, HALF, FLOAT };
+enum { UNORM8, UNORM16, SNORM8, SRGB8, HALF, FLOAT, UNORM10, FLOAT11 };  // the last two are packed
 
 // sRGB: the linear value of each stored number, and the thresholds between consecutive numbers.
 __constant float LINEAR[256] = {LINEAR_VALUES};
@@ -34,8 +34,31 @@ uchar to_srgb(float value) {
     return place;
 }
 
-float load(__global const void *texels, size_t place, int stored) {
+// A packed texel is one element of memory: channel c begins at bit 10 c or 11 c.
+uint channel_bits(int stored, int channel) {
+    return stored == UNORM10 && channel == 3 ? 2 : stored == FLOAT11 && channel < 2 ? 11 : 10;
+}
+int channel_start(int stored, int channel) { return channel * (stored == UNORM10 ? 10 : 11); }
+
+float load_packed(uint texel, int stored, int channel) {
+    uint bits = channel_bits(stored, channel), number = texel >> channel_start(stored, channel) & ((1u << bits) - 1u);
+    if (stored == UNORM10) return number / (float)((1u << bits) - 1u);
+    uint fraction = bits - 5u, word = number << (23u - fraction);
+    return number >> fraction == 31u ? as_float(word | 0x7F800000u) : as_float(word) * 0x1p112f;
+}
+
+uint make_packed(float value, int stored, int channel) {
+    uint bits = channel_bits(stored, channel), fraction = bits - 5u, shift = 23u - fraction, word = as_uint(value);
+    if (stored == UNORM10) return value * ((1u << bits) - 1u) + 0.5f;
+    if (word >= 0x7F800000u) return 31u << fraction | (word > 0x7F800000u);
+    if (word < 0x38800000u) return as_uint(value + 512.0f / (1u << fraction)) - as_uint(512.0f / (1u << fraction));
+    return (word - 0x38000000u + ((1u << (shift - 1u)) - 1u) + (word >> shift & 1u)) >> shift;
+}
+
+float load(__global const void *texels, size_t place, int stored, int channel) {
     switch (stored) {
+    case UNORM10:
+    case FLOAT11: return load_packed(((__global const uint *)texels)[place], stored, channel);
     case UNORM8: return ((__global const uchar *)texels)[place] * (1.0f / 255.0f);
     case UNORM16: return ((__global const ushort *)texels)[place] * (1.0f / 65535.0f);
     case SNORM8: return max(((__global const char *)texels)[place] * (1.0f / 127.0f), -1.0f);
@@ -46,8 +69,14 @@ float load(__global const void *texels, size_t place, int stored) {
 }
 
 // A mean lies between the loaded values, so it needs no clamping.
-void store(__global void *texels, size_t place, int stored, float value) {
+void store(__global void *texels, size_t place, int stored, int channel, float value) {
     switch (stored) {
+    case UNORM10:
+    case FLOAT11: {  // channels are stored in order
+        __global uint *texel = (__global uint *)texels + place;
+        *texel = (channel ? *texel : 0u) | make_packed(value, stored, channel) << channel_start(stored, channel);
+        break;
+    }
     case UNORM8: ((__global uchar *)texels)[place] = value * 255.0f + 0.5f; break;
     case UNORM16: ((__global ushort *)texels)[place] = value * 65535.0f + 0.5f; break;
     case SNORM8: ((__global char *)texels)[place] = floor(value * 127.0f + 0.5f); break;
@@ -71,9 +100,9 @@ int taps(int place, int size, int target, float *weights) {
 }
 
 // Each work-item computes a row of the next level. `from` and `to` hold a level's start, row pitch and layer pitch,
-// in channels.
+// in elements: channels, or packed texels.
 __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, int channels, int4 size, int4 target) {
-    int y = get_global_id(0), z = get_global_id(1);
+    int y = get_global_id(0), z = get_global_id(1), packed = stored >= UNORM10, elements = packed ? 1 : channels;
     float u[3], v[3], w[3];
     int rows = taps(y, size.y, target.y, v), layers = taps(z, size.z, target.z, w);
     int top = rows == 1 ? y : 2 * y, first = layers == 1 ? z : 2 * z;
@@ -83,38 +112,42 @@ __kernel void halve(__global void *texels, ulong4 from, ulong4 to, int stored, i
     if (layers == 1 && rows == 2 && size.x == 2 * target.x && size.y % 2 == 0) {  // the usual 2 by 2 texels
         for (int x = 0; x < target.x; ++x)
             for (int channel = 0; channel < channels; ++channel) {
-                int format = channel_type(stored, channel);
-                size_t above = source + 2 * x * channels + channel, below = above + row;
-                float mean = 0.25f * (load(texels, above, format) + load(texels, above + channels, format) +
-                                      load(texels, below, format) + load(texels, below + channels, format));
-                store(texels, result + x * channels + channel, format, mean);
+                int format = channel_type(stored, channel), element = packed ? 0 : channel;
+                size_t above = source + 2 * x * elements + element, below = above + row;
+                float mean = load(texels, above, format, channel) + load(texels, above + elements, format, channel);
+                mean += load(texels, below, format, channel) + load(texels, below + elements, format, channel);
+                mean *= 0.25f;
+                store(texels, result + x * elements + element, format, channel, mean);
             }
         return;
     }
     for (int x = 0; x < target.x; ++x) {
         int columns = taps(x, size.x, target.x, u), left = columns == 1 ? x : 2 * x;
         for (int channel = 0; channel < channels; ++channel) {
-            int format = channel_type(stored, channel);
+            int format = channel_type(stored, channel), element = packed ? 0 : channel;
             float mean = 0.0f;
             for (int k = 0; k < layers; ++k)
                 for (int j = 0; j < rows; ++j)
                     for (int i = 0; i < columns; ++i) {
-                        size_t place = source + k * layer + j * row + (left + i) * channels + channel;
-                        mean += w[k] * v[j] * u[i] * load(texels, place, format);
+                        size_t place = source + k * layer + j * row + (left + i) * elements + element;
+                        mean += w[k] * v[j] * u[i] * load(texels, place, format, channel);
                     }
-            store(texels, result + x * channels + channel, format, mean);
+            store(texels, result + x * elements + element, format, channel, mean);
         }
     }
 }
 
-// Each work-item resolves one channel of a texel. The samples are consecutive planes.
+// Each work-item resolves one element: a channel, or a packed texel. The samples are consecutive planes.
 __kernel void resolve(__global const void *samples, __global void *texels, int stored, int channels, int count) {
     size_t place = get_global_id(0), plane = get_global_size(0);
-    int format = channel_type(stored, place % channels);
-    float sum = 0.0f;
-    for (int sample = 0; sample < count; ++sample)
-        sum += load(samples, sample * plane + place, format);
-    store(texels, place, format, sum / count);
+    int packed = stored >= UNORM10, first = packed ? 0 : place % channels, last = packed ? channels - 1 : first;
+    for (int channel = first; channel <= last; ++channel) {
+        int format = channel_type(stored, channel);
+        float sum = 0.0f;
+        for (int sample = 0; sample < count; ++sample)
+            sum += load(samples, sample * plane + place, format, channel);
+        store(texels, place, format, channel, sum / count);
+    }
 }
 """
 
@@ -123,6 +156,8 @@ _STORED: Final = {
     (ChannelKind.FLOAT, 2): 4, (ChannelKind.FLOAT, 4): 5,
 }  # fmt: skip
 """Storage type of a channel, by kind and size in bytes: the values of the kernels' enum."""
+
+_PACKED: Final = {Format.RGB10A2: 6, Format.R11G11B10F: 7}
 
 
 class Filters:
@@ -169,6 +204,8 @@ class Filters:
 
 
 def _storage(format: Format) -> np.int32:
+    if format.is_packed:
+        return np.int32(_PACKED[format])
     return np.int32(_STORED[format.kind, format.dtype.itemsize])
 
 

@@ -60,6 +60,27 @@ class TexelPlane:
     def read(self, queue: cl.CommandQueue, region: Region, texels: NDArray[np.generic]) -> None:
         _copy_box(queue, texels, self.memory, **self._host_box(region))
 
+    def copy_to_buffer(
+        self, queue: cl.CommandQueue, region: Region, target: cl.Buffer, offset: int, row_bytes: int
+    ) -> None:
+        """Copy texels to rows of a buffer that begin `row_bytes` apart."""
+        _copy_box(
+            queue, target, self.memory, src_origin=self._origin(region.x, region.y, region.layer),
+            dst_origin=(offset, 0, 0), region=(region.width * self.texel, region.height, region.layers),
+            src_pitches=self._pitches, dst_pitches=(row_bytes, row_bytes * region.height),
+        )  # fmt: skip
+
+    def copy_from_buffer(
+        self, queue: cl.CommandQueue, source: cl.Buffer, offset: int, row_bytes: int, region: Region
+    ) -> None:
+        """Copy texels from rows of a buffer that begin `row_bytes` apart."""
+        _copy_box(
+            queue, self.memory, source, src_origin=(offset, 0, 0),
+            dst_origin=self._origin(region.x, region.y, region.layer),
+            region=(region.width * self.texel, region.height, region.layers),
+            src_pitches=(row_bytes, row_bytes * region.height), dst_pitches=self._pitches,
+        )  # fmt: skip
+
     def copy(self, queue: cl.CommandQueue, region: Region, target: TexelPlane, x: int, y: int, layer: int) -> None:
         # OpenCL can't copy between two pitches of one buffer.
         if self.memory is target.memory and self._pitches != target._pitches:

@@ -43,7 +43,7 @@ class ClTexture:
         self.words: dict[Id | tuple[int, int], cl.Buffer] = {}
         self.stencil: list[TexelPlane] = []
         format = descriptor.format
-        self.levels = self._allocate(context, format.channels * format.dtype.itemsize)
+        self.levels = self._allocate(context, format.transfer_bytes)
         if format.has_stencil:
             try:
                 self.stencil = self._allocate(context, 1)
@@ -105,7 +105,7 @@ class Textures:
         format = source.descriptor.format
         plane = (source.stencil if stencil else source.levels)[level]
         dtype = np.dtype(np.uint8) if stencil else format.dtype
-        texels = np.empty((region.layers, region.height, region.width, format.channels), dtype)
+        texels = np.empty((region.layers, region.height, region.width, format.components), dtype)
         plane.read(self._queue, region, texels)
         return texels
 
@@ -118,6 +118,19 @@ class Textures:
         old.levels[source_level].copy(self._queue, source_region, new.levels[target_level], x, y, layer)
         if old.stencil:
             old.stencil[source_level].copy(self._queue, source_region, new.stencil[target_level], x, y, layer)
+
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, target: cl.Buffer, offset: int, row_bytes: int
+    ) -> None:
+        plane = self._textures[source].levels[level]
+        plane.copy_to_buffer(self._queue, region, target, offset, row_bytes)
+
+    def copy_from_buffer(
+        self, source: cl.Buffer, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        made = self._textures[target]
+        made.changes += 1
+        made.levels[level].copy_from_buffer(self._queue, source, offset, row_bytes, region)
 
     def resolve(self, source: Id, target: Id) -> None:
         old, new = self._textures[source], self._textures[target]

@@ -329,6 +329,18 @@ class GlBackend:
             self._activate()
         self._textures.copy(source, source_level, source_region, target, target_level, x, y, layer)
 
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        buffer = self._buffers.objects[target].glo
+        self._textures.copy_to_buffer(source, level, region, buffer, offset, row_bytes)
+
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        buffer = self._buffers.objects[source].glo
+        self._textures.copy_from_buffer(buffer, offset, row_bytes, target, level, region)
+
     def resolve_texture(self, source: Id, target: Id) -> None:
         if not self._is_current:
             self._activate()

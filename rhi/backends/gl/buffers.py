@@ -1,9 +1,9 @@
-"""Buffers: moderngl's own, and persistently mapped STREAM buffers.
+"""Buffers: moderngl's own, and persistently mapped STREAM and READBACK buffers.
 
 - Tables are dictionaries by id. The two that a draw uses hold moderngl's bound C methods, which cost a tenth of a
   ctypes call with as many arguments.
 - A STREAM buffer is mapped once, persistently and coherently. Writing it is a copy into that memory, unordered
-  as the contract allows.
+  as the contract allows. A READBACK buffer is mapped in the same way to be read.
 """
 
 from __future__ import annotations
@@ -26,7 +26,11 @@ __rhi_internal__ = True
 BindRange: TypeAlias = Callable[[int, int, int], object]
 """(slot, offset, size)"""
 
-_STREAM_FLAGS: Final = enums.MAP_WRITE_BIT | enums.MAP_PERSISTENT_BIT | enums.MAP_COHERENT_BIT
+_PERSISTENT: Final = enums.MAP_PERSISTENT_BIT | enums.MAP_COHERENT_BIT
+_MAP_FLAGS: Final = {
+    BufferUsage.STREAM: enums.MAP_WRITE_BIT | _PERSISTENT,
+    BufferUsage.READBACK: enums.MAP_READ_BIT | _PERSISTENT,
+}
 _MODERNGL_MAX_SIZE: Final = (1 << 31) - 1  # of an external buffer; binding its ranges is 64-bit
 
 
@@ -45,17 +49,23 @@ class Buffers:
         self.bind_uniform: dict[Id, BindRange] = {}
         self.bind_storage: dict[Id, BindRange] = {}
         self._mappings: dict[Id, memoryview] = {}
+        self._readable: dict[Id, memoryview] = {}
 
     def create(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         drain_errors(self._gl)
-        create = self._create_stream if descriptor.usage is BufferUsage.STREAM else self._create_static
-        created, mapping = create(descriptor.size)
+        flags = _MAP_FLAGS.get(descriptor.usage)
+        created, mapping = (
+            self._create_static(descriptor.size)
+            if flags is None
+            else self._create_mapped(descriptor.size, flags)
+        )
         error = find_error(self._gl, f"device.buffer(size={descriptor.size})")
         if error is not None:
             created.release()
             raise error
         if mapping is not None:
-            self._mappings[buffer] = mapping
+            readable = descriptor.usage is BufferUsage.READBACK
+            (self._readable if readable else self._mappings)[buffer] = mapping
         if descriptor.label:
             self._gl.ObjectLabel(enums.BUFFER, created.glo, -1, descriptor.label.encode())
         self.objects[buffer] = created
@@ -64,25 +74,29 @@ class Buffers:
 
     def _create_static(self, size: int) -> tuple[moderngl.Buffer, None]:
         created = self._context.buffer(reserve=size)
-        self._gl.ClearNamedBufferSubData(
-            created.glo, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
-        )
+        self._clear(created.glo, size)
         return created, None
 
-    def _create_stream(self, size: int) -> tuple[moderngl.Buffer, memoryview | None]:
+    def _clear(self, name: int, size: int) -> None:
+        self._gl.ClearNamedBufferSubData(
+            name, enums.R8UI, 0, size, enums.RED_INTEGER, enums.UNSIGNED_BYTE, None
+        )
+
+    def _create_mapped(self, size: int, flags: int) -> tuple[moderngl.Buffer, memoryview | None]:
         gl = self._gl
         name = gl.create(gl.CreateBuffers)
-        gl.NamedBufferStorage(name, size, None, _STREAM_FLAGS)
-        address = gl.MapNamedBufferRange(name, 0, size, _STREAM_FLAGS)
+        gl.NamedBufferStorage(name, size, None, flags)
+        address = gl.MapNamedBufferRange(name, 0, size, flags)
         created = self._context.external_buffer(name, min(size, _MODERNGL_MAX_SIZE))
         if not address:
             return created, None
-        ctypes.memset(address, 0, size)
+        self._clear(name, size)
         return created, memoryview((ctypes.c_char * size).from_address(address)).cast("B")
 
     def destroy(self, buffer: Id) -> None:
         del self.bind_uniform[buffer], self.bind_storage[buffer]
         self._mappings.pop(buffer, None)
+        self._readable.pop(buffer, None)
         self.objects.pop(buffer).release()
 
     def write(self, buffer: Id, offset: int, data: BytesLike) -> None:
@@ -97,6 +111,9 @@ class Buffers:
             mapping[offset : offset + len(source)] = source.data
 
     def read(self, buffer: Id, offset: int, size: int) -> bytes:
+        readable = self._readable.get(buffer)
+        if readable is not None:
+            return bytes(readable[offset : offset + size])
         if buffer not in self._mappings:
             return bytes(self.objects[buffer].mglo.read(size, offset))
         data = ctypes.create_string_buffer(size)

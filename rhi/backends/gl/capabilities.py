@@ -10,6 +10,7 @@ from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import PIXEL_FORMATS
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import COLOR_FORMATS, Format
 from rhi.contract.states import MAX_TARGETS
 
@@ -68,12 +69,33 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         storage_alignment=gl.get_integer(enums.SHADER_STORAGE_BUFFER_OFFSET_ALIGNMENT),
         indirect_count="GL_ARB_indirect_parameters" in extensions,
         sample_counter=True,
+        texture_buffer_copies=True,
+        max_point_size=_largest_point(gl),
+        compressed_formats=_find_compressed(extensions),
         timestamps=timestamp_bits.value > 0,
         alpha_test=True,
         depth_bias_clamp=has("GL_ARB_polygon_offset_clamp"),
         unsupported_formats=unsupported,
         unrenderable_formats=unrenderable,
     )  # fmt: skip
+
+
+def _find_compressed(extensions: Container[str]) -> frozenset[CompressedFormat]:
+    """Return the compressed formats: RGTC and BPTC are part of OpenGL 4.2, S3TC is an extension."""
+    has_s3tc = "GL_EXT_texture_compression_s3tc" in extensions
+    has_srgb = has_s3tc and (
+        "GL_EXT_texture_sRGB" in extensions or "GL_EXT_texture_compression_s3tc_srgb" in extensions
+    )
+    lacking = {each for each in CompressedFormat if each.name.startswith(("BC1", "BC2", "BC3"))}
+    if has_s3tc:
+        lacking = {each for each in lacking if each.name.endswith("_SRGB") and not has_srgb}
+    return frozenset(CompressedFormat) - lacking
+
+
+def _largest_point(gl: EntryPoints) -> float:
+    sizes = (ctypes.c_float * 2)()
+    gl.GetFloatv(enums.POINT_SIZE_RANGE, sizes)
+    return max(1.0, sizes[1])
 
 
 def _probe_formats(gl: EntryPoints) -> tuple[frozenset[Format], frozenset[Format]]:

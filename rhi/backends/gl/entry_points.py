@@ -106,6 +106,8 @@ class EntryPoints:
     TextureParameteri: Callable[[Int, Int, Int], None]
     TextureSubImage2D: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Address], None]
     TextureSubImage3D: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Address], None]
+    CompressedTextureSubImage2D: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Address], None]
+    CompressedTextureSubImage3D: Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Address], None]
     GetTextureSubImage: Annotated[
         Callable[[Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Int, Address], None], _WAITS
     ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from rhi.backends.gl import enums
+from rhi.contract.blocks import CompressedFormat
 from rhi.contract.descriptors import VertexFormat
 from rhi.contract.formats import Format, IndexFormat
 
@@ -48,6 +49,9 @@ _INTERNAL: Final = {
     Format.R32I: enums.R32I,
     Format.RG32I: enums.RG32I,
     Format.RGBA32I: enums.RGBA32I,
+    Format.RGB10A2: enums.RGB10_A2,
+    Format.RGB10A2UI: enums.RGB10_A2UI,
+    Format.R11G11B10F: enums.R11F_G11F_B10F,
     Format.D16: enums.DEPTH_COMPONENT16,
     Format.D24: enums.DEPTH_COMPONENT24,
     Format.D32F: enums.DEPTH_COMPONENT32F,
@@ -66,7 +70,12 @@ _TYPES: Final = {
     "f4": enums.FLOAT,
 }
 
-_CHANNELS: Final = {1: enums.RED, 2: enums.RG, 4: enums.RGBA}
+_PACKED_TYPES: Final = {
+    (10, 10, 10, 2): enums.UNSIGNED_INT_2_10_10_10_REV,
+    (11, 11, 10): enums.UNSIGNED_INT_10F_11F_11F_REV,
+}
+
+_CHANNELS: Final = {1: enums.RED, 2: enums.RG, 3: enums.RGB, 4: enums.RGBA}
 _INTEGER_CHANNELS: Final = {1: enums.RED_INTEGER, 2: enums.RG_INTEGER, 4: enums.RGBA_INTEGER}
 
 
@@ -74,7 +83,8 @@ def _describe(texel: Format) -> PixelFormat:
     if texel.is_depth:
         return PixelFormat(_INTERNAL[texel], enums.DEPTH_COMPONENT, enums.FLOAT)
     channels = _INTEGER_CHANNELS if texel.is_integer else _CHANNELS
-    return PixelFormat(_INTERNAL[texel], channels[texel.channels], _TYPES[texel.dtype.str[1:]])
+    kind = _PACKED_TYPES[texel.channel_bits] if texel.is_packed else _TYPES[texel.dtype.str[1:]]
+    return PixelFormat(_INTERNAL[texel], channels[texel.channels], kind)
 
 
 PIXEL_FORMATS: Final = {texel: _describe(texel) for texel in Format}
@@ -87,6 +97,24 @@ CLEAR_FORMATS: Final = PIXEL_FORMATS | {
     ),
 }
 """Formats for clears, which include the stencil part."""
+
+COMPRESSED: Final = {
+    CompressedFormat.BC1: enums.COMPRESSED_RGBA_S3TC_DXT1,
+    CompressedFormat.BC1_SRGB: enums.COMPRESSED_SRGB_ALPHA_S3TC_DXT1,
+    CompressedFormat.BC2: enums.COMPRESSED_RGBA_S3TC_DXT3,
+    CompressedFormat.BC2_SRGB: enums.COMPRESSED_SRGB_ALPHA_S3TC_DXT3,
+    CompressedFormat.BC3: enums.COMPRESSED_RGBA_S3TC_DXT5,
+    CompressedFormat.BC3_SRGB: enums.COMPRESSED_SRGB_ALPHA_S3TC_DXT5,
+    CompressedFormat.BC4: enums.COMPRESSED_RED_RGTC1,
+    CompressedFormat.BC4_SNORM: enums.COMPRESSED_SIGNED_RED_RGTC1,
+    CompressedFormat.BC5: enums.COMPRESSED_RG_RGTC2,
+    CompressedFormat.BC5_SNORM: enums.COMPRESSED_SIGNED_RG_RGTC2,
+    CompressedFormat.BC6H: enums.COMPRESSED_RGB_BPTC_UNSIGNED_FLOAT,
+    CompressedFormat.BC6H_SIGNED: enums.COMPRESSED_RGB_BPTC_SIGNED_FLOAT,
+    CompressedFormat.BC7: enums.COMPRESSED_RGBA_BPTC_UNORM,
+    CompressedFormat.BC7_SRGB: enums.COMPRESSED_SRGB_ALPHA_BPTC_UNORM,
+}
+"""Internal formats of block-compressed textures."""
 
 VERTEX_TYPES: Final = {vertex: _TYPES[vertex.code] for vertex in VertexFormat}
 

@@ -16,11 +16,12 @@ from typing_extensions import Buffer as BytesLike
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.errors import drain_errors, find_error
-from rhi.backends.gl.formats import CLEAR_FORMATS, PIXEL_FORMATS, PixelFormat
+from rhi.backends.gl.formats import CLEAR_FORMATS, COMPRESSED, PIXEL_FORMATS, PixelFormat
 from rhi.contract.descriptors import Id, Region, TextureDescriptor, TextureKind
 
 __rhi_internal__ = True
 
+_ANY_SIZE: Final = (1 << 31) - 1
 _TARGETS: Final = {
     TextureKind.D2: enums.TEXTURE_2D,
     TextureKind.D2_ARRAY: enums.TEXTURE_2D_ARRAY,
@@ -75,6 +76,8 @@ class Textures:
         target = enums.TEXTURE_2D_MULTISAMPLE if descriptor.samples > 1 else _TARGETS[descriptor.kind]
         name = gl.create(gl.CreateTextures, target)
         pixel = PIXEL_FORMATS[descriptor.format]
+        if descriptor.compressed is not None:
+            pixel = pixel._replace(internal=COMPRESSED[descriptor.compressed])
         width, height = descriptor.size
         if descriptor.samples > 1:
             gl.TextureStorage2DMultisample(name, descriptor.samples, pixel.internal, width, height, True)
@@ -88,7 +91,7 @@ class Textures:
             gl.delete(gl.DeleteTextures, name)
             raise error
         clear = CLEAR_FORMATS[descriptor.format]
-        for level in range(descriptor.levels):
+        for level in range(descriptor.levels if descriptor.compressed is None else 0):
             gl.ClearTexImage(name, level, clear.format, clear.type, None)
         if descriptor.samples == 1:  # so that texel fetches without a sampler work, for integers too
             gl.TextureParameteri(name, enums.TEXTURE_MIN_FILTER, enums.NEAREST_MIPMAP_NEAREST)
@@ -103,9 +106,24 @@ class Textures:
         self._gl.delete(self._gl.DeleteTextures, self.names.pop(texture))
 
     def write(self, texture: Id, level: int, region: Region, data: BytesLike) -> None:
-        gl_texture, r = self._textures[texture], region
-        pixels = np.frombuffer(memoryview(data), np.uint8).ctypes.data
-        _, texel, kind = gl_texture.pixel
+        pixels, gl_texture = np.frombuffer(memoryview(data), np.uint8), self._textures[texture]
+        if gl_texture.descriptor.compressed is None:
+            self._upload(gl_texture, level, region, pixels.ctypes.data)
+            return
+        r, internal, target = region, gl_texture.pixel.internal, gl_texture.target
+        if target == enums.TEXTURE_2D:
+            self._gl.CompressedTextureSubImage2D(
+                gl_texture.name, level, r.x, r.y, r.width, r.height, internal, len(pixels), pixels.ctypes.data
+            )
+        else:
+            self._gl.CompressedTextureSubImage3D(
+                gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, internal, len(pixels),
+                pixels.ctypes.data,
+            )  # fmt: skip
+
+    def _upload(self, gl_texture: GlTexture, level: int, region: Region, pixels: int) -> None:
+        """Write texels from an address, or from an offset in the buffer that is bound for unpacking."""
+        r, (_, texel, kind) = region, gl_texture.pixel
         if gl_texture.target == enums.TEXTURE_2D:
             self._gl.TextureSubImage2D(
                 gl_texture.name, level, r.x, r.y, r.width, r.height, texel, kind, pixels
@@ -121,13 +139,38 @@ class Textures:
         dtype = gl_texture.descriptor.format.dtype
         if stencil:
             texel, kind, dtype = enums.STENCIL_INDEX, enums.UNSIGNED_BYTE, np.dtype(np.uint8)
-        channels = gl_texture.descriptor.format.channels
-        pixels = np.empty((r.layers, r.height, r.width, channels), dtype)
+        components = gl_texture.descriptor.format.components
+        pixels = np.empty((r.layers, r.height, r.width, components), dtype)
         self._gl.GetTextureSubImage(
             gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, pixels.nbytes,
             pixels.ctypes.data,
         )  # fmt: skip
         return pixels
+
+    def copy_to_buffer(
+        self, source: Id, level: int, region: Region, buffer: int, offset: int, row_bytes: int
+    ) -> None:
+        """Copy texels to GL's buffer `buffer`."""
+        gl, gl_texture, r = self._gl, self._textures[source], region
+        _, texel, kind = gl_texture.pixel
+        gl.PixelStorei(enums.PACK_ROW_LENGTH, row_bytes // gl_texture.descriptor.format.transfer_bytes)
+        gl.BindBuffer(enums.PIXEL_PACK_BUFFER, buffer)
+        gl.GetTextureSubImage(
+            gl_texture.name, level, r.x, r.y, r.layer, r.width, r.height, r.layers, texel, kind, _ANY_SIZE, offset
+        )
+        gl.BindBuffer(enums.PIXEL_PACK_BUFFER, 0)
+        gl.PixelStorei(enums.PACK_ROW_LENGTH, 0)
+
+    def copy_from_buffer(
+        self, buffer: int, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        """Copy texels from GL's buffer `buffer`."""
+        gl, gl_texture = self._gl, self._textures[target]
+        gl.PixelStorei(enums.UNPACK_ROW_LENGTH, row_bytes // gl_texture.descriptor.format.transfer_bytes)
+        gl.BindBuffer(enums.PIXEL_UNPACK_BUFFER, buffer)
+        self._upload(gl_texture, level, region, offset)
+        gl.BindBuffer(enums.PIXEL_UNPACK_BUFFER, 0)
+        gl.PixelStorei(enums.UNPACK_ROW_LENGTH, 0)
 
     def copy(
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,

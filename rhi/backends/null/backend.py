@@ -255,6 +255,8 @@ class NullBackend(CommandMethods):
             Op.SIGNAL: self._signal,
             Op.WRITE_QUERY: self._write_query,
             Op.BEGIN_CONDITIONAL: self._begin_conditional,
+            Op.COPY_TEXTURE_TO_BUFFER: self._copy_texture_to_buffer,
+            Op.COPY_BUFFER_TO_TEXTURE: self._copy_buffer_to_texture,
         }
         parts: dict[object, tuple[Op, ...]] = {
             self._buffers: (Op.WRITE_BUFFER, Op.COPY_BUFFER, Op.CLEAR_BUFFER),
@@ -277,6 +279,19 @@ class NullBackend(CommandMethods):
         self._programs.destroy(resource)
         self._queries.destroy(resource)
         self._streams.discard(resource)
+
+    def _copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        rows = self._textures.copy_rows(source, level, region)
+        self._buffers.rows(target, offset, row_bytes, *rows.shape)[:] = rows
+
+    def _copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        rows = self._textures.copy_rows(target, level, region)
+        data = self._buffers.rows(source, offset, row_bytes, *rows.shape)
+        self._textures.write_texture(target, level, region, data.tobytes())
 
     def _begin_pass(self, descriptor: PassDescriptor) -> None:
         self._state.begin_pass(descriptor)

@@ -61,3 +61,8 @@ class Buffers:
     def words(self, buffer: Id, offset: int, count: int) -> NDArray[np.uint32]:
         """Return `count` 32-bit words of a buffer as a view."""
         return self.memory[buffer][offset : offset + 4 * count].view("<u4")
+
+    def rows(self, buffer: Id, offset: int, row_bytes: int, count: int, size: int) -> NDArray[np.uint8]:
+        """Return `count` rows of `size` bytes that begin `row_bytes` apart, as a view (count, size)."""
+        memory = self.memory[buffer][offset : offset + (count - 1) * row_bytes + size]
+        return np.lib.stride_tricks.as_strided(memory, (count, size), (row_bytes, 1))

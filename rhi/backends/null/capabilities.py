@@ -32,14 +32,15 @@ def _device(name: str) -> Capabilities:
     """Return capabilities without the features that not every device has."""
     return Capabilities(
         backend="null", device=name, driver=f"NumPy {np.__version__}", shading=False, indirect_count=False,
-        depth_bias_clamp=False, blend_per_target=False, unrenderable_formats=_SNORM,
+        texture_buffer_copies=True, depth_bias_clamp=False, blend_per_target=False, unrenderable_formats=_SNORM,
     )  # fmt: skip
 
 
 PROFILES: Final[Mapping[str, Capabilities]] = {
     "everything": Capabilities(
         backend="null", device="null", driver=f"NumPy {np.__version__}", shading=False, sample_counter=True,
-        alpha_test=True, max_anisotropy=16.0, max_shared_bytes=1 << 16,
+        alpha_test=True, max_anisotropy=16.0, max_shared_bytes=1 << 16, texture_buffer_copies=True,
+        max_point_size=64.0,
     ),
     "gl-4.5": replace(
         _device("gl-4.5"), max_texture_size=16384, max_texture_layers=2048, max_uniform_slots=14, sample_counter=True,

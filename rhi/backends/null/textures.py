@@ -45,7 +45,7 @@ class TextureMemory:
         for level in range(descriptor.levels):
             width, height = descriptor.level_size(level)
             texels = descriptor.level_layers(level), height, width
-            self.levels.append(np.zeros((*texels, format.channels), format.dtype))
+            self.levels.append(np.zeros((*texels, format.components), format.dtype))
             if format.has_stencil:
                 self.stencil.append(np.zeros((*texels, 1), np.uint8))
 
@@ -86,6 +86,11 @@ class Textures:
         if stencil:
             return source.stencil[level][_box(region)].copy()
         return source.levels[level][_box(region)].copy()
+
+    def copy_rows(self, texture: Id, level: int, region: Region) -> NDArray[np.uint8]:
+        """Return a copy of a region's rows as bytes: (rows of all layers, bytes of a row)."""
+        texels = np.ascontiguousarray(self.textures[texture].levels[level][_box(region)])
+        return texels.view(np.uint8).reshape(region.layers * region.height, -1)
 
     # -- commands ----------------------------------------------------------------------------------------
 

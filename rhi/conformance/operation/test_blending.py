@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from rhi import BlendColor, BlendFactor, BlendFunction, BlendOperation, ColorWrite, Device, Format, Primitive
 from rhi.conformance.compare import assert_near, assert_same
-from rhi.conformance.reference import blend
+from rhi.conformance.formats import require_renderable
+from rhi.conformance.reference import blend, channels_of, decode, encode, rounding
 from rhi.conformance.shaders import Colored, UintColored
 from rhi.conformance.shapes import centers, corners, rectangle
 
@@ -37,6 +38,22 @@ def blended(device: Device, function: BlendFunction, format: Format = Format.RGB
     if format is Format.RGBA8:
         return result / 255, np.clip(blend(function, source, stored / 255, CONSTANT), 0, 1)
     return result, blend(function, source, destination, CONSTANT)
+
+
+@pytest.mark.parametrize("format", [Format.RGB10A2, Format.R11G11B10F], ids=lambda f: f.name)
+def test_packed_formats_blend_by_channel(device: Device, format: Format) -> None:
+    require_renderable(device, format)
+    function = BlendFunction(BlendFactor.SOURCE_ALPHA, BlendFactor.ONE_MINUS_SOURCE_ALPHA)
+    old, new = (0.25, 0.5, 0.75, 1.0), (0.9, 0.1, 0.3, 2 / 3)
+    with device.texture((2, 2), format) as image, device.mesh(rectangle(color=new)) as mesh:
+        with device.render_pass(image, clear=old):
+            pass
+        stored = decode(format, channels_of(format, image.read()))
+        with device.render_pass(image), device.states(function):
+            device.draw(device.program(Colored), mesh)
+        back = channels_of(format, image.read())
+    expected = encode(format, blend(function, new, stored, (0, 0, 0, 0)))
+    assert_near(back, expected, *rounding(format, expected))
 
 
 @pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda f: f.name)

@@ -26,7 +26,7 @@ def test_a_new_buffer_holds_zeros(device: Device, size: int) -> None:
         assert_same(buffer.read(), np.zeros(size))
 
 
-@pytest.mark.parametrize("usage", list(BufferUsage))
+@pytest.mark.parametrize("usage", [BufferUsage.STATIC, BufferUsage.STREAM])
 def test_a_buffer_made_from_an_array_holds_it(device: Device, usage: BufferUsage) -> None:
     with device.buffer(numbers(100), usage=usage) as buffer:
         assert buffer.dtype == np.uint32

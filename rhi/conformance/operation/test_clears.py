@@ -234,3 +234,12 @@ def test_a_second_pass_clears_again_what_the_first_one_drew(device: Device) -> N
             device.draw(device.program(Colored), far)
         assert_mask(image.read()[..., 1], box(60, 3, 30, 40))
         assert_same(depth.read(), np.where(box(60, 3, 30, 40), 0.5, 0.0))
+
+
+def test_an_asynchronous_read_of_depth_returns_float32(device: Device) -> None:
+    with device.texture((5, 3), Format.D24) as texture:
+        with device.render_pass(depth=texture, clear_depth=0.3):
+            pass
+        result = texture.read_async().result()
+        assert result.dtype == np.float32
+        assert_same(result, texture.read())

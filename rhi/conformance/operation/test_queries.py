@@ -19,17 +19,18 @@ from rhi import (
     Device,
     Format,
     OcclusionQuery,
+    Primitive,
     Scissor,
     StencilFront,
     StencilTest,
     ValidationError,
 )
 from rhi.conformance.compare import assert_same
-from rhi.conformance.formats import require_samples
+from rhi.conformance.formats import require_point_sizes, require_samples
 from rhi.conformance.patience import comes_true
 from rhi.conformance.reference import SUBTEXELS, rasterise
-from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
-from rhi.conformance.shapes import corners, rectangle, texel_rectangle, window_to_clip
+from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade, Sized
+from rhi.conformance.shapes import corners, point_rows, rectangle, texel_rectangle, window_to_clip
 from rhi.errors import rules
 from rhi.shading import Shader, discard, fragment_coordinate, ivec2, vec4
 
@@ -339,3 +340,12 @@ def test_an_unfinished_query_has_no_number_yet(device: Device) -> None:
         assert (early, rule) == (60 << 20, rules.QUERY_UNFINISHED)
         assert query.visible_samples == 60 << 20
     query.destroy()
+
+
+def test_the_samples_of_large_points_are_counted(device: Device, query: OcclusionQuery) -> None:
+    require_point_sizes(device)
+    rows = point_rows([(4.5, 8.5), (12.5, 8.5)], SIZE, [5.0, 3.0])
+    with device.texture(SIZE, Format.R8) as image, device.mesh(rows, primitive=Primitive.POINTS) as mesh:
+        with device.render_pass(image, clear=(0, 0, 0, 0)), query:
+            device.draw(device.program(Sized), mesh)
+    assert query.wait() == 25 + 9

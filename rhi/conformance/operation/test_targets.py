@@ -23,11 +23,11 @@ from rhi import (
     TextureKind,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
-from rhi.conformance.formats import require_renderable, require_samples
+from rhi.conformance.formats import require_point_sizes, require_renderable, require_samples
 from rhi.conformance.patience import PATIENCE
-from rhi.conformance.reference import compare, encode, largest, rounding
-from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, UintColored
-from rhi.conformance.shapes import centers, corners, rectangle
+from rhi.conformance.reference import channels_of, compare, encode, rounding
+from rhi.conformance.shaders import Bare, Colored, Corner, FlatShade, IntColored, Shade, Sized, UintColored
+from rhi.conformance.shapes import centers, corners, point_rows, point_square, rectangle
 from rhi.contract.formats import COLOR_FORMATS, ChannelKind
 from rhi.shading import Shader, Struct, uvec4, vec2, vec4
 
@@ -49,7 +49,7 @@ def test_a_fragment_s_color_is_converted_to_the_format(
     with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
         with device.render_pass(image):
             device.draw(device.program(Colored), mesh)
-        back = image.read().reshape(16, -1)
+        back = channels_of(format, image.read()).reshape(16, -1)
     expected = encode(format, np.array(color, "f4"))
     assert_near(back, expected, *rounding(format, expected))
 
@@ -57,13 +57,14 @@ def test_a_fragment_s_color_is_converted_to_the_format(
 @pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], ids=identity)
 def test_integers_are_stored_as_they_are(device: Device, format: Format) -> None:
     require_renderable(device, format)
-    top = min(float(largest(format)), 2.0**24)
+    top = min(2.0 ** format.channel_bits[0] - 1, 2.0**24)
     color = (1.0, top, 0.0, 100.0) if format.kind is ChannelKind.UINT else (-1.0, top, -(2.0**24), 100.0)
     shader: type[Shader] = UintColored if format.kind is ChannelKind.UINT else IntColored
     with device.texture(SIZE, format) as image, device.mesh(rectangle(color=color)) as mesh:
         with device.render_pass(image):
             device.draw(device.program(shader), mesh)
-        assert_same(image.read().reshape(16, -1), color[: format.channels])
+        stored = np.minimum(color[: format.channels], 2.0 ** np.array(format.channel_bits) - 1)
+        assert_same(channels_of(format, image.read()).reshape(16, -1), stored)
 
 
 class Three(Struct):
@@ -408,6 +409,25 @@ def test_signed_integers_keep_their_sign(device: Device) -> None:
         with device.render_pass(image):
             device.draw(device.program(IntColored), mesh)
         assert_same(image.read(), (-5, 5, -1, 0))
+
+
+def test_a_point_with_a_size_covers_samples(device: Device) -> None:
+    require_samples(device, 4)
+    require_point_sizes(device)
+    size = (24, 20)
+    with (
+        device.texture(size, Format.RGBA8, samples=4) as target,
+        device.texture(size, Format.RGBA8) as image,
+        device.mesh(point_rows([(12.0, 10.0)], size, 5.0), primitive=Primitive.POINTS) as mesh,
+    ):
+        with device.render_pass(target, clear=(0, 0, 0, 0)):
+            device.draw(device.program(Sized), mesh)
+        target.resolve_to(image)
+        back = image.read()[..., 0]
+    whole, touched = point_square(12.0, 10.0, 4.0, size), point_square(12.0, 10.0, 6.0, size)
+    assert_same(back[whole], 255)
+    assert ((back[touched & ~whole] > 0) & (back[touched & ~whole] < 255)).all()
+    assert_same(back[~touched], 0)
 
 
 # -- preparation -------------------------------------------------------------------------------------------

@@ -6,9 +6,10 @@ import time
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import rhi
-from rhi import Access, Device, Format, Op
+from rhi import Access, Device, Format, Op, Region
 from rhi.conformance.compare import assert_same
 from rhi.conformance.patience import PATIENCE, comes_true
 
@@ -57,6 +58,64 @@ def test_a_wait_of_no_time_says_whether_it_is_done(device: Device) -> None:
     assert done in (True, False)
     assert not done or device.completed >= value
     assert device.wait(value)
+
+
+# -- asynchronous reads ------------------------------------------------------------------------------------
+
+
+def _texels(height: int, width: int, seed: int = 0) -> NDArray[np.uint8]:
+    return np.random.default_rng(seed).integers(0, 256, (height, width, 4), np.uint8)
+
+
+def test_an_asynchronous_read_of_a_texture_returns_what_a_read_does(device: Device) -> None:
+    data = _texels(5, 7)
+    with device.texture(data, Format.RGBA8) as texture:
+        assert_same(texture.read_async().result(), data)
+        assert_same(texture.read_async(region=Region(2, 1, 3, 2)).result(), data[1:3, 2:5])
+    with device.texture(data[..., 0], Format.R8, levels=2) as texture:
+        assert_same(texture.read_async(level=1).result(), texture.read(1))
+
+
+def test_an_asynchronous_read_of_a_buffer_returns_what_a_read_does(device: Device) -> None:
+    data = np.arange(600, dtype=np.uint32).reshape(-1)
+    with device.buffer(data) as buffer:
+        assert_same(buffer.read_async().result(), data)
+        assert_same(buffer.read_async(7, 5).result(), data[7:12])
+        assert buffer.read_async(3, 0).result().shape == (0,)
+
+
+def test_an_asynchronous_read_is_of_the_moment_of_its_call(device: Device) -> None:
+    data = _texels(4, 4)
+    texture, buffer = device.texture(data, Format.RGBA8), device.buffer(data.reshape(-1))
+    reads = texture.read_async(), buffer.read_async()
+    texture.write(np.zeros_like(data))
+    buffer.clear(0)
+    texture.destroy()
+    buffer.destroy()
+    device.present()
+    assert_same(reads[0].result(), data)
+    assert_same(reads[1].result(), data.reshape(-1))
+
+
+def test_an_asynchronous_read_is_done_without_a_wait(device: Device) -> None:
+    """Polling is enough, because the read submits the work before it."""
+    data = _texels(64, 64)
+    with device.texture(data, Format.RGBA8) as texture:
+        read = texture.read_async()
+        assert comes_true(lambda: read.done)
+        assert device.completed >= read.fence
+        assert_same(read.result(), data)
+        assert read.done
+
+
+def test_many_asynchronous_reads_do_not_mix(device: Device) -> None:
+    with device.texture((8, 8), Format.RGBA8) as texture:
+        reads = []
+        for value in range(40):
+            texture.write(np.full((8, 8, 4), value, np.uint8))
+            reads.append(texture.read_async(region=Region(0, 0, 1 + value % 8, 8)))
+        for value in (*range(39, -1, -3), *range(40)):
+            assert_same(reads[value].result(), value)
 
 
 def test_waits_for_several_values_in_any_order(device: Device) -> None:

@@ -26,7 +26,19 @@ from rhi.conformance.shaders import Colored
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.descriptors import Binding, BindingKind
 from rhi.errors import rules
-from rhi.shading import Shader, StorageRW, atomic_add, compile_shader, shared, uint
+from rhi.shading import (
+    PointSize,
+    Shader,
+    StorageRW,
+    Struct,
+    atomic_add,
+    compile_shader,
+    point_coordinate,
+    shared,
+    uint,
+    vec2,
+    vec4,
+)
 
 SIZE = (4, 4)
 
@@ -122,6 +134,24 @@ def test_a_sampler_is_no_more_anisotropic_than_the_device_says(recording: Device
     recording.sampler(SamplerDescriptor(max_anisotropy=most))
 
 
+def test_a_copy_between_a_texture_and_a_buffer_is_aligned_as_the_device_says(recording: Device) -> None:
+    limits = recording.capabilities
+    offset, row = max(4, limits.copy_offset_alignment), max(4, limits.copy_row_alignment)
+    with recording.texture((1, 3), Format.RGBA8) as texture, recording.buffer(8 * (offset + row)) as buffer:
+        if not limits.texture_buffer_copies:
+            with refuses(rules.DEVICE_CAPABILITY, recording):
+                texture.copy_to_buffer(buffer)
+            return
+        wrong: list[dict[str, Any]] = [{"offset": offset + offset // 2}, {"row_bytes": row + row // 2}]
+        for bad in wrong:
+            with refuses(rules.BUFFER_ALIGNMENT, recording):
+                texture.copy_to_buffer(buffer, **bad)
+            with refuses(rules.BUFFER_ALIGNMENT, recording):
+                texture.copy_from_buffer(buffer, **bad)
+        texture.copy_to_buffer(buffer, offset=offset, row_bytes=row)
+        texture.copy_from_buffer(buffer, offset=offset, row_bytes=row)
+
+
 def test_formats_that_the_device_lacks_are_refused(recording: Device) -> None:
     for format in recording.capabilities.unsupported_formats:
         with refuses(rules.DEVICE_CAPABILITY, recording):
@@ -159,6 +189,43 @@ def test_states_that_the_device_lacks_are_refused(recording: Device) -> None:
                 pass
     with recording.states(AlphaTest.OFF):
         pass
+
+
+class Dot(Struct):
+    """A position and a point size."""
+
+    clip: vec4
+    size: PointSize
+
+
+class Dots(Shader):
+    """Draws points of two texels."""
+
+    def vertex(self) -> Dot:
+        return Dot(clip=vec4(0.0, 0.0, 0.0, 1.0), size=2.0)
+
+    def fragment(self) -> vec4:
+        return vec4(1.0)
+
+
+class Inside(Shader):
+    """Writes the place inside a point."""
+
+    def vertex(self) -> vec4:
+        return vec4(0.0, 0.0, 0.0, 1.0)
+
+    def fragment(self) -> vec4:
+        return vec4(point_coordinate(), vec2(0.0))
+
+
+@pytest.mark.needs("draws")
+@pytest.mark.parametrize("shader", [Dots, Inside])
+def test_sizes_of_points_need_a_device_that_has_them(recording: Device, shader: type[Shader]) -> None:
+    if recording.capabilities.max_point_size > 1.0:
+        recording.program(shader).destroy()
+    else:
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            recording.program(shader)
 
 
 @pytest.mark.needs("compute")

@@ -259,8 +259,10 @@ def test_a_with_block_makes_its_device_current(backend: str, elsewhere: Elsewher
     assert device.closed
 
 
-def test_a_pass_does_not_move(recording: Device) -> None:
+def test_a_pass_does_not_move(recording: Device, elsewhere: Elsewhere[Any]) -> None:
     with recording.texture(SIZE, Format.R8) as image, recording.render_pass(image):
+        with refuses(rules.DEVICE_THREAD, recording):
+            elsewhere(lambda: recording.release_current())
         with refuses(rules.PASS_OPEN, recording):
             recording.release_current()
 

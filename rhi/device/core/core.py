@@ -17,6 +17,7 @@ from typing import ClassVar, Final, NoReturn, Protocol, cast
 from rhi.contract.backend import Backend, HoldsContext, PreparesDraws
 from rhi.contract.descriptors import Id, PassDescriptor, Primitive, SamplerDescriptor, Wrap
 from rhi.contract.states import AlphaTest
+from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
@@ -96,6 +97,7 @@ class Core:
         condition_open: whether draws depend on a query's answer now.
         condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
+        readbacks: the memory of asynchronous reads.
         target_kinds: "float", "int" or "uint" per color target of the open pass.
         tests_alpha: whether the alpha test is on, so that prepared draws can't be used.
         draw_counters: one function per program that returns its number of draws since the last call.
@@ -120,6 +122,7 @@ class Core:
         "locked",
         "open_query",
         "program",
+        "readbacks",
         "refusals",
         "render_pass",
         "sampler_descriptors",
@@ -160,6 +163,7 @@ class Core:
         self.locked: list[Owner] = []
         self.draw_counters: list[Callable[[], int]] = []
         self.frame_rings: list[FrameMemory] = []
+        self.readbacks = ReadbackPool(backend, self.timeline, self.new_id)
         self.tests_alpha = False
         self._prepares: PreparesDraws | None = None
         if hasattr(backend, "prepare_draw"):
@@ -251,8 +255,7 @@ class Core:
         self.program = None
 
     def release_current(self) -> None:
-        """Detach the device from its thread."""
-        self.check_thread("device.release_current")
+        """Detach the device from its thread, which is the calling one."""
         if self._context is not None:
             self._context.release_current()
         self.thread = NO_THREAD

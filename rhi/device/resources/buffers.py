@@ -28,6 +28,7 @@ from rhi.contract.layout import (
 from rhi.device.core.core import Core
 from rhi.device.resources.lifetime import Resource, destroy_on_error
 from rhi.device.resources.locks import Lock
+from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, as_whole
 from rhi.errors.rules import (
     BUFFER_ALIGNMENT,
@@ -112,6 +113,26 @@ class Buffer(Resource):
         """Return a copy of `count` elements from `first` on; waits for work that may write them."""
         first, count = self._range("Buffer.read", first, count)
         return self._download(first, count)
+
+    def read_async(self, first: int = 0, count: int | None = None) -> Readback:
+        """Begin to read `count` elements from `first` on, as `read` does, and return their future at once.
+
+        Elements that aren't aligned to `capabilities.copy_alignment` are read now, and the future is done.
+        """
+        first, count = self._range("Buffer.read_async", first, count)
+        base, shape = self.dtype.subdtype or (self.dtype, ())
+        size, alignment = self.dtype.itemsize, self.core.capabilities.copy_alignment
+        readback = Readback(self.core, base, (count, *shape), 1, count * size)
+        self.core.check_ready()
+        if first * size % alignment or count * size % alignment:
+            readback.complete(self._download(first, count))
+        elif count:
+            memory = readback.take_memory()
+            self.core.backend.copy_buffer(self.id, first * size, memory, 0, count * size)
+            readback.begin()
+        else:
+            readback.complete(np.zeros(0, base))
+        return readback
 
     def write(self, data: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on, ordered after the work submitted before.
@@ -329,6 +350,10 @@ class StorageBuffer(StorageRange[T], Resource):
     def read(self, first: int = 0, count: int | None = None) -> NDArray[Any]:
         """Return a copy of elements; waits for work that may write them."""
         return self._typed().read(first, count)
+
+    def read_async(self, first: int = 0, count: int | None = None) -> Readback:
+        """Begin to read elements, as `read` does, and return their future at once."""
+        return self._typed().read_async(first, count)
 
     def write(self, rows: NDArray[Any], first: int = 0) -> None:
         """Replace elements from `first` on; `layout-mismatch` if the dtype is not `dtype`."""

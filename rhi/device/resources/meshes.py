@@ -296,7 +296,7 @@ class Drawable:
         check = Arguments(call, core.refuse)
         first = check.whole("first", first)
         count = total - first if count is None else check.whole("count", count)
-        base_vertex = check.whole("base_vertex", base_vertex, -(1 << 31), (1 << 31) - 1)
+        base_vertex = check.whole("base_vertex", base_vertex, *_COLUMNS["base_vertex"])
         base_instance = check.whole("base_instance", base_instance)
         if primitive is not None:
             check.choice("primitive", primitive, Primitive)
@@ -434,7 +434,7 @@ _COLUMNS: Final = {
     "first": (0, (1 << 32) - 1),
     "count": (0, (1 << 32) - 1),
     "instances": (0, (1 << 31) - 1),
-    "base_vertex": (-(1 << 31), (1 << 31) - 1),
+    "base_vertex": (-(1 << 30), 1 << 30),  # to which the place of a transient mesh is added
     "base_instance": (0, (1 << 31) - 1),
 }
 """The numbers that fit into an array of draws."""

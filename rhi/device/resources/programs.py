@@ -352,6 +352,9 @@ def _check_limits(core: Core, descriptor: ProgramDescriptor) -> None:
         used = sum(binding.kind is kind for binding in descriptor.bindings)
         if used > most:
             core.refuse(DEVICE_CAPABILITY, call, f"{used} {kind.value} bindings", f"at most {most}")
+    if (descriptor.point_size or descriptor.reads_point_coordinates) and limits.max_point_size <= 1.0:
+        given = "a point size" if descriptor.point_size else "point_coordinate()"
+        core.refuse(DEVICE_CAPABILITY, call, given, "needs capabilities.max_point_size")
     if len(descriptor.attributes) > limits.max_vertex_attributes:
         core.refuse(
             DEVICE_CAPABILITY,

@@ -8,12 +8,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from rhi.contract.blocks import BLOCK, CompressedFormat, decode_level
 from rhi.contract.descriptors import (
     Access,
     Filter,
@@ -25,10 +26,14 @@ from rhi.contract.descriptors import (
 )
 from rhi.contract.formats import Format
 from rhi.device.core.core import Core
+from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.lifetime import Resource
 from rhi.device.resources.locks import Lock
+from rhi.device.resources.readbacks import Readback
 from rhi.errors.arguments import Arguments, Fields
 from rhi.errors.rules import (
+    BUFFER_ALIGNMENT,
+    BUFFER_RANGE,
     DEVICE_CAPABILITY,
     TEXTURE_DATA,
     TEXTURE_FORMAT,
@@ -78,12 +83,21 @@ class Texture(TextureBinding, Resource):
     Attributes:
         id: the texture's id in the command stream.
         descriptor: size, format, kind, layers, levels and samples; these are also attributes of the texture.
+        compressed: the format of the blocks that are written, or None. They are stored as they are if the device can,
+            else as decoded texels.
     """
 
-    __slots__ = ("core", "descriptor", "destroyed", "id")
+    __slots__ = ("compressed", "core", "descriptor", "destroyed", "id")
 
-    def __init__(self, core: Core, descriptor: TextureDescriptor) -> None:
+    def __init__(
+        self, core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat | None = None
+    ) -> None:
         _check_descriptor(core, descriptor)
+        if compressed is not None:
+            _check_compressed(core, descriptor, compressed)
+            if compressed in core.capabilities.compressed_formats:
+                descriptor = replace(descriptor, compressed=compressed)
+        self.compressed = compressed
         self.core = core
         self.descriptor = descriptor
         self.destroyed = False
@@ -130,7 +144,7 @@ class Texture(TextureBinding, Resource):
 
     def __repr__(self) -> str:
         width, height = self.size
-        return f"Texture({self.label!r}, {width}×{height}, {self.format.name})"
+        return f"Texture({self.label!r}, {width}×{height}, {(self.compressed or self.format).name})"
 
     def destroy(self) -> None:
         """Destroy the texture once the GPU no longer uses it. A second call does nothing."""
@@ -145,6 +159,7 @@ class Texture(TextureBinding, Resource):
     def at(self, level: int = 0, layer: int = 0) -> TextureTarget:
         """Return one level and layer as a render target."""
         level, layer = self._check("Texture.at", level, layer)
+        self._check_plain("Texture.at")
         return TextureTarget(self, level, layer)
 
     def sampled(self, sampler: Sampler | SamplerDescriptor) -> TextureBinding:
@@ -164,6 +179,7 @@ class Texture(TextureBinding, Resource):
         """Return a binding of one level, with all layers or one, for a shader's loads and stores."""
         level, first = self._check("Texture.image", level, 0 if layer is None else layer)
         layer = None if layer is None else first
+        self._check_plain("Texture.image")
         return ImageBinding(self.id, level, layer, self)
 
     # -- memory ------------------------------------------------------------------------------------------
@@ -171,11 +187,11 @@ class Texture(TextureBinding, Resource):
     def read(self, level: int = 0, layer: int = 0, region: Region | None = None) -> NDArray[Any]:
         """Return one layer: (height, width, channels), or (height, width) for one channel; top row first.
 
-        Waits for the device. Depth is read as float32.
+        Waits for the device. Depth is read as float32. A packed format has one number per texel.
         """
         level, where = self._region("Texture.read", level, layer, region)
         texels = self._read("Texture.read", level, where, False)
-        return texels[0, :, :, 0] if self.format.channels == 1 else texels[0]
+        return texels[0, :, :, 0] if self.format.components == 1 else texels[0]
 
     def read_layers(self, level: int = 0) -> NDArray[Any]:
         """Return all layers: (layers, height, width, channels). Waits for the device."""
@@ -191,11 +207,35 @@ class Texture(TextureBinding, Resource):
         stencil: NDArray[np.uint8] = self._read(call, level, where, True)
         return stencil[0, :, :, 0]
 
+    def read_async(self, level: int = 0, layer: int = 0, region: Region | None = None) -> Readback:
+        """Begin to read one layer, as `read` does, and return its future at once.
+
+        Without `capabilities.texture_buffer_copies` the texels are read now, and the future is done.
+        """
+        call, core = "Texture.read_async", self.core
+        self._check_plain(call)
+        level, where = self._region(call, level, layer, region)
+        self._check_single_sample(call)
+        shape: tuple[int, ...] = (where.height, where.width)
+        if self.format.components > 1:
+            shape = (*shape, self.format.components)
+        row_bytes = self._tight_row(where)
+        readback = Readback(core, self.format.dtype, shape, where.height, row_bytes)
+        core.check_ready()
+        if core.capabilities.texture_buffer_copies:
+            core.backend.copy_texture_to_buffer(self.id, level, where, readback.take_memory(), 0, row_bytes)
+            readback.begin()
+        else:
+            readback.complete(self._read(call, level, where, False))
+        return readback
+
     def write(self, texels: NDArray[Any], level: int = 0, layer: int = 0, x: int = 0, y: int = 0) -> None:
         """Replace texels from (x, y) on.
 
         `texels` is (height, width, channels), (height, width) for one channel, or (layers, height, width, channels)
-        for several layers from `layer` on.
+        for several layers from `layer` on. For a format of red, green, blue and alpha it may lack alpha, which becomes
+        1; that copies the array. To a compressed texture, write blocks: (rows, columns, bytes) of uint8, with or
+        without layers in front, from multiples of 4 texels on.
 
         Raises:
             ValidationError: `texture-data` for a wrong dtype or shape, `texture-region` beyond an edge,
@@ -204,6 +244,11 @@ class Texture(TextureBinding, Resource):
         call = "Texture.write"
         check = Arguments(call, self.core.refuse)
         level, layer = self._check(call, level, layer)
+        if self.compressed is not None:
+            blocks = check.array("texels", texels)
+            x, y = check.whole("x", x), check.whole("y", y)
+            self._write_blocks(call, self.compressed, blocks, level, layer, x, y)
+            return
         if self.format.is_depth:
             self.core.refuse(
                 TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
@@ -211,13 +256,15 @@ class Texture(TextureBinding, Resource):
         self._check_single_sample(call)
         self.core.check_ready()
         array = check.array("texels", texels)
-        channels = self.format.channels
-        if array.ndim == 2 and channels == 1:
+        components = self.format.components
+        if array.ndim == 2 and components == 1:
             array = array[None, :, :, None]
         elif array.ndim == 3:
             array = array[None]
-        if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != channels:
-            allowed = f"(height, width, {channels}) of {self.format.dtype}"
+        if array.ndim == 4 and array.shape[3] == 3 and components == 4 and not self.format.is_integer:
+            array = _add_alpha(array, self.format)
+        if array.dtype != self.format.dtype or array.ndim != 4 or array.shape[3] != components:
+            allowed = f"(height, width, {components}) of {self.format.dtype}"
             self.core.refuse(TEXTURE_DATA, call, f"shape {np.shape(texels)} of {array.dtype}", allowed)
         layers, height, width = array.shape[:3]
         region = Region(check.whole("x", x), check.whole("y", y), width, height, layer, layers)
@@ -227,6 +274,39 @@ class Texture(TextureBinding, Resource):
             self.id, level, region, np.ascontiguousarray(array).view(np.uint8).data
         )
 
+    def _write_blocks(
+        self, call: str, compressed: CompressedFormat, blocks: NDArray[Any], level: int, layer: int, x: int, y: int
+    ) -> None:
+        """Write blocks as they are, or decode them if the device doesn't store them."""
+        if blocks.ndim == 3:
+            blocks = blocks[None]
+        if blocks.dtype != np.uint8 or blocks.ndim != 4 or blocks.shape[3] != compressed.block_bytes:
+            allowed = f"(rows, columns, {compressed.block_bytes}) of uint8"
+            self.core.refuse(TEXTURE_DATA, call, f"shape {blocks.shape} of {blocks.dtype}", allowed)
+        layers, rows, columns = blocks.shape[:3]
+        right, bottom = (size - at for size, at in zip(self.descriptor.level_size(level), (x, y), strict=True))
+        region = Region(
+            x, y, min(columns * BLOCK, max(right, 0)), min(rows * BLOCK, max(bottom, 0)), layer, layers
+        )
+        whole = columns * BLOCK - region.width < BLOCK and rows * BLOCK - region.height < BLOCK
+        if x % BLOCK or y % BLOCK or not whole:
+            allowed = f"blocks inside {self.descriptor.level_size(level)}, from multiples of {BLOCK} on"
+            self.core.refuse(TEXTURE_REGION, call, f"{columns}×{rows} blocks at {x}, {y}", allowed)
+        self._check_region(call, level, region)
+        data: NDArray[Any] = np.ascontiguousarray(blocks)
+        if self.descriptor.compressed is None:
+            data = decode_level(compressed, data, region.width, region.height)
+        self.core.check_ready()
+        self.core.upload_bytes += data.nbytes
+        self.core.backend.write_texture(self.id, level, region, data.reshape(-1).view(np.uint8).data)
+
+    def _check_plain(self, call: str) -> None:
+        """Refuse a compressed texture, which is only written and sampled."""
+        if self.compressed is not None:
+            self.core.refuse(
+                TEXTURE_FORMAT, call, self.compressed.name, "a format without compression", "sample it in a shader"
+            )
+
     def generate_mipmaps(self) -> None:
         """Generate mip levels 1… from level 0 (2×2 box filter, sRGB in linear light)."""
         self._generate_mipmaps(self.core)
@@ -235,6 +315,7 @@ class Texture(TextureBinding, Resource):
         """Send a `generate_mipmaps` to `core`: the texture's own, or a command buffer's."""
         call = "Texture.generate_mipmaps"
         self._check(call, core=core)
+        self._check_plain(call)
         if self.format.is_depth or self.format.is_integer:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format that can be filtered")
         if self.levels > 1:
@@ -264,6 +345,8 @@ class Texture(TextureBinding, Resource):
         check = Arguments(call, self.core.refuse)
         check.instance("target", target, Texture, "a Texture")
         level, source_region = self._whole(call, level, core, region)
+        self._check_plain(call)
+        target._check_plain(call)
         self._check_region(call, level, source_region, core)
         target_level, layer = target._check(call, target_level, layer, core)
         x, y = check.whole("x", x), check.whole("y", y)
@@ -281,6 +364,103 @@ class Texture(TextureBinding, Resource):
             self.core.refuse(TEXTURE_REGION, call, f"{source_region} to {end}", "regions that don't overlap")
         core.check_ready()
         core.backend.copy_texture(self.id, level, source_region, target.id, target_level, x, y, layer)
+
+    def copy_to_buffer(
+        self,
+        target: Buffer | StorageBuffer[Any],
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        offset: int = 0,
+        row_bytes: int | None = None,
+    ) -> None:
+        """Copy a region (None: the whole level) to bytes of a buffer from `offset` on, on the device.
+
+        The texels are those that `read` returns, depth as float32. Rows begin `row_bytes` apart (None: as tightly as
+        the device can), and the rows of a layer follow those of the layer before.
+
+        Raises:
+            ValidationError: `buffer-alignment` for an offset that isn't a multiple of
+                `capabilities.copy_offset_alignment`, or rows that aren't of `copy_row_alignment`, or either that
+                aren't whole texels; `buffer-range` beyond the end; `device-capability` without
+                `capabilities.texture_buffer_copies`.
+        """
+        self._copy_to_buffer(self.core, target, level, region, offset, row_bytes)
+
+    def _copy_to_buffer(
+        self, core: Core, target: Buffer | StorageBuffer[Any], level: int, region: Region | None, offset: int,
+        row_bytes: int | None,
+    ) -> None:
+        """Send a `copy_to_buffer` to `core`."""
+        call = "Texture.copy_to_buffer"
+        level, region = self._whole(call, level, core, region)
+        buffer, offset, row_bytes = self._check_rows(call, target, level, region, offset, row_bytes, core)
+        core.backend.copy_texture_to_buffer(self.id, level, region, buffer.id, offset, row_bytes)
+
+    def copy_from_buffer(
+        self,
+        source: Buffer | StorageBuffer[Any],
+        *,
+        level: int = 0,
+        region: Region | None = None,
+        offset: int = 0,
+        row_bytes: int | None = None,
+    ) -> None:
+        """Copy bytes of a buffer from `offset` on to a region (None: the whole level), on the device.
+
+        The layout and the errors are those of `copy_to_buffer`. Not for depth formats.
+        """
+        self._copy_from_buffer(self.core, source, level, region, offset, row_bytes)
+
+    def _copy_from_buffer(
+        self, core: Core, source: Buffer | StorageBuffer[Any], level: int, region: Region | None, offset: int,
+        row_bytes: int | None,
+    ) -> None:
+        """Send a `copy_from_buffer` to `core`."""
+        call = "Texture.copy_from_buffer"
+        if self.format.is_depth:
+            self.core.refuse(
+                TEXTURE_FORMAT, call, self.format.name, "a color format", "depth is written by a render pass"
+            )
+        level, region = self._whole(call, level, core, region)
+        buffer, offset, row_bytes = self._check_rows(call, source, level, region, offset, row_bytes, core)
+        core.backend.copy_buffer_to_texture(buffer.id, offset, row_bytes, self.id, level, region)
+
+    def _check_rows(
+        self, call: str, buffer: Buffer | StorageBuffer[Any], level: int, region: Region, offset: int,
+        row_bytes: int | None, core: Core,
+    ) -> tuple[Buffer, int, int]:
+        """Check the place of a region's rows in a buffer; return the buffer, the offset and the distance of rows."""
+        check = Arguments(call, self.core.refuse)
+        buffer = check_buffer(check, "buffer", buffer)
+        offset, row_bytes = check.whole("offset", offset), check.whole_or_none("row_bytes", row_bytes)
+        limits, texel = core.capabilities, self.format.transfer_bytes
+        self._check_plain(call)
+        if not limits.texture_buffer_copies:
+            core.refuse(DEVICE_CAPABILITY, call, self.format.name, "needs capabilities.texture_buffer_copies")
+        self._check_region(call, level, region, core)
+        self._check_single_sample(call)
+        core.check_usable(buffer, call)
+        least, row_step = region.width * texel, max(texel, limits.copy_row_alignment)
+        row_bytes = self._tight_row(region) if row_bytes is None else row_bytes
+        if row_bytes < least or row_bytes % row_step:
+            core.refuse(
+                BUFFER_ALIGNMENT, call, f"row_bytes={row_bytes}", f"a multiple of {row_step}, {least} or more"
+            )
+        offset_step = max(texel, limits.copy_offset_alignment)
+        if offset % offset_step:
+            core.refuse(BUFFER_ALIGNMENT, call, f"offset={offset}", f"a multiple of {offset_step}")
+        size = (region.height * region.layers - 1) * row_bytes + least
+        if offset < 0 or offset + size > buffer.size:
+            core.refuse(BUFFER_RANGE, call, f"{size} bytes at {offset}", f"within {buffer.size} bytes")
+        core.check_ready()
+        return buffer, offset, row_bytes
+
+    def _tight_row(self, region: Region) -> int:
+        """Return the smallest distance in bytes between a region's rows in a buffer."""
+        texel = self.format.transfer_bytes
+        step = max(texel, self.core.capabilities.copy_row_alignment)
+        return -(-region.width * texel // step) * step
 
     def resolve_to(self, target: Texture) -> None:
         """Resolve this multi-sampled texture to `target`: average the samples; size and format must be equal."""
@@ -307,6 +487,7 @@ class Texture(TextureBinding, Resource):
         """Create a lock: `with texture.lock(Access.WRITE) as texels:`, (height, width, channels), top row first."""
         call = "Texture.lock"
         Arguments(call, self.core.refuse).choice("access", access, Access)
+        self._check_plain(call)
         if self.format.is_depth and access.writes:
             self.core.refuse(TEXTURE_FORMAT, call, self.format.name, "a color format, or Access.READ")
         self._check_single_sample(call)
@@ -315,7 +496,7 @@ class Texture(TextureBinding, Resource):
             self,
             access,
             read=lambda: self._read(call, level, where, False)[0].copy(),
-            make=lambda: np.zeros((where.height, where.width, self.format.channels), self.format.dtype),
+            make=lambda: np.zeros((where.height, where.width, self.format.components), self.format.dtype),
             write=lambda texels: self.write(texels, level, where.layer, where.x, where.y),
         )
 
@@ -387,9 +568,19 @@ class Texture(TextureBinding, Resource):
 
     def _read(self, call: str, level: int, region: Region, stencil: bool) -> NDArray[Any]:
         self._check_region(call, level, region)
+        self._check_plain(call)
         self._check_single_sample(call)
         self.core.check_ready()
         return self.core.backend.read_texture(self.id, level, region, stencil)
+
+
+def _add_alpha(texels: NDArray[Any], format: Format) -> NDArray[Any]:
+    """Return (…, 3) texels with an alpha of 1."""
+    padded = np.empty((*texels.shape[:3], 4), texels.dtype)
+    for channel in range(3):  # six times as fast as all three at once
+        padded[..., channel] = texels[..., channel]
+    padded[..., 3] = 1 if format.dtype.kind == "f" else np.iinfo(format.dtype).max  # type: ignore[type-var]
+    return padded
 
 
 def full_levels(width: int, height: int, depth: int = 1) -> int:
@@ -449,3 +640,11 @@ def _check_descriptor(core: Core, descriptor: TextureDescriptor) -> None:
         )
     if descriptor.format.is_depth and kind is TextureKind.D3:
         core.refuse(TEXTURE_FORMAT, call, "a 3D depth texture", "2D, 2D array or cube")
+
+
+def _check_compressed(core: Core, descriptor: TextureDescriptor, compressed: CompressedFormat) -> None:
+    call = "device.texture"
+    if descriptor.kind is TextureKind.D3:
+        core.refuse(TEXTURE_FORMAT, call, f"a 3D texture of {compressed.name}", "2D, 2D array or cube")
+    if descriptor.samples != 1:
+        core.refuse(TEXTURE_SAMPLES, call, f"{descriptor.samples} samples of {compressed.name}", "1")

@@ -24,7 +24,7 @@ from rhi.shading.ir.interface import Interface
 from rhi.shading.ir.lanes import StageCode
 from rhi.shading.language import rules
 from rhi.shading.language.shader import Shader
-from rhi.shading.language.types import VEC4
+from rhi.shading.language.types import VEC4, VECTORS
 from rhi.shading.lowering.components import words_of
 from rhi.shading.lowering.stages import lower_stage, takes_differences
 from rhi.shading.numpy.kernel import LaneFunction, load_module
@@ -131,6 +131,7 @@ def run_fragment(
     fragment_coordinate: Any = None,
     front_facing: Any = True,
     primitive_index: Any = 0,
+    point_coordinate: Any = (0.5, 0.5),
     dtype: Dtype = np.float32,
     **bindings: Any,
 ) -> FragmentRun:
@@ -142,6 +143,7 @@ def run_fragment(
         covered: which fragments are covered, (…, rows, columns). The others in their quads are helpers.
         fragment_coordinate: (…, rows, columns, 4); by default pixel centres counted from 0, depth 0 and 1 / w = 1.
         front_facing, primitive_index: one for the primitive, or one for each fragment.
+        point_coordinate: (…, rows, columns, 2), or one for all fragments.
         dtype: the type of floats in variables; buffers hold float32.
         bindings: as for `run_compute`.
 
@@ -161,7 +163,8 @@ def run_fragment(
         if fragment_coordinate is None
         else scalars_of(VEC4, fragment_coordinate, dtype, f"{call}: coordinate")
     )
-    shape = _broadcast([*shapes, *map(np.shape, at), (1, 1)], call)
+    inside = scalars_of(VECTORS[FLOAT, 2], point_coordinate, dtype, f"{call}: point coordinate")
+    shape = _broadcast([*shapes, *map(np.shape, at), *map(np.shape, inside), (1, 1)], call)
     if takes_differences(compiled.stage) and (shape[-2] % 2 or shape[-1] % 2):
         refuse(
             rules.WRONG_ARGUMENTS,
@@ -176,7 +179,7 @@ def run_fragment(
     memory, written = bound_words(shader, bindings, call)
     with np.errstate(all="ignore"):
         results = list(
-            compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, mask])
+            compiled.run(dtype, memory, Invocations(shape), [*values, *at, front, primitive, *inside, mask])
         )
     kept = np.array(np.broadcast_to(results.pop(), shape), np.bool_)
     depth = results.pop() if compiled.code.has_depth else None

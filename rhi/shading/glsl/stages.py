@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Final
 
-from rhi.contract.descriptors import Binding, Stage, StageText
-from rhi.contract.formats import ChannelKind
+from rhi.contract.descriptors import Binding, FragmentOutput, Stage, StageText
+from rhi.contract.formats import ChannelKind, Format
 from rhi.contract.layout import FLOAT, INT, UINT, StructType
 from rhi.shading.glsl.names import Names
+from rhi.shading.glsl.native import is_whole, lines_of
 from rhi.shading.glsl.writer import Writer, constant_key
 from rhi.shading.ir import tree
 from rhi.shading.ir.interface import Interface, Varying
@@ -19,6 +22,12 @@ from rhi.shading.language.shader import Declaration, StorageClass
 from rhi.shading.language.types import VECTORS, VOID, ImageType, StorageType
 
 __rhi_internal__ = True
+
+_PACKED_IMAGES: Final = {
+    Format.RGB10A2: "rgb10_a2",
+    Format.RGB10A2UI: "rgb10_a2ui",
+    Format.R11G11B10F: "r11f_g11f_b10f",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +61,7 @@ class StageWriter:
             self.names.get(("binding", declaration.name), declaration.name)
         self.writer = self.writer_type(self.names)
         self.lines = Lines()
+        self.whole = is_whole(stage.entry)
 
     def write(self) -> StageText:
         """Return the stage's source."""
@@ -64,7 +74,8 @@ class StageWriter:
         for function in stage.functions:
             self.names.get(function, function.name)
         for function in stage.functions:
-            writer.function(function)
+            if function is not stage.entry or not self.whole:
+                writer.function(function)
         add(self.version)
         add(f"// {self.options.name}, {stage.stage.value} stage")
         declarations = self._extensions()
@@ -82,7 +93,10 @@ class StageWriter:
         outputs = self._outputs()
         self.lines.text += writer.lines.text
         self.lines.origins += writer.lines.origins
-        self._main(inputs, outputs)
+        if self.whole:
+            self._native_stage(inputs, outputs)
+        else:
+            self._main(inputs, outputs)
         return StageText("\n".join(self.lines.text) + "\n", tuple(self.lines.origins))
 
     # -- declarations
@@ -97,7 +111,12 @@ class StageWriter:
         rest: list[str] = []
         for function in self.stage.functions:
             native = function.native.get("glsl")
-            for line in native.declarations.splitlines() if native is not None else ():
+            texts = [native.declarations] if native is not None else []
+            if native is not None and self.whole and function is self.stage.entry:
+                extensions |= dict.fromkeys(
+                    re.findall(r"^\s*(#extension .*?)\s*$", native.body, re.MULTILINE)
+                )
+            for line in "\n".join(texts).splitlines():
                 if line.lstrip().startswith("#extension"):
                     extensions[line.strip()] = None
                 else:
@@ -178,7 +197,7 @@ class StageWriter:
         names: dict[str, str] = {}
         if self.stage.stage is Stage.VERTEX:
             for attribute in self.options.interface.attributes:
-                name = names[attribute.name] = self.names.get(("in", attribute.name), f"in_{attribute.name}")
+                name = names[attribute.name] = self.interface_name("in", "in_", attribute.name)
                 self.lines.add(f"layout(location = {attribute.location}) in {attribute.type} {name};")
         elif self.stage.stage is Stage.FRAGMENT:
             used = {
@@ -189,7 +208,7 @@ class StageWriter:
             }
             for varying in self.options.interface.varyings:
                 if varying.name in used:
-                    name = names[varying.name] = self.names.get(("in", varying.name), f"v_{varying.name}")
+                    name = names[varying.name] = self.interface_name("in", "v_", varying.name)
                     self._varying(varying, "in", name)
         return names
 
@@ -201,20 +220,40 @@ class StageWriter:
             # The same position code in two programs must give the same depth: a depth pre-pass relies on it.
             self.lines.add("invariant gl_Position;")
             for varying in interface.varyings:
-                name = names[varying.name] = self.names.get(("out", varying.name), f"v_{varying.name}")
+                name = names[varying.name] = self.interface_name("out", "v_", varying.name)
                 self._varying(varying, "out", name)
         elif self.stage.stage is Stage.FRAGMENT:
             for output in interface.outputs:
-                name = names[output.name] = self.names.get(("out", output.name), f"out_{output.name}")
-                scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
-                type = scalar if output.components == 1 else VECTORS[scalar, output.components]
-                self.lines.add(f"layout(location = {output.location}) out {type} {name};")
+                name = names[output.name] = self.interface_name("out", "out_", output.name)
+                self.lines.add(f"layout(location = {output.location}) out {_output_type(output)} {name};")
         return names
 
     def _varying(self, varying: Varying, direction: str, name: str) -> None:
         role = f"{varying.role.value} " if varying.role in (Role.FLAT, Role.NO_PERSPECTIVE) else ""
         type = self.writer.type(varying.type)
         self.lines.add(f"layout(location = {varying.location}) {role}{direction} {type} {name};")
+
+    def interface_name(self, direction: str, prefix: str, name: str) -> str:
+        """Return the GLSL name of an input or output. A whole native stage uses the names of the fields."""
+        return self.names.get((direction, name), name if self.whole else f"{prefix}{name}")
+
+    def _native_stage(self, inputs: dict[str, str], outputs: dict[str, str]) -> None:
+        """Write the text of a whole native stage."""
+        interface, type = self.options.interface, self.writer.type
+        fields = {varying.name: type(varying.type) for varying in interface.varyings}
+        attributes = {attribute.name: str(attribute.type) for attribute in interface.attributes}
+        targets = {output.name: _output_type(output) for output in interface.outputs}
+        is_vertex = self.stage.stage is Stage.VERTEX
+        declared = {("in", inputs[name]): (attributes if is_vertex else fields)[name] for name in inputs}
+        declared |= {("out", outputs[name]): (fields if is_vertex else targets)[name] for name in outputs}
+        for binding in self.stage.bindings:
+            if binding.storage_class is not StorageClass.SHARED and not isinstance(binding.type, StorageType):
+                name = self.names.get(("binding", binding.name), binding.name)
+                declared["uniform", name] = type(binding.type)
+        structs = {type(struct) for struct in self.stage.structs}
+        entry = self.stage.entry
+        for text, line in lines_of(entry, declared, structs, self.options.work_group):
+            self.lines.add(text, entry.file if line else "", line)
 
     def _main(self, inputs: dict[str, str], outputs: dict[str, str]) -> None:
         entry, interface = self.stage.entry, self.options.interface
@@ -237,10 +276,17 @@ class StageWriter:
             )
             if self.stage.stage is Stage.VERTEX:
                 self.lines.add(f"gl_Position = {result}{field(interface.position)};")
+                if interface.point_size:
+                    self.lines.add(f"gl_PointSize = max(1.0, {result}{field(interface.point_size)});")
             elif interface.depth:
                 self.lines.add(f"gl_FragDepth = {result}{field(interface.depth)};")
             for name, output in outputs.items():
                 self.lines.add(f"{output} = {result}{field(name)};")
+
+
+def _output_type(output: FragmentOutput) -> str:
+    scalar = {"float": FLOAT, "int": INT, "uint": UINT}[output.kind]
+    return str(scalar if output.components == 1 else VECTORS[scalar, output.components])
 
 
 def _no_field(name: str) -> str:
@@ -249,5 +295,7 @@ def _no_field(name: str) -> str:
 
 def image_format(type: ImageType) -> str:
     """Return GLSL's name of an image's texel format."""
+    if type.format in _PACKED_IMAGES:
+        return _PACKED_IMAGES[type.format]
     name = type.format.name.lower()
     return name.replace("_snorm", "") + ("_snorm" if type.format.kind is ChannelKind.SNORM else "")

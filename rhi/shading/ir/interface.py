@@ -26,7 +26,7 @@ class Interface:
     """All inputs, outputs and varyings of a shader's graphics stages.
 
     `position` is the name of the vertex stage's position field, "" if it returns a plain vec4. `depth` is the name of
-    the fragment stage's depth field, "" if it has none.
+    the fragment stage's depth field, `point_size` that of the vertex stage's point size; "" if there is none.
     """
 
     attributes: tuple[Attribute, ...] = ()
@@ -34,3 +34,4 @@ class Interface:
     position: str = ""
     outputs: tuple[FragmentOutput, ...] = ()
     depth: str = ""
+    point_size: str = ""

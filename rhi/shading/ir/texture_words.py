@@ -25,7 +25,8 @@ GRAIN: Final = 16
 
 
 class Stored(enum.IntEnum):
-    """The storage type of a channel. WHOLE8 and those after it are integers."""
+    """The storage type of a channel, or of the channels of a packed texel: UNORM10 is 10, 10, 10 and 2 bits, POSITIVE11
+    is 11, 11 and 10. WHOLE8 and those after it are integers."""
 
     UNORM8 = 0
     SRGB8 = 1
@@ -33,9 +34,12 @@ class Stored(enum.IntEnum):
     UNORM16 = 3
     HALF = 4
     SINGLE = 5
-    WHOLE8 = 6
-    WHOLE16 = 7
-    WHOLE32 = 8
+    UNORM10 = 6
+    POSITIVE11 = 7
+    WHOLE8 = 8
+    WHOLE10 = 9
+    WHOLE16 = 10
+    WHOLE32 = 11
 
 
 class Word(enum.IntEnum):
@@ -127,6 +131,11 @@ _STORED: Final = {
     (FormatKind.UINT, 4): Stored.WHOLE32,
     (FormatKind.INT, 4): Stored.WHOLE32,
 }
+_PACKED: Final = {
+    Format.RGB10A2: Stored.UNORM10,
+    Format.RGB10A2UI: Stored.WHOLE10,
+    Format.R11G11B10F: Stored.POSITIVE11,
+}
 _SHAPES: Final = {
     TextureKind.D2: Shape.FLAT,
     TextureKind.D2_ARRAY: Shape.LAYERED,
@@ -147,8 +156,8 @@ def describe_texture(
     Integer formats are never filtered, and the edges of a cube are always seams.
     """
     words = np.zeros(Word.LEVELS + LEVEL_WORDS * len(levels), np.int32)
-    stored = _STORED[format.kind, format.dtype.itemsize]
-    texel = format.channels * format.dtype.itemsize
+    stored = _PACKED[format] if format.is_packed else _STORED[format.kind, format.dtype.itemsize]
+    texel = format.transfer_bytes
     linear = [
         filter is Filter.LINEAR and not format.is_integer for filter in (sampler.minify, sampler.magnify)
     ]

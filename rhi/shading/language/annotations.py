@@ -11,7 +11,7 @@ from rhi.shading.language.vectors import Array, ArrayLength, ReadOnlyArray
 
 __rhi_internal__ = True
 
-LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective"))
+LANGUAGE_NAMES.update(("Flat", "FragmentDepth", "NoPerspective", "PointSize"))
 
 T = TypeVar("T")
 
@@ -22,6 +22,7 @@ class Role(enum.Enum):
     FLAT = "flat"
     NO_PERSPECTIVE = "noperspective"
     FRAGMENT_DEPTH = "fragment depth"
+    POINT_SIZE = "point size"
 
     __hash__ = object.__hash__
 
@@ -34,6 +35,9 @@ NoPerspective = Annotated[T, Role.NO_PERSPECTIVE]
 
 FragmentDepth: TypeAlias = Annotated[float, Role.FRAGMENT_DEPTH]
 """A fragment output that replaces the interpolated depth."""
+
+PointSize: TypeAlias = Annotated[float, Role.POINT_SIZE]
+"""A field of the vertex stage's result: the side in texels of the square that a point is drawn as."""
 
 _SCALARS: dict[Any, HostType] = {float: FLOAT, int: INT, bool: BOOL}
 

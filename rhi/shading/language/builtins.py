@@ -717,6 +717,13 @@ _ROWS: Final = (
         stages=_FRAGMENT,
     ),
     _row(
+        "point_coordinate",
+        "vec2()",
+        "gl_PointCoord",
+        "(x, y) inside the square of a point, 0 to 1 from its top left; undefined for other primitives",
+        stages=_FRAGMENT,
+    ),
+    _row(
         "front_facing", "bool()", "gl_FrontFacing", "whether the primitive faces the camera", stages=_FRAGMENT
     ),
     _row(

@@ -70,8 +70,9 @@ def function(python: Callable[P, R]) -> ShadingFunction[P, R]:
 def native(language: str, body: str, declarations: str = "") -> Callable[[F], F]:
     """Give a function a body in `language`: "glsl", or for a stage "opencl" with its number of lanes ("opencl16").
 
-    `body` is the text between the braces. It may use the parameters, bindings and struct types by their Python names.
-    `declarations` is inserted at file level before the function; its `#extension` lines go to the top of the file.
+    `body` is the text between the braces, or a whole GLSL stage with its own `main` (`rhi.shading.glsl.native`). It may
+    use the parameters, bindings and struct types by their Python names. `declarations` is inserted at file level before
+    the function; its `#extension` lines go to the top of the file.
     In OpenCL C, bindings and parameters are those of the stage function that `rhi.shading.opencl.stages` describes,
     or of the kernel (`rhi.shading.opencl.writer`).
     """

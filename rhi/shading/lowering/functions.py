@@ -131,9 +131,11 @@ class Lowering(TextureLowering):
             textures: the bindings that are passed for texture parameters.
         """
         if function.native and not function.body:
+            if not self.span.line:
+                self.span = function.span  # the stage itself: no call leads to it
             self.refuse(
                 rules.NATIVE,
-                f"{function.name} has no Python body",
+                f"{function.name} has no Python body, only {', '.join(function.native)}",
                 tip="write a Python body for the other languages",
             )
         caller, outer, pending, span = self.frame, self.scope, self.jump_pending, self.span

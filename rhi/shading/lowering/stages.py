@@ -67,6 +67,9 @@ _INPUTS: Final[dict[Stage, dict[str, tuple[Value, ...]]]] = {
         ),
         "front_facing": (_argument("front", ScalarKind.BOOL),),
         "primitive_index": (_argument("primitive"),),
+        "point_coordinate": tuple(
+            _argument(axis, ScalarKind.FLOAT, Uniformity.VARYING) for axis in ("across", "down")
+        ),
     },
 }
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rhi.contract.descriptors import Filter, SamplerDescriptor, TextureKind, Wrap
 from rhi.contract.formats import Format
 from rhi.contract.states import Comparison
-from rhi.contract.texels import decode, encode
+from rhi.contract.texels import decode, encode, unpack
 from rhi.errors import refuse
 from rhi.shading.ir.texture_words import border_color, has_fixed_depth
 from rhi.shading.language import rules
@@ -159,13 +159,13 @@ class HostTexture:
     ) -> None:
         """Write texels of level 0; writes outside are dropped, and the last of several values for a texel stays."""
         texels = self.levels[0]
-        depth, height, width, channels = texels.shape
+        depth, height, width, _ = texels.shape
         x, y, z, mask, *parts = np.broadcast_arrays(
             x, y, z, True if mask is None else mask, *values, np.empty(shape)
         )[:-1]
         inside = mask & (x >= 0) & (x < width) & (y >= 0) & (y < height) & (z >= 0) & (z < depth)
-        whole = np.stack([part[inside] for part in parts], -1)[:, :channels]
-        integer = self.format.is_integer
+        whole = np.stack([part[inside] for part in parts], -1)[:, : self.format.channels]
+        integer = self.format.is_integer and not self.format.is_packed
         stored = whole.astype(texels.dtype) if integer else encode(self.format, whole.astype(np.float64))
         texels[z[inside], y[inside], x[inside]] = stored
 
@@ -189,9 +189,10 @@ class HostTexture:
     def _values(self, dtype: Any, level: int, z: Array, y: Array, x: Array) -> Array:
         """Return texels as shaders read them: four components."""
         texels = self.levels[level][z, y, x]
+        values = unpack(self.format, texels) if self.format.is_integer else decode(self.format, texels)
         result = np.zeros((*texels.shape[:-1], 4), self._value_dtype(dtype))
         result[..., 3] = 1
-        result[..., : texels.shape[-1]] = texels if self.format.is_integer else decode(self.format, texels)
+        result[..., : values.shape[-1]] = values
         return result
 
     def _compare(self, dtype: Any, reference: Array, texels: Array) -> Array:
@@ -332,12 +333,12 @@ class HostTexture:
 
 def _layered(level: Array, format: Format) -> Array:
     array = np.array(level, order="C")
-    if array.ndim == 2 and format.channels == 1:
+    if array.ndim == 2 and format.components == 1:
         array = array[None, :, :, None]
     elif array.ndim == 3:
         array = array[None]
-    if array.dtype != format.dtype or array.ndim != 4 or array.shape[3] != format.channels:
-        allowed = f"(layers, height, width, {format.channels}) of {format.dtype}"
+    if array.dtype != format.dtype or array.ndim != 4 or array.shape[3] != format.components:
+        allowed = f"(layers, height, width, {format.components}) of {format.dtype}"
         refuse(rules.WRONG_ARGUMENTS, "HostTexture", f"shape {np.shape(level)} of {array.dtype}", allowed)
     return array
 

@@ -4,7 +4,8 @@
     void rhi_bounds(BINDINGS, const uint16 *inputs, const uint *reaches, int16 vertex, int instance, int draw,
                     int16 mask, uint16 *outputs);
     int16 rhi_fragment(BINDINGS, const uint16 *inputs, const uint *flat, float16 x, float16 y, float16 z, float16 w,
-                       int front, int primitive, int16 mask, uint16 *outputs, float16 *depth);
+                       int front, int primitive, float16 across, float16 down, int16 mask, uint16 *outputs,
+                       float16 *depth);
 
 - BINDINGS are the program's bindings in order, as for a compute kernel, but uniforms are `global const uint *`. A
   texture or image is passed as its texels and the words that describe it. A checked program has a last parameter
@@ -17,8 +18,8 @@
   its slacks (`rhi.shading.lowering.bounds`). `reaches` are floats, the largest magnitudes of the inputs.
 - The lanes of a fragment stage are 4 by 4 pixels, lane = x + 4 y. It gets smooth and linear varyings for all lanes,
   including those outside the mask, since differences need them; flat varyings of the first vertex; and the pixels'
-  centres, window depth and 1 / clip w. `front` is 1 or 0. It writes component c of location l to word 4 l + c and the
-  depth if the stage has one, and returns the lanes that remain.
+  centres, window depth and 1 / clip w, and the place inside a point. `front` is 1 or 0. It writes component c of
+  location l to word 4 l + c and the depth if the stage has one, and returns the lanes that remain.
 - Arrays are indexed by constants, so that they live in registers once a function is inlined.
 - Contraction is off in a vertex stage, so that two programs compute the same position to the bit.
 """
@@ -42,7 +43,7 @@ _INPUTS: Final = "private const uint16 *inputs"
 _REACHES: Final = "private const uint *reaches"
 _FRAGMENT: Final = (
     "private const uint16 *inputs, private const uint *flat, float16 x, float16 y, float16 z, float16 w, int front, "
-    "int primitive, int16 mask, private uint16 *outputs, private float16 *depth"
+    "int primitive, float16 across, float16 down, int16 mask, private uint16 *outputs, private float16 *depth"
 )
 
 

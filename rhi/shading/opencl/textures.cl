@@ -27,6 +27,9 @@ static RHI_INLINE FLOAT rhi_from_srgb(FLOAT c) {
     return SELECT(curve, c * slope, c < (RHI_FAST ? 15.5f : 10.5f));
 }
 
+// Converts an unsigned float, given by the bits of a half float without its sign.
+static RHI_INLINE UINT rhi_unsigned_float(UINT bits) { return as_UINT(rhi_from_half(bits)); }
+
 // Decodes stored words to one word per channel.
 static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     switch (stored) {
@@ -70,6 +73,22 @@ static RHI_INLINE void rhi_decode(int stored, int channels, UINT *r) {
     case RHI_HALF:
         _Pragma("unroll") for (int c = 0; c < 4; ++c) r[c] = as_UINT(rhi_from_half(r[c]));
         break;
+    case RHI_POSITIVE11: {
+        UINT raw = r[0];
+        r[0] = rhi_unsigned_float((raw & 2047u) << 4u);
+        r[1] = rhi_unsigned_float((raw >> 11u & 2047u) << 4u);
+        r[2] = rhi_unsigned_float((raw >> 22u) << 5u);
+        break;
+    }
+    case RHI_UNORM10:
+    case RHI_WHOLE10: {
+        UINT raw = r[0];
+        for (int c = 0; c < 4; ++c) r[c] = raw >> (uint)(10 * c) & 1023u;
+        if (stored == RHI_WHOLE10) break;
+        for (int c = 0; c < 3; ++c) r[c] = as_UINT(convert_FLOAT(r[c]) * (1.0f / 1023.0f));
+        r[3] = as_UINT(convert_FLOAT(r[3]) * (1.0f / 3.0f));
+        break;
+    }
     }
     if (channels < 4) r[3] = (UINT)(stored >= RHI_WHOLE8 ? 1u : 0x3f800000u);
 }
@@ -556,6 +575,20 @@ static RHI_INLINE UINT rhi_scaled(UINT value, float low, float scale) {
     return as_UINT(convert_INT(rhi_round(x * scale)));
 }
 
+// Returns the bits of an unsigned float with 5 bits of exponent and `fraction` bits behind it, rounded to nearest even.
+static RHI_INLINE UINT rhi_unsigned_bits(UINT bits, uint fraction) {
+    uint shift = 23u - fraction, endless = 31u << fraction;
+    UINT size = bits & 0x7fffffffu;
+    float grain = 512.0f / (1u << fraction);  // the addition rounds at the step of the smallest numbers
+    UINT tiny = as_UINT(as_FLOAT(size) + grain) - as_uint(grain);
+    UINT usual = (size - 0x38000000u + ((1u << (shift - 1u)) - 1u) + (size >> shift & 1u)) >> shift;
+    usual = SELECT(usual, (UINT)(endless - 1u), usual >= endless);  // finite numbers stay finite
+    usual = SELECT(usual, tiny, size < 0x38800000u);
+    usual = SELECT(usual, (UINT)endless, size == 0x7f800000u);
+    usual = SELECT(usual, (UINT)0u, bits != size);
+    return SELECT(usual, (UINT)(endless | 1u), size > 0x7f800000u);
+}
+
 // Writes a texel for the lanes of the mask whose coordinates lie inside.
 static RHI_CALLED void rhi_store(
     rhi_image t, INT mask, rhi_description w, INT x, INT y, INT z, UINT r0, UINT r1, UINT r2, UINT r3
@@ -572,11 +605,18 @@ static RHI_CALLED void rhi_store(
         case RHI_SNORM8: r[c] = rhi_scaled(r[c], -1.0f, 127.0f) & 255u; break;
         case RHI_UNORM16: r[c] = rhi_scaled(r[c], 0.0f, 65535.0f); break;
         case RHI_HALF: r[c] = rhi_half_bits(as_FLOAT(r[c])); break;
+        case RHI_UNORM10: r[c] = rhi_scaled(r[c], 0.0f, c < 3 ? 1023.0f : 3.0f) << (uint)(10 * c); break;
+        case RHI_POSITIVE11: r[c] = c < 3 ? rhi_unsigned_bits(r[c], c < 2 ? 6u : 5u) << (uint)(11 * c) : (UINT)0u; break;
+        case RHI_WHOLE10: r[c] = (r[c] & (c < 3 ? 1023u : 3u)) << (uint)(10 * c); break;
         case RHI_WHOLE8: r[c] &= 255u; break;
         case RHI_WHOLE16: r[c] &= 65535u; break;
         }
     }
-    int texel = w[RHI_TEXEL], channel = texel / w[RHI_CHANNELS];
+    int texel = w[RHI_TEXEL], channel = texel / w[RHI_CHANNELS], stored = w[RHI_STORED];
+    if (stored == RHI_UNORM10 || stored == RHI_POSITIVE11 || stored == RHI_WHOLE10) {
+        r[0] |= r[1] | r[2] | r[3];
+        channel = 4;
+    }
     if (channel == 1) r[0] |= r[1] << 8u | r[2] << 16u | r[3] << 24u;
     if (channel == 2) r[0] |= r[1] << 16u, r[1] = r[2] | r[3] << 16u;
     switch (texel) {

@@ -1,7 +1,7 @@
 """The interface of a shader's stages: vertex inputs, varyings and outputs, read from their signatures.
 
 - The vertex stage takes structs of attributes and returns a `vec4`, the clip position, or a struct whose
-  first field is the clip position; the other fields are varyings.
+  first field is the clip position; the other fields are varyings, among them at most one `PointSize`.
 - The fragment stage takes nothing, or a struct whose fields match varyings of the vertex stage by name and type; it
   returns a colour, a struct of colours (and at most one `FragmentDepth`), or None.
 """
@@ -79,11 +79,21 @@ def varyings_of(vertex: Callee) -> tuple[str, tuple[Varying, ...]]:
         if isinstance(field.type, StructType | ArrayType) or scalar_of(field.type) is BOOL:
             given = f"varying {field.name}: {field.type}"
             source.refuse(rules.INTERFACE, source.node, given, "numbers, vectors, matrices")
-        if scalar_of(field.type) not in (FLOAT, None):
+        if scalar_of(field.type) not in (FLOAT, None) or role is Role.POINT_SIZE:
             role = Role.FLAT
         varyings.append(Varying(field.name, field.type, role, location))
         location += field.type.size if isinstance(field.type, MatrixType) else 1
     return fields[0].name, tuple(varyings)
+
+
+def point_size_of(vertex: Callee) -> str:
+    """Return the name of the vertex stage's point size, "" if it has none."""
+    cls = struct_class(vertex.signature.result_host)
+    names = [name for name, role in cls._roles.items() if role is Role.POINT_SIZE] if cls is not None else []
+    if len(names) > 1:
+        source = vertex.source
+        source.refuse(rules.INTERFACE, source.node, f"point sizes {' and '.join(names)}", "one PointSize")
+    return names[0] if names else ""
 
 
 def check_fragment_input(fragment: Callee, varyings: tuple[Varying, ...]) -> None:
@@ -111,9 +121,12 @@ _INTERPOLATIONS = {
 }
 
 
-def varyings_read(fragment: tree.StageTree, varyings: tuple[Varying, ...]) -> tuple[StageVarying, ...]:
-    """Return the varyings that the fragment stage reads, with their words."""
-    return words_of_varyings(varyings, _fields_read(fragment.entry))
+def varyings_read(
+    fragment: tree.StageTree | None, varyings: tuple[Varying, ...], point_size: str = ""
+) -> tuple[StageVarying, ...]:
+    """Return the varyings that the fragment stage reads, and the point size, with their words."""
+    names = _fields_read(fragment.entry) if fragment is not None else set()
+    return words_of_varyings(varyings, names | {point_size})
 
 
 def words_of_varyings(varyings: tuple[Varying, ...], names: set[str]) -> tuple[StageVarying, ...]:

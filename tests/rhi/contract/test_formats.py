@@ -14,8 +14,22 @@ def test_formats_with_equal_parts_are_still_different():
     assert len(set(Format)) == len(Format.__members__) == len(list(Format))
 
 
-@pytest.mark.parametrize("format", COLOR_FORMATS, ids=lambda f: f.name)
+UNPACKED = [f for f in COLOR_FORMATS if not f.is_packed]
+
+
+@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_packed], ids=lambda f: f.name)
+def test_a_packed_texel_is_one_number_for_all_channels(format):
+    letters = re.fullmatch(r"(RGB)(\d+)(A)(\d+)(UI|)|(R)(\d+)(G)(\d+)(B)(\d+)(F)", format.name).groups()
+    bits = [int(n) for n in letters if n and n.isdigit()]
+    assert format.channel_bits == (tuple(bits) if len(bits) == 3 else (bits[0],) * 3 + (bits[1],))
+    assert sum(format.channel_bits) == 32
+    assert (format.components, format.dtype, format.transfer_bytes, format.texel_bytes) == (1, np.uint32, 4, 4)
+    assert format.channels == len(format.channel_bits)
+
+
+@pytest.mark.parametrize("format", UNPACKED, ids=lambda f: f.name)
 def test_a_color_texel_is_as_large_as_its_channels(format):
+    assert format.components == format.channels
     assert format.texel_bytes == format.channels * format.dtype.itemsize
     assert not format.is_depth
     assert not format.has_stencil
@@ -28,7 +42,7 @@ def test_a_depth_format_reads_as_one_float(format):
     assert format.has_stencil == format.name.endswith("S8")
 
 
-@pytest.mark.parametrize("format", COLOR_FORMATS, ids=lambda f: f.name)
+@pytest.mark.parametrize("format", UNPACKED, ids=lambda f: f.name)
 def test_a_formats_name_tells_its_channels_and_bits(format):
     letters, bits, suffix = re.fullmatch(r"(RGBA|RG|R)(\d+)(F|UI|I|_SNORM|_SRGB|)", format.name).groups()
     kinds = {"": "UNORM", "_SNORM": "SNORM", "_SRGB": "SRGB", "F": "FLOAT", "UI": "UINT", "I": "INT"}

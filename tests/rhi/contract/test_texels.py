@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
-from rhi.contract.texels import decode, encode, halve
+from rhi.contract.texels import decode, encode, halve, pack, unpack
 
-NORMALIZED = [f for f in COLOR_FORMATS if f.kind in (ChannelKind.UNORM, ChannelKind.SNORM, ChannelKind.SRGB)]
+UNPACKED = [f for f in COLOR_FORMATS if not f.is_packed]
+NORMALIZED = [f for f in UNPACKED if f.kind in (ChannelKind.UNORM, ChannelKind.SNORM, ChannelKind.SRGB)]
 BY_NAME = {"ids": lambda f: f.name}
 
 
@@ -65,7 +66,7 @@ def test_srgb_follows_its_curve_and_leaves_alpha_linear(linear, stored):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.is_integer], **BY_NAME)
+@pytest.mark.parametrize("format", [f for f in UNPACKED if f.is_integer], **BY_NAME)
 def test_integers_saturate_and_keep_every_bit(format):
     limits = np.iinfo(format.dtype)
     for value in (limits.max, limits.max - 1, 7, limits.min):
@@ -75,7 +76,7 @@ def test_integers_saturate_and_keep_every_bit(format):
     assert (one(format, 2.4), one(format, 2.6), one(format, np.nan)) == (2, 3, 0)
 
 
-@pytest.mark.parametrize("format", [f for f in COLOR_FORMATS if f.kind is ChannelKind.FLOAT], **BY_NAME)
+@pytest.mark.parametrize("format", [f for f in UNPACKED if f.kind is ChannelKind.FLOAT], **BY_NAME)
 def test_floats_are_rounded_once_and_overflow_to_infinity(format):
     largest = np.finfo(format.dtype).max
     assert one(format, float(largest)) == largest
@@ -148,3 +149,70 @@ def test_a_volume_shrinks_in_depth_too_and_an_array_does_not():
     level = np.array([0, 4, 8], np.float32)[:, None, None, None] * np.ones((3, 2, 2, 1), np.float32)
     assert halve(Format.R32F, level, 1)[:, 0, 0, 0].tolist() == [4.0]
     assert halve(Format.R32F, level, 3)[:, 0, 0, 0].tolist() == [0.0, 4.0, 8.0]
+
+
+# -- packed formats ----------------------------------------------------------------------------------------
+
+
+def test_the_first_channel_has_the_lowest_bits():
+    assert encode(Format.RGB10A2, np.array([1.0, 0.0, 0.0, 0.0])).tolist() == [0x3FF]
+    assert encode(Format.RGB10A2, np.array([0.0, 0.0, 1.0, 1.0])).tolist() == [0xFFF00000]
+    assert encode(Format.R11G11B10F, np.array([1.0, 0.0, 0.0])).tolist() == [15 << 6]
+    assert encode(Format.R11G11B10F, np.array([0.0, 2.0, 0.5])).tolist() == [16 << 6 << 11 | 14 << 5 << 22]
+
+
+@pytest.mark.parametrize("format", [Format.RGB10A2, Format.RGB10A2UI, Format.R11G11B10F], **BY_NAME)
+def test_every_packed_number_survives_a_round_trip(format):
+    words = np.random.default_rng(0).integers(0, 1 << 32, (1 << 14, 1), np.uint32)
+    np.testing.assert_array_equal(pack(format, unpack(format, words)), words)
+    finite = np.isfinite(decode(format, words)).all(axis=-1)
+    np.testing.assert_array_equal(encode(format, decode(format, words))[finite], words[finite])
+
+
+@pytest.mark.parametrize(("channel", "start", "fraction"), [(0, 0, 6), (1, 11, 6), (2, 22, 5)])
+def test_small_floats_mean_what_the_specification_says(channel, start, fraction):
+    numbers = np.arange(1 << (5 + fraction), dtype=np.uint32)
+    values = decode(Format.R11G11B10F, (numbers << np.uint32(start))[:, None])[:, channel]
+    for number, value in zip(numbers.tolist(), values.tolist(), strict=True):
+        exponent, rest = number >> fraction, number & (1 << fraction) - 1
+        if exponent == 31:
+            assert value == np.inf if rest == 0 else np.isnan(value)
+        elif exponent == 0:
+            assert value == 2.0**-14 * (rest / (1 << fraction))
+        else:
+            assert value == 2.0 ** (exponent - 15) * (1 + rest / (1 << fraction))
+
+
+@pytest.mark.parametrize("channel", [0, 1, 2])
+def test_small_floats_are_rounded_to_the_nearest(channel):
+    every = decode(Format.R11G11B10F, np.arange(1 << 11, dtype=np.uint32)[:, None])[:, 0]
+    if channel == 2:
+        every = decode(Format.R11G11B10F, np.arange(1 << 10, dtype=np.uint32)[:, None] << np.uint32(22))[:, 2]
+    every = every[np.isfinite(every)]
+    rng = np.random.default_rng(1)
+    values = np.concatenate([rng.uniform(0, 2, 500), 2.0 ** rng.uniform(-22, 16, 2000), every, every * (1 + 2.0**-9)])
+    given = np.zeros((len(values), 3))
+    given[:, channel] = values
+    stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, given))[:, channel]
+    nearest = np.abs(every[None] - np.minimum(values, every.max())[:, None]).min(axis=1)
+    np.testing.assert_array_equal(np.abs(stored - np.minimum(values, every.max())), nearest)
+
+
+def test_small_floats_have_no_sign_and_stay_finite():
+    given = [-1.0, -np.inf, 0.0], [1e9, 65024.0, 65520.0], [np.inf, np.nan, np.inf]
+    stored = decode(Format.R11G11B10F, encode(Format.R11G11B10F, np.array(given)))
+    np.testing.assert_array_equal(stored, [[0, 0, 0], [65024, 65024, 64512], [np.inf, np.nan, np.inf]])
+
+
+def test_packed_integers_saturate_in_each_channel():
+    words = encode(Format.RGB10A2UI, np.array([[1023.0, 1024.0, -1.0, 4.0], [7.4, 7.6, np.nan, 2.0]]))
+    assert unpack(Format.RGB10A2UI, words).tolist() == [[1023, 1023, 0, 3], [7, 8, 0, 2]]
+
+
+@pytest.mark.parametrize("format", [Format.RGB10A2, Format.R11G11B10F], **BY_NAME)
+def test_a_level_of_a_packed_format_is_averaged_by_channel(format):
+    values = np.zeros((1, 2, 2, format.channels))
+    values[0, 0, 0] = values[0, 1, 1] = 1.0
+    (texel,) = decode(format, halve(format, encode(format, values), 1)).reshape(1, -1)
+    np.testing.assert_allclose(texel, 0.5, atol=2 / 3 - 0.5)
+    np.testing.assert_allclose(texel[:3], 0.5, atol=1 / 1023)

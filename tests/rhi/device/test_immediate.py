@@ -154,6 +154,22 @@ def test_vertex_arrays_of_instances_live_for_a_frame(kit: Kit) -> None:
     assert set(made) - set(gone) == {made[0]}
 
 
+def test_vertex_arrays_of_programs_that_are_gone_do_not_stay(
+    kit: Kit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rhi.device.transient.MAX_LAYOUTS", 10)
+    rows = np.zeros(3, [("position", "<f4", (2,))])
+    for number in range(50):
+        program = kit.device.program(hand_made_program(f"program {number}"))
+        kit.device.transient.mesh(program, rows)
+        program.destroy()
+        kit.device.present()
+    kit.device.finish()
+    assert len(kit.ops(Op.CREATE_VERTEX_ARRAY)) == 50
+    gone = {c["resource"] for c in kit.ops(Op.DESTROY)}
+    assert sum(c["vertex_array"] not in gone for c in kit.ops(Op.CREATE_VERTEX_ARRAY)) <= 11
+
+
 def test_transient_constants_lie_at_different_aligned_places(kit: Kit) -> None:
     first = kit.device.transient.uniform(Camera(tint=(1, 0, 0, 1)))
     second = kit.device.transient.uniform(Camera(tint=(0, 1, 0, 1)))

@@ -9,7 +9,7 @@ from rhi.backends.cl.raster.builds import Kernel
 from rhi.backends.cl.raster.merger import MergerKey
 from rhi.backends.cl.raster.pipelines import Pipeline, VertexKernels
 from rhi.backends.cl.raster.rows import FIXED_COLUMNS
-from rhi.backends.cl.raster.tables import EMPTY_BATCH, MAX_PLANES, TILE
+from rhi.backends.cl.raster.tables import EMPTY_BATCH, MAX_PLANES, TILE, point_size_word, varying_words
 from rhi.backends.cl.raster.targets import PassSurfaces
 from rhi.contract.descriptors import Interpolation
 
@@ -78,4 +78,6 @@ def describe_batch(pipeline: Pipeline, size: tuple[int, int], key: MergerKey) ->
         "linear": Interpolation.NO_PERSPECTIVE in interpolations,
         "near_is_less": key.depth_passes < _FIRST_GREATER,
         "depth_step": key.depth_step,
+        "varying_words": varying_words(pipeline.descriptor),
+        "point_size": point_size_word(pipeline.descriptor),
     }

@@ -240,7 +240,7 @@ def make_key(
     alpha_to_coverage = has_alpha and samples > 1 and values[AlphaToCoverage] is AlphaToCoverage.ON
     keys = tuple(
         ColorKey(
-            location, outputs[location].components, format.channels, 8 * format.dtype.itemsize, format.kind,
+            location, outputs[location].components, format.channels, format.channel_bits[0], format.kind,
             not format.is_integer and not values[BlendFunction][location].is_off,
         )
         for location, format in enumerate(colors)
@@ -299,10 +299,13 @@ def make_state(values: Mapping[type, Any], colors: Sequence[Format]) -> NDArray[
     for location, format in enumerate(colors):
         place = _COLOR_STATE + _COLOR_WORDS * location
         state[place] = _pack_function(values[BlendFunction][location])
-        texel = np.zeros(16, np.uint8)
-        written = np.array(_written_channels(values[ColorWrite][location])[: format.channels])
-        texel[: format.channels * format.dtype.itemsize] = np.repeat(written, format.dtype.itemsize) * 255
-        state[place + 1 : place + 5] = texel.view(np.uint32)
+        mask, start = 0, 0
+        for bits, written in zip(
+            format.channel_bits, _written_channels(values[ColorWrite][location]), strict=False
+        ):
+            mask |= ((1 << bits) - 1) << start if written else 0
+            start += bits
+        state[place + 1 : place + 5] = np.frombuffer(mask.to_bytes(16, "little"), np.uint32)
     return state
 
 

@@ -53,7 +53,7 @@ BATCH_STRUCT: Final = np.dtype(
         ),
         *_fields(
             "draw_count row_words vertex_groups vertex_chunk first_group end_group chunk_groups chunks tiles_x tiles "
-            "list_size listed samples shades linear width height near_is_less bounded cleared",
+            "list_size listed samples shades linear width height near_is_less bounded cleared varying_words point_size",
             "i4",
         ),
         ("depth_step", "f4"),
@@ -119,6 +119,12 @@ def varying_words(descriptor: ProgramDescriptor) -> int:
     """Return the number of words of a vertex's varyings in memory, rounded up to groups of four."""
     words = max((varying.word + varying.words for varying in descriptor.varyings), default=0)
     return -(-words // 4) * 4
+
+
+def point_size_word(descriptor: ProgramDescriptor) -> int:
+    """Return the word of the point size among a vertex's varyings, -1 if there is none."""
+    words = (varying.word for varying in descriptor.varyings if varying.name == descriptor.point_size)
+    return next(words, -1)
 
 
 def common_macros() -> str:

@@ -16,6 +16,7 @@ import math
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from textwrap import indent
 from types import CodeType
 from typing import Any, TypeAlias
@@ -35,6 +36,7 @@ from rhi.commands.recorder import FIND_CALLER, FIND_CALLER_GLOBALS
 from rhi.contract.backend import Capabilities
 from rhi.contract.descriptors import (
     BufferDescriptor,
+    BufferUsage,
     Id,
     PassDescriptor,
     ProgramDescriptor,
@@ -125,6 +127,7 @@ class SimulatedBackend(NullBackend):
         self._now = 0
         self._gpu = 0
         self._fence_time = 0
+        self._readbacks: set[Id] = set()
         self._followed = 0  # position in the queue up to which the CPU's clock has advanced
         self._called = 0  # number of commands called, up to `_followed`
         self._submitted = 0  # number of commands submitted
@@ -264,17 +267,19 @@ class SimulatedBackend(NullBackend):
         self._advance(self._now)
         return serial <= self._executed - (self._gpu > self._now)
 
-    def _make_use(self) -> CommandUse:
+    def _make_use(self, op: Op = Op.WRITE_BUFFER) -> CommandUse:
         """Return the use of the current call, which the CPU executes immediately, for a hazard."""
-        return self._called, *self._find_site(), Op.WRITE_BUFFER
+        return self._called, *self._find_site(), op
 
     # -- calls -------------------------------------------------------------------------------------------
 
     def create_buffer(self, buffer: Id, descriptor: BufferDescriptor) -> None:
         self._spend_call()
         super().create_buffer(buffer, descriptor)
-        if buffer in self._streams:
+        if descriptor.usage is not BufferUsage.STATIC:
             self._hazards.create_stream(buffer, descriptor)
+        if descriptor.usage is BufferUsage.READBACK:
+            self._readbacks.add(buffer)
 
     def create_texture(self, texture: Id, descriptor: TextureDescriptor) -> None:
         self._spend_call()
@@ -321,6 +326,11 @@ class SimulatedBackend(NullBackend):
             self._advance(self._now)
 
     def read_buffer(self, buffer: Id, offset: int, size: int) -> bytes:
+        if buffer in self._readbacks:
+            self._spend_call()
+            self._advance(self._now)  # what the GPU has written up to now
+            self._hazards.read_stream(partial(self._make_use, Op.READ_BUFFER), buffer, offset, offset + size)
+            return self._buffers.read_buffer(buffer, offset, size)
         self._enqueue_call(Op.READ_BUFFER, buffer, offset, size)
         self._drain("read_buffer")
         return self._buffers.read_buffer(buffer, offset, size)

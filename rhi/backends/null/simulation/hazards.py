@@ -47,6 +47,7 @@ class HazardKind(enum.Enum):
     """The kind of a hazard; the value describes it in a sentence."""
 
     WRITE_IN_USE = "the CPU writes memory that the GPU may still use"
+    READ_IN_USE = "the CPU reads memory that the GPU may still write"
     RING_OVERTAKEN = "a ring wraps around to memory that the GPU may still use"
     QUERY_UNFINISHED = "a query is read that isn't finished"
     DESTROYED_IN_USE = "a resource is destroyed while the GPU may still use it"
@@ -168,7 +169,7 @@ class HazardTracker:
     # -- creation ------------------------------------------------------------------------------------------
 
     def create_stream(self, buffer: Id, descriptor: BufferDescriptor) -> None:
-        """Add a STREAM buffer, which the CPU writes without order."""
+        """Add a STREAM or READBACK buffer, which the CPU writes or reads without order."""
         self._streams[buffer] = StreamMemory(descriptor.size)
 
     def create_program(self, program: Id, descriptor: ProgramDescriptor) -> None:
@@ -213,6 +214,13 @@ class HazardTracker:
         for deferred in self._deferred:
             if buffer in deferred.buffers:
                 deferred.suspects.append((buffer, begin, end, make_use(), kind))
+
+    def read_stream(self, make_use: Callable[[], CommandUse], buffer: Id, begin: int, end: int) -> None:
+        """Check an immediate read by the CPU, of a buffer that the GPU only writes."""
+        used = self._streams[buffer].find(begin, end, self.known)
+        if used is not None:
+            both = (max(begin, used[0]), min(end, used[1]))
+            self._report(HazardKind.READ_IN_USE, buffer, used[2], make_use(), both)
 
     def read_query(self, make_use: Callable[[], CommandUse], query: Id) -> None:
         """Check a read of a query's answer."""
@@ -342,6 +350,18 @@ class HazardTracker:
     ) -> None:
         self._use(use, source)
         self._use(use, target)
+
+    def copy_texture_to_buffer(
+        self, use: CommandUse, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> None:
+        self._use(use, source)
+        self._use_bytes(use, target, offset, offset + row_bytes * region.height * region.layers)
+
+    def copy_buffer_to_texture(
+        self, use: CommandUse, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> None:
+        self._use(use, target)
+        self._use_bytes(use, source, offset, offset + row_bytes * region.height * region.layers)
 
     def resolve_texture(self, use: CommandUse, source: Id, target: Id) -> None:
         self._use(use, source)

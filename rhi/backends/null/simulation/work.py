@@ -111,9 +111,17 @@ class WorkMeter:
         self, source: Id, source_level: int, source_region: Region, target: Id, target_level: int, x: int, y: int,
         layer: int,
     ) -> CommandWork:  # fmt: skip
-        region = source_region
-        texel = self._textures.textures[source].descriptor.format.texel_bytes
-        return CommandWork(Op.COPY_TEXTURE, bytes=2 * region.width * region.height * region.layers * texel)
+        return CommandWork(Op.COPY_TEXTURE, bytes=2 * self._region_bytes(source, source_region))
+
+    def copy_texture_to_buffer(
+        self, source: Id, level: int, region: Region, target: Id, offset: int, row_bytes: int
+    ) -> CommandWork:
+        return CommandWork(Op.COPY_TEXTURE_TO_BUFFER, bytes=2 * self._region_bytes(source, region))
+
+    def copy_buffer_to_texture(
+        self, source: Id, offset: int, row_bytes: int, target: Id, level: int, region: Region
+    ) -> CommandWork:
+        return CommandWork(Op.COPY_BUFFER_TO_TEXTURE, bytes=2 * self._region_bytes(target, region))
 
     def resolve_texture(self, source: Id, target: Id) -> CommandWork:
         samples = self._textures.textures[source].descriptor.samples
@@ -136,6 +144,10 @@ class WorkMeter:
         descriptor = self._textures.textures[texture].descriptor
         width, height = descriptor.level_size(level)
         return width * height * descriptor.level_layers(level) * descriptor.format.texel_bytes
+
+    def _region_bytes(self, texture: Id, region: Region) -> int:
+        texel = self._textures.textures[texture].descriptor.format.texel_bytes
+        return region.width * region.height * region.layers * texel
 
     def _work_group(self) -> int:
         program = self._programs.programs.get(self._state.program)

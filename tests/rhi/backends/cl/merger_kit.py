@@ -44,7 +44,7 @@ from rhi.contract.states import (
     StencilTest,
     StencilWriteMask,
 )
-from rhi.contract.texels import encode
+from rhi.contract.texels import encode, pack, unpack
 
 _KERNEL = """
 kernel void merge(global const uint *state, global const uint16 *fragments, int front, int columns,
@@ -221,20 +221,21 @@ def expected(
         color = words.view({ChannelKind.UINT: np.uint32, ChannelKind.INT: np.int32}.get(format.kind, np.float32))
         color = color.astype(np.float64)
         function: BlendFunction = values[BlendFunction][location]
+        numbers = unpack(format, planes.colors[location])
         if not function.is_off and not format.is_integer:
-            stored = reference.decode(format, planes.colors[location])
+            stored = reference.decode(format, numbers)
             constant = values[BlendColor]
             constants = np.array([constant.red, constant.green, constant.blue, constant.alpha])
             if format.kind is not ChannelKind.FLOAT:
                 low = -1.0 if format.kind is ChannelKind.SNORM else 0.0
                 color, constants = np.clip(color, low, 1.0), np.clip(constants, low, 1.0)
             color = reference.blend(function, color, stored, constants)
-        stored_numbers = encode(format, color[..., : format.channels])
+        stored_numbers = unpack(format, encode(format, color[..., : format.channels]))
         write: ColorWrite = values[ColorWrite][location]
         channels = np.array([write.red, write.green, write.blue, write.alpha])[: format.channels]
         where = mask[..., None] & channels
-        after.colors[location] = np.where(where, stored_numbers, planes.colors[location])
-        exact.append(np.where(where, reference.encode(format, color), planes.colors[location]))
+        after.colors[location] = pack(format, np.where(where, stored_numbers, numbers))
+        exact.append(np.where(where, reference.encode(format, color), numbers))
     return after, exact
 
 

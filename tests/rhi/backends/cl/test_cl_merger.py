@@ -12,6 +12,7 @@ from merger_kit import Planes, describe, expected, run, state_values
 from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.merger import MergerKey, TestOrder, make_key
+from rhi.conformance.formats import random_texels
 from rhi.contract.formats import COLOR_FORMATS, DEPTH_FORMATS, ChannelKind, Format
 from rhi.contract.states import (
     AlphaFunction,
@@ -36,7 +37,7 @@ from rhi.contract.states import (
     StencilTest,
     StencilWriteMask,
 )
-from rhi.contract.texels import encode
+from rhi.contract.texels import encode, unpack
 
 SIZE = (8, 12)  # height, width
 STENCILS = np.array([0, 1, 2, 77, 100, 128, 254, 255], np.uint8)
@@ -47,7 +48,9 @@ name = lambda f: f.name  # noqa: E731
 def texels(format: Format, samples: int = 1, seed: int = 0) -> NDArray[Any]:
     """Random contents of a target."""
     rng = np.random.default_rng(seed)
-    shape = (samples, *SIZE, format.channels)
+    shape = (samples, *SIZE, format.components)
+    if format.is_packed:
+        return random_texels(format, samples, *SIZE, seed=seed)
     if format.kind is ChannelKind.FLOAT:
         return rng.normal(0, 2, shape).astype(format.dtype)
     limits = np.iinfo(format.dtype)  # type: ignore[type-var]
@@ -94,11 +97,14 @@ def assert_merges(
     got = run(formats, depth, states, planes, *given, **more)
     wanted, exact = expected(formats, depth, states, planes, *given, **more)
     for format, color, values in zip(formats, got.colors, exact, strict=True):
-        if format.kind is ChannelKind.FLOAT:
+        color = unpack(format, color)
+        if format is Format.R11G11B10F:
+            limit = 2e-5 + np.abs(values) * 2.0 ** -np.array([7, 7, 6])
+        elif format.kind is ChannelKind.FLOAT:
             limit = 2e-5 + np.abs(values) * (2.0**-11 if format.dtype.itemsize == 2 else 2.0**-22)
         else:
             # Rounding of sums of numbers up to 1 in float32, and the sRGB polynomials.
-            rounding = limits(format)[1] * 2.0**-21 + (2e-3 if format.kind is ChannelKind.SRGB else 0)
+            rounding = np.max(limits(format)[1]) * 2.0**-21 + (2e-3 if format.kind is ChannelKind.SRGB else 0)
             limit = np.full(values.shape, tolerance + rounding)
         assert (np.abs(color.astype(np.float64) - np.clip(values, *limits(format))) <= limit).all(), format
     if depth is not None:
@@ -106,9 +112,13 @@ def assert_merges(
         np.testing.assert_array_equal(got.stencil, wanted.stencil)
 
 
-def limits(format: Format) -> tuple[float, float]:
+def limits(format: Format) -> tuple[Any, Any]:
+    if format is Format.R11G11B10F:
+        return 0, np.array([65024, 65024, 64512])
     if format.kind is ChannelKind.FLOAT:
         return -np.inf, np.inf
+    if format.is_packed:
+        return 0, 2.0 ** np.array(format.channel_bits) - 1
     info = np.iinfo(format.dtype)  # type: ignore[type-var]
     return info.min, info.max
 
@@ -141,7 +151,10 @@ def test_special_numbers_are_stored_as_texels_stores_them(format: Format) -> Non
     everywhere = np.ones((1, *SIZE), bool)
     got = run([format], None, [], Planes([texels(format)]), values.view(np.uint32), depths(None), everywhere)
     stored = encode(format, values[..., : format.channels].astype(np.float64))
-    np.testing.assert_array_equal(got.colors[0], stored)
+    if format is Format.R11G11B10F:  # NaN has no sign and no fixed bits
+        np.testing.assert_array_equal(unpack(format, got.colors[0]), unpack(format, stored))
+    else:
+        np.testing.assert_array_equal(got.colors[0], stored)
 
 
 def test_every_half_float_is_read_and_stored_as_numpy_does() -> None:

@@ -182,7 +182,7 @@ def test_a_texture_of_any_format_starts_as_zeros(backend, format):
     descriptor = texture(backend, 1, (5, 3), format, levels=2)
     for level, shape in ((0, (1, 3, 5)), (1, (1, 1, 2))):
         texels = backend.read_texture(1, level, whole(descriptor, level), False)
-        assert texels.shape == (*shape, format.channels)
+        assert texels.shape == (*shape, format.components)
         assert texels.dtype == format.dtype
         assert not texels.any()
 

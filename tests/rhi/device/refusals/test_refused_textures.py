@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rhi import Access, Device, Format, Op, Region, TextureKind
+import rhi
+from rhi import Access, BufferUsage, CompressedFormat, Device, Format, Op, Region, TextureKind
 from rhi.conformance.compare import assert_same
 from rhi.conformance.validation.refusal import refuses
 from rhi.contract.formats import DEPTH_FORMATS
@@ -91,7 +92,7 @@ def test_depth_is_not_3d(recording: Device) -> None:
 @pytest.mark.parametrize(
     "array",
     [
-        np.zeros((4, 4, 3), "u1"), np.zeros((4, 4, 4), "f4"), np.zeros((4, 4), "u1"), np.zeros(4, "u1"),
+        np.zeros((4, 4, 2), "u1"), np.zeros((4, 4, 4), "f4"), np.zeros((4, 4), "u1"), np.zeros(4, "u1"),
         np.zeros((1, 1, 4, 4, 4), "u1"), np.zeros((4, 4, 4), "i1"),
     ],
     ids=lambda a: f"{a.shape}{a.dtype}",
@@ -107,7 +108,7 @@ def test_texels_must_have_the_format_s_shape_and_dtype(recording: Device, array:
 def test_a_texture_made_from_wrong_texels_leaves_nothing_behind(recording: Device) -> None:
     creations = recording.statistics.creations
     with refuses(rules.TEXTURE_DATA):
-        recording.texture(np.zeros((4, 4, 3), "u1"), Format.RGBA8)
+        recording.texture(np.zeros((4, 4, 2), "u1"), Format.RGBA8)
     with refuses(rules.TEXTURE_DATA):
         recording.texture(np.zeros((4, 4, 4), "f4"), Format.RGBA8)
     recording.finish()
@@ -329,3 +330,158 @@ def test_a_format_is_no_text(recording: Device) -> None:
     with refuses(rules.DEVICE_ARGUMENT, recording):
         recording.texture((4, 4), "R8")  # type: ignore[arg-type]
     recording.texture((4, 4), Format.R8).destroy()
+
+
+# -- copies to and from buffers ----------------------------------------------------------------------------
+
+
+def test_a_copy_to_a_buffer_stays_inside_it(recording: Device) -> None:
+    with recording.texture((4, 3), Format.RGBA8) as texture, recording.buffer(64) as buffer:
+        for bad in ({"offset": 20}, {"offset": -16}, {"row_bytes": 28}):
+            with refuses(rules.BUFFER_RANGE, recording):
+                texture.copy_to_buffer(buffer, **bad)
+            with refuses(rules.BUFFER_RANGE, recording):
+                texture.copy_from_buffer(buffer, **bad)
+        texture.copy_to_buffer(buffer, offset=16)
+        texture.copy_from_buffer(buffer, row_bytes=24)
+
+
+@pytest.mark.parametrize(
+    ("format", "bad", "good"),
+    [
+        (Format.R8, {"offset": 2}, {"offset": 4}),
+        (Format.RGBA32F, {"offset": 8}, {"offset": 16}),
+        (Format.RGBA8, {"row_bytes": 15}, {"row_bytes": 16}),
+        (Format.RGBA8, {"row_bytes": 12}, {"row_bytes": 20}),
+        (Format.RG16F, {"row_bytes": 18}, {"row_bytes": 20}),
+    ],
+)
+def test_rows_and_offsets_are_whole_texels(
+    recording: Device, format: Format, bad: dict[str, int], good: dict[str, int]
+) -> None:
+    with recording.texture((4, 3), format) as texture, recording.buffer(512) as buffer:
+        with refuses(rules.BUFFER_ALIGNMENT, recording):
+            texture.copy_to_buffer(buffer, **bad)
+        with refuses(rules.BUFFER_ALIGNMENT, recording):
+            texture.copy_from_buffer(buffer, **bad)
+        texture.copy_to_buffer(buffer, **good)
+        texture.copy_from_buffer(buffer, **good)
+
+
+def test_depth_is_not_copied_from_a_buffer(recording: Device) -> None:
+    with recording.texture((4, 4), Format.D32F) as texture, recording.buffer(64) as buffer:
+        with refuses(rules.TEXTURE_FORMAT, recording):
+            texture.copy_from_buffer(buffer)
+        texture.copy_to_buffer(buffer)
+
+
+def test_samples_are_not_copied_to_a_buffer(recording: Device) -> None:
+    with recording.texture((4, 4), Format.RGBA8, samples=4) as texture, recording.buffer(256) as buffer:
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            texture.copy_to_buffer(buffer)
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            texture.copy_from_buffer(buffer)
+        with refuses(rules.TEXTURE_SAMPLES, recording):
+            texture.read_async()
+
+
+def test_both_ends_of_a_copy_must_be_usable(recording: Device) -> None:
+    texture, buffer = recording.texture((4, 4), Format.RGBA8), recording.buffer(64)
+    with buffer.lock(Access.READ), refuses(rules.LOCK_OPEN, recording):
+        texture.copy_to_buffer(buffer)
+    buffer.destroy()
+    with refuses(rules.RESOURCE_DESTROYED, recording):
+        texture.copy_to_buffer(buffer)
+    other = recording.buffer(64)
+    texture.destroy()
+    for call in (lambda: texture.copy_from_buffer(other), lambda: texture.read_async()):
+        with refuses(rules.RESOURCE_DESTROYED, recording):
+            call()
+
+
+def test_memory_for_reads_is_made_by_reads_only(recording: Device) -> None:
+    with refuses(rules.DEVICE_ARGUMENT, recording):
+        recording.buffer(64, usage=BufferUsage.READBACK)
+    recording.buffer(64, usage=BufferUsage.STREAM).destroy()
+
+
+@pytest.mark.parametrize(
+    ("format", "shape", "dtype"),
+    [(Format.RGBA8UI, (4, 4, 3), "u1"), (Format.RG8, (4, 4, 3), "u1"), (Format.RGBA8, (4, 4, 2), "u1"),
+     (Format.RGBA8, (4, 4, 3), "f4"), (Format.RGBA16F, (4, 4, 3), "f4"), (Format.R11G11B10F, (4, 4, 3), "u4")],
+)  # fmt: skip
+def test_only_colors_may_lack_alpha(recording: Device, format: Format, shape: tuple[int, ...], dtype: str) -> None:
+    with recording.texture((4, 4), format) as texture, refuses(rules.TEXTURE_DATA, recording):
+        texture.write(np.zeros(shape, dtype))
+
+
+# -- compressed textures -----------------------------------------------------------------------------------
+
+
+def test_a_compressed_texture_is_only_written_and_sampled(recording: Device) -> None:
+    with (
+        recording.texture((8, 8), CompressedFormat.BC1, levels=2) as texture,
+        recording.texture((8, 8), Format.RGBA8) as other,
+        recording.buffer(1024) as buffer,
+    ):
+        calls: list[Callable[[], object]] = [
+            texture.read, texture.read_layers, texture.read_async, texture.generate_mipmaps, texture.at, texture.image,
+            lambda: texture.lock(Access.READ), lambda: texture.copy_to(other), lambda: other.copy_to(texture),
+            lambda: texture.copy_to_buffer(buffer), lambda: texture.copy_from_buffer(buffer),
+        ]  # fmt: skip
+        for call in calls:
+            with refuses(rules.TEXTURE_FORMAT, recording):
+                call()
+        with refuses(rules.PASS_TARGET, recording):
+            recording.render_pass(texture)
+        texture.write(np.zeros((2, 2, 8), "u1"))
+
+
+@pytest.mark.parametrize(
+    ("shape", "dtype"),
+    [((2, 2, 16), "u1"), ((2, 2, 8), "i1"), ((8, 8, 4), "u1"), ((4, 8), "u1"), ((1, 1, 2, 2, 8), "u1")],
+)
+def test_blocks_are_bytes_of_their_format(recording: Device, shape: tuple[int, ...], dtype: str) -> None:
+    with recording.texture((8, 8), CompressedFormat.BC1) as texture, refuses(rules.TEXTURE_DATA, recording):
+        texture.write(np.zeros(shape, dtype))
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "columns", "rows", "fits"),
+    [(0, 0, 3, 2, True), (4, 4, 2, 1, True), (8, 4, 1, 1, True), (2, 0, 1, 1, False), (0, 2, 1, 1, False),
+     (0, 0, 4, 2, False), (0, 0, 3, 3, False), (12, 0, 1, 1, False), (-4, 0, 1, 1, False)],
+)  # fmt: skip
+def test_blocks_lie_inside_the_level(
+    recording: Device, x: int, y: int, columns: int, rows: int, fits: bool
+) -> None:
+    """A level of 10×7 texels has 3×2 blocks."""
+    blocks = np.zeros((rows, columns, 8), "u1")
+    with recording.texture((10, 7), CompressedFormat.BC1) as texture:
+        if fits:
+            texture.write(blocks, x=x, y=y)
+        else:
+            with refuses(rules.TEXTURE_REGION, recording):
+                texture.write(blocks, x=x, y=y)
+
+
+def test_volumes_and_samples_are_not_compressed(recording: Device) -> None:
+    with refuses(rules.TEXTURE_FORMAT, recording):
+        recording.texture((8, 8), CompressedFormat.BC7, kind=TextureKind.D3, layers=4)
+    with refuses(rules.TEXTURE_SAMPLES, recording):
+        recording.texture((8, 8), CompressedFormat.BC7, samples=4)
+    recording.texture((8, 8), CompressedFormat.BC7, kind=TextureKind.CUBE).destroy()
+
+
+def test_a_device_that_stores_blocks_gets_them_as_they_are() -> None:
+    blocks = np.random.default_rng(0).integers(0, 256, (2, 3, 8), np.uint8)
+    stores = rhi.Capabilities(
+        "null", "blocks", "1", shading=False, compressed_formats=frozenset({CompressedFormat.BC1})
+    )
+    for profile, native in ((stores, True), ("everything", False)):
+        with rhi.create_device("null", profile=profile) as device:
+            device.texture(blocks, CompressedFormat.BC1)
+            (created,), (written,) = (device.stream.filter(op) for op in (Op.CREATE_TEXTURE, Op.WRITE_TEXTURE))
+            assert created["descriptor"].compressed is (CompressedFormat.BC1 if native else None)
+            assert created["descriptor"].format is Format.RGBA8
+            assert written["region"] == Region(0, 0, 12, 8)
+            assert len(written["data"]) == (48 if native else 12 * 8 * 4)

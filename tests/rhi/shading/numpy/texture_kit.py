@@ -15,6 +15,7 @@ from rhi.conformance.shaders import Corner
 from rhi.conformance.shapes import rectangle
 from rhi.contract.descriptors import BindingKind
 from rhi.contract.states import DepthTest
+from rhi.contract.texels import encode
 from rhi.shading import (
     FragmentDepth,
     HostTexture,
@@ -72,8 +73,10 @@ def random_levels(
     result = []
     for level in range(levels or full):
         depth = builtins.max(1, layers >> level) if solid else layers
-        shape = (depth, builtins.max(1, height >> level), builtins.max(1, width >> level), format.channels)
-        if format.dtype.kind == "f":
+        shape = (depth, builtins.max(1, height >> level), builtins.max(1, width >> level), format.components)
+        if format is Format.R11G11B10F:
+            result.append(encode(format, rng.uniform(0, 1, (*shape[:3], 3))))
+        elif format.dtype.kind == "f":
             result.append(rng.uniform(0, 1, shape).astype(format.dtype))
         else:
             limits = np.iinfo(format.dtype)

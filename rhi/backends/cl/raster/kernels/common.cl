@@ -60,6 +60,7 @@ typedef struct {
     int near_is_less;                 // direction of the depth test
     int bounded;                      // whether raster kernels left valid bounds of depth
     int cleared;                      // surfaces with pending clears, as bits
+    int varying_words, point_size;    // words of a vertex's varyings; which of them is its point size, -1: none
     float depth_step;                 // difference between depths of the target's format; 0 for floats
 } Batch;
 

@@ -6,6 +6,7 @@
 //   corners are computed from the inner to the outer end of an edge, so two triangles that share the edge agree.
 // - The varyings of a clipped triangle are interpolated over the whole one (setup.cl), so only positions are clipped.
 
+#define MAX_POINT_SIZE 1024.0f  // texels; rhi.backends.cl.capabilities
 #define MAX_CORNERS 9  // three, and one more for each of six planes
 
 INLINE float4 load_clip(global const Batch *batch, uint slot) {
@@ -35,10 +36,17 @@ INLINE int2 to_window(global const View *view, float4 p) {
     return (int2)(convert_int_rte((x - 0.5f) * SUBTEXELS), convert_int_rte((y - 0.5f) * SUBTEXELS));
 }
 
+// Return the size of a point in texels; NaN becomes 1.
+INLINE float load_point_size(global const Batch *batch, uint slot) {
+    if (batch->point_size < 0) return 1.0f;
+    float size = AT(const float, batch->varyings)[(long)slot * batch->varying_words + batch->point_size];
+    return size >= 1.0f ? fmin(size, MAX_POINT_SIZE) : 1.0f;
+}
+
 // Compute the corners of a primitive in the window, in an order that makes its area positive. Return their number, or 0 if
-// nothing is left of it. `flipped`: whether a triangle has a negative area in the window.
+// nothing is left of it. `flipped`: whether a triangle has a negative area in the window. `size`: that of a point.
 INLINE int make_polygon(
-    global const View *view, const float4 *clips, int primitive, bool flipped, int2 *points
+    global const View *view, const float4 *clips, int primitive, bool flipped, float size, int2 *points
 ) {
     float4 corners[MAX_CORNERS + 1], kept[MAX_CORNERS + 1];
     int count = primitive;
@@ -67,10 +75,11 @@ INLINE int make_polygon(
     int2 start = to_window(view, corners[0]);
     if (primitive == POINTS) {
         if (fabs(corners[0].x) > corners[0].w || fabs(corners[0].y) > corners[0].w) return 0;
-        points[0] = start + (int2)(-SUBTEXELS / 2, -SUBTEXELS / 2);
-        points[1] = start + (int2)(SUBTEXELS / 2, -SUBTEXELS / 2);
-        points[2] = start + (int2)(SUBTEXELS / 2, SUBTEXELS / 2);
-        points[3] = start + (int2)(-SUBTEXELS / 2, SUBTEXELS / 2);
+        int side = convert_int_rte(size * SUBTEXELS), before = -side / 2, behind = before + side;
+        points[0] = start + (int2)(before, before);
+        points[1] = start + (int2)(behind, before);
+        points[2] = start + (int2)(behind, behind);
+        points[3] = start + (int2)(before, behind);
         return 4;
     }
     // A line is a parallelogram, one texel high or wide, that contains its start and not its end. The fill rule includes

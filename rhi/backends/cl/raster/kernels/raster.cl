@@ -363,7 +363,9 @@ SINGLE raster(ulong address) {
         if (kind == POLYGON) {
             float4 clips[3];
             UNROLL for (int i = 0; i < 3; ++i) clips[i] = load_clip(batch, record[POLYGON_SLOTS + i]);
-            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], points) - 2;
+            const float size =
+                record[POLYGON_PRIMITIVE] == POINTS ? load_point_size(batch, record[POLYGON_SLOTS]) : 0.0f;
+            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], record[POLYGON_FLIPPED], size, points) - 2;
         }
         for (int piece = 0; piece < pieces; ++piece) {
             Edges edges;
@@ -487,7 +489,7 @@ SINGLE raster(ulong address) {
                     float16 depth = z;
                     int16 kept = rhi_fragment(
                         BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
-                        front, as_int(planes[NUMBER]), covered, outputs, &depth);
+                        front, as_int(planes[NUMBER]), weights.weight1, weights.weight2, covered, outputs, &depth);
                     kept = test_alpha(targets, state, kept, outputs);
                     UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
                         int16 mask = masks[sample] & kept;

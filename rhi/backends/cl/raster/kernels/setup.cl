@@ -161,6 +161,20 @@ void find_planes(
     planes[15] = 0.0f;
 }
 
+// Let the weights of corners 1 and 2 be the place inside a point, 0 to 1 from its top left: varyings don't depend on them,
+// since a point's corners are one vertex.
+INLINE void place_in_point(global const View *view, float4 clip, float size, int left, int top, float *planes) {
+    float near_w = 1.0f / clip.w, slope = near_w / size;
+    double x = (double)clip.x / clip.w * view->scale[0] + view->shift[0] - 0.5;
+    double y = (double)clip.y / clip.w * view->scale[1] + view->shift[1] - 0.5;
+    planes[WEIGHTS] = slope;
+    planes[WEIGHTS + 1] = 0.0f;
+    planes[WEIGHTS + 2] = (float)(0.5 + (left - x) / size) * near_w;
+    planes[WEIGHTS + 3] = 0.0f;
+    planes[WEIGHTS + 4] = slope;
+    planes[WEIGHTS + 5] = (float)(0.5 + (top - y) / size) * near_w;
+}
+
 // Set up a primitive that is a polygon. Return false if it is culled.
 bool set_up_polygon(
     global const Batch *batch, global const View *view, const uint *slots, int primitive, int number, int draw_number,
@@ -177,7 +191,8 @@ bool set_up_polygon(
         if (!(area != 0.0) || (view->culled & (flipped ? 2 : 1))) return false;
     }
     int2 points[MAX_CORNERS + 1];
-    int count = make_polygon(view, clips, primitive, flipped, points);
+    float size = primitive == POINTS ? load_point_size(batch, slots[0]) : 0.0f;
+    int count = make_polygon(view, clips, primitive, flipped, size, points);
     if (!count) return false;
     int2 low = points[0], high = points[0];
     for (int i = 1; i < count; ++i) {
@@ -189,6 +204,7 @@ bool set_up_polygon(
     int top = max((low.y - reach + 255) >> 8, 0), bottom = min((high.y + reach) >> 8, batch->height - 1);
     if (max(left, view->box[0]) > min(right, view->box[2]) || max(top, view->box[1]) > min(bottom, view->box[3])) return false;
     find_planes(view, clips, slots, primitive, number, left, top, record, planes);
+    if (primitive == POINTS) place_in_point(view, clips[0], size, left, top, planes);
     for (int i = 0; i < DEPTH_PLANE; ++i) record[i] = 0;
     for (int i = 0; i < 3; ++i) record[POLYGON_SLOTS + i] = slots[i];
     record[POLYGON_PRIMITIVE] = primitive;

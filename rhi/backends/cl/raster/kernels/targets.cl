@@ -127,6 +127,20 @@ MERGER float16 read_half(uint16 half_bits) {
     return as_float16(result | ((half_bits & 0x8000u) << 16));
 }
 
+// Floats without a sign: 5 bits of exponent, `fraction` bits behind it. Finite numbers stay finite.
+MERGER uint16 make_unsigned_float(float16 value, const uint fraction) {
+    const uint shift = 23u - fraction, endless = 31u << fraction;
+    const float grain = 512.0f / (1u << fraction);  // the addition rounds at the step of the smallest numbers
+    uint16 bits = as_uint16(value), size = bits & 0x7FFFFFFFu;
+    uint16 tiny = as_uint16(as_float16(size) + grain) - as_uint(grain);
+    uint16 result = (size - 0x38000000u + ((1u << (shift - 1u)) - 1u) + (size >> shift & 1u)) >> shift;
+    result = min(result, (uint16)(endless - 1u));
+    result = size < 0x38800000u ? tiny : result;
+    result = size == 0x7F800000u ? (uint16)(endless) : result;
+    result = bits == size ? result : (uint16)(0u);
+    return size > 0x7F800000u ? (uint16)(endless | 1u) : result;
+}
+
 // IEC 61966-2-1. The powers 5/12 and 2.4 are polynomials, computed by merger.py: pow takes 100 ns in PoCL.
 MERGER float16 encode_srgb(float16 linear) {
     float16 root = sqrt(sqrt(linear));
@@ -138,6 +152,10 @@ MERGER float16 decode_srgb(float16 stored) {
 }
 
 #define LARGEST(bits) (~0u >> (32 - (bits)))
+
+// `bits` of a packed format are those of its first channel: 10 stands for 10, 10, 10 and 2, 11 for 11, 11 and 10.
+#define TEXEL_BYTES(channels, bits) ((bits) == 10 || (bits) == 11 ? 4 : (channels) * (bits) / 8)
+#define CHANNEL_BITS(channel, bits) ((bits) == 10 && (channel) == 3 ? 2 : (bits) == 11 && (channel) == 2 ? 10 : (bits))
 
 // Convert a shader's value to the stored bits of one channel. `value` is a word: the bits of a float, or an integer.
 MERGER uint16 make_bits(uint16 value, const int bits, const int kind) {
@@ -152,7 +170,7 @@ MERGER uint16 make_bits(uint16 value, const int bits, const int kind) {
     }
     case KIND_UINT: return min(value, largest);
     case KIND_INT: return value;  // only 32-bit formats exist
-    default: return bits == 16 ? make_half(number) : value;
+    default: return bits == 16 ? make_half(number) : bits < 16 ? make_unsigned_float(number, bits - 5) : value;
     }
 }
 
@@ -166,7 +184,7 @@ MERGER float16 read_bits(uint16 stored, const int bits, const int kind) {
         float16 value = convert_float16(as_int16(stored << (32 - bits)) >> (32 - bits)) * (1.0f / (largest >> 1));
         return clamp_to(value, -1.0f, 1.0f);
     }
-    default: return bits == 16 ? read_half(stored) : as_float16(stored);
+    default: return bits <= 16 ? read_half(bits < 16 ? stored << (15 - bits) : stored) : as_float16(stored);
     }
 }
 
@@ -358,7 +376,9 @@ MERGER void blend(
         const int place = c * bits;
         stored[c] = (float16)(c == 3 ? 1.0f : 0.0f);
         if (c < channels)
-            stored[c] = read_bits(words[place / 32] >> place % 32 & LARGEST(bits), bits, KIND_OF(c, kind));
+            stored[c] = read_bits(
+                words[place / 32] >> place % 32 & LARGEST(CHANNEL_BITS(c, bits)), CHANNEL_BITS(c, bits), KIND_OF(c, kind)
+            );
     }
     blend_channels(result, source, stored, constant_color, state[0], 0, 2, is_signed);
     blend_channels(result, source, stored, constant_color, state[0] >> 12, 3, 3, is_signed);
@@ -371,7 +391,7 @@ MERGER void merge_color(
     int16 mask, const uint16 *outputs, const int components, const int channels, const int bits, const int kind,
     const bool blends
 ) {
-    const int bytes = channels * bits / 8;
+    const int bytes = TEXEL_BYTES(channels, bits);
     global uchar *block = locate(surface, x, y, sample, bytes);
     uint16 words[4], color[4];
     load_block(block, surface->pitch, bytes, words);
@@ -380,7 +400,7 @@ MERGER void merge_color(
     if (blends) blend(color, words, state, constants, channels, bits, kind);
     uint16 fresh[4] = {(uint16)(0), (uint16)(0), (uint16)(0), (uint16)(0)};
     EACH(c, 0, channels - 1)
-        fresh[c * bits / 32] |= make_bits(color[c], bits, KIND_OF(c, kind)) << c * bits % 32;
+        fresh[c * bits / 32] |= make_bits(color[c], CHANNEL_BITS(c, bits), KIND_OF(c, kind)) << c * bits % 32;
     EACH(word, 0, (bytes + 3) / 4 - 1)
         words[word] = bitselect(words[word], fresh[word], as_uint16(mask) & state[1 + word]);
     store_block(block, surface->pitch, bytes, words);
@@ -424,7 +444,7 @@ MERGER void clear_targets(
     if (surfaces >> (place) & 1) \
         clear_surface(surface, CLEAR_TEXEL(target_places, place), x, y, width, height, bytes, SAMPLES);
 #define CLEAR_COLOR(place, location, components, channels, bits, kind, blends) \
-    CLEAR_ONE(place, &targets->color[place], channels * bits / 8)
+    CLEAR_ONE(place, &targets->color[place], TEXEL_BYTES(channels, bits))
     COLOR_TARGETS(CLEAR_COLOR)
     if (HAS_DEPTH) CLEAR_ONE(COLOR_COUNT, &targets->depth, 4)
     if (HAS_STENCIL) CLEAR_ONE(COLOR_COUNT + HAS_DEPTH, &targets->stencil, 1)

@@ -1,0 +1,86 @@
+"""Futures of reads: the contents of a texture or a buffer on their way from the device.
+
+`Texture.read_async` and `Buffer.read_async` copy on the device, in the order of the commands, and return at once. So
+what is changed or destroyed afterwards doesn't affect the result.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi.contract.descriptors import Id
+from rhi.device.core.core import Core
+
+__rhi_internal__ = True
+
+
+class Readback:
+    """The future of a read: `done` polls, `result` waits.
+
+    Attributes:
+        fence: the fence value after which the result is available, as in `device.completed` and `device.wait`.
+    """
+
+    __slots__ = ("__weakref__", "_array", "_core", "_dtype", "_memory", "_row_bytes", "_rows", "_shape", "fence")
+
+    def __init__(
+        self, core: Core, dtype: np.dtype[Any], shape: tuple[int, ...], rows: int = 1, row_bytes: int = 0
+    ) -> None:
+        """Prepare a read of an array, whose `rows` rows begin `row_bytes` apart."""
+        self._core = core
+        self._dtype = dtype
+        self._shape = shape
+        self._rows = rows
+        self._row_bytes = row_bytes
+        self._array: NDArray[Any] | None = None
+        self._memory: Id = 0
+        self.fence = core.timeline.signalled
+
+    def __repr__(self) -> str:
+        return f"Readback({'fetched' if self._array is not None else f'fence {self.fence}'})"
+
+    @property
+    def done(self) -> bool:
+        """Whether `result` returns without waiting. Never blocks."""
+        if self._array is not None:
+            return True
+        self._core.check_open()
+        return self._core.timeline.completed >= self.fence
+
+    def result(self) -> NDArray[Any]:
+        """Return the array, waiting for the device if it isn't `done`. Later calls return the same array.
+
+        Raises:
+            ValidationError: `device-closed` if the device was closed before the first call.
+        """
+        if self._array is None:
+            self.fetch()
+        assert self._array is not None
+        return self._array
+
+    def take_memory(self) -> Id:
+        """Return the buffer that the device copies into."""
+        self._memory = self._core.readbacks.take(self, self._rows * self._row_bytes)
+        return self._memory
+
+    def begin(self) -> None:
+        """Signal the fence behind the copy."""
+        self.fence = self._core.signal()
+
+    def complete(self, array: NDArray[Any]) -> None:
+        """Set the result."""
+        self._array = array.reshape(self._shape)
+
+    def fetch(self) -> None:
+        """Wait for the result, copy it out of the device's memory and give that back."""
+        core = self._core
+        core.check_ready()
+        core.timeline.wait(self.fence)
+        data = core.backend.read_buffer(self._memory, 0, self._rows * self._row_bytes)
+        size = self._dtype.itemsize * int(np.prod(self._shape)) // self._rows
+        rows = np.frombuffer(data, np.uint8).reshape(self._rows, self._row_bytes)[:, :size]
+        self.complete(rows.copy().reshape(-1).view(self._dtype))
+        core.readbacks.give_back(self._memory)

@@ -1,0 +1,97 @@
+"""Whole stages in GLSL: the text of a `@native("glsl", …)` that has a `main` of its own.
+
+The class declares the interface: structs, bindings, inputs and outputs, under the names of their fields. Existing text
+keeps its `main` and its functions; its own declarations of these names are left out once they agree with the class. No
+line is removed, so that the driver's messages lead to the Python lines.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Final, NoReturn
+
+from rhi.errors import CallSite, ShaderError
+from rhi.shading.ir import tree
+from rhi.shading.language import rules
+from rhi.shading.language.source import SourceSpan, show, suggest
+
+__rhi_internal__ = True
+
+_MAIN: Final = re.compile(r"^\s*void\s+main\s*\(", re.MULTILINE)
+_QUALIFIERS: Final = (
+    r"(?:(?:flat|smooth|noperspective|centroid|highp|mediump|lowp|readonly|writeonly|coherent)\s+)*"
+)
+_DECLARATION: Final = re.compile(
+    rf"^\s*(?:layout\s*\([^)]*\)\s*)?{_QUALIFIERS}(in|out|uniform)\s+{_QUALIFIERS}(\w+)\s+(\w+)\s*(\[\s*\w*\s*\])?\s*;"
+)
+_BLOCK: Final = re.compile(
+    r"^\s*(?:layout\s*\([^)]*\)\s*)?(?:\w+\s+)*(uniform|buffer|struct)\s+(\w+)\s*(?:\{|$)"
+)
+_GROUP: Final = re.compile(r"^\s*layout\s*\(([^)]*local_size[^)]*)\)\s*in\s*;")
+_SIZE: Final = re.compile(r"local_size_([xyz])\s*=\s*(\d+)")
+
+
+def is_whole(function: tree.Function) -> bool:
+    """Return whether a function's native GLSL is a stage with a `main` of its own."""
+    native = function.native.get("glsl")
+    return native is not None and _MAIN.search(native.body) is not None
+
+
+def lines_of(
+    function: tree.Function,
+    declared: Mapping[tuple[str, str], str],
+    structs: set[str],
+    work_group: tuple[int, int, int],
+) -> Iterator[tuple[str, int]]:
+    """Yield the lines of a whole stage with their Python lines; what the class declares is left out.
+
+    Args:
+        declared: the GLSL types of inputs, outputs and bindings, by ("in", "out" or "uniform", name).
+        structs: the names of the structs that the class declares.
+
+    Raises:
+        ShaderError: `shading-native`: a declaration differs from the class.
+    """
+    native = function.native["glsl"]
+    for offset, line in enumerate(native.body.splitlines()):
+        number = native.line + offset if native.line else function.span.line
+        text = line
+        if line.lstrip().startswith(("#version", "#extension")):
+            text = ""
+        elif group := _GROUP.match(line):
+            sizes = {"x": 1, "y": 1, "z": 1} | {axis: int(size) for axis, size in _SIZE.findall(group[1])}
+            if tuple(sizes.values()) != work_group:
+                _refuse(
+                    function, number, f"a work-group of {tuple(sizes.values())}", f"work_group = {work_group}"
+                )
+            text = ""
+        elif found := _DECLARATION.match(line):
+            direction, type, name = found[1], found[2] + (found[4] or ""), found[3]
+            wanted = declared.get((direction, name))
+            if wanted != type:
+                known = [f"{way} {kind} {key}" for (way, key), kind in declared.items() if way == direction]
+                tip = (
+                    suggest(name, [key for way, key in declared if way == direction])
+                    if wanted is None
+                    else ""
+                )
+                _refuse(
+                    function, number, f"{direction} {type} {name}", ", ".join(known) or f"no {direction}", tip
+                )
+            text = line[: found.start()] + line[found.end() :]
+        elif (block := _BLOCK.match(line)) and (block[1] != "struct" or block[2] in structs):
+            tip = "remove it: the class declares it; a uniform's fields are read as `camera.view`"
+            _refuse(function, number, f"{block[1]} {block[2]}", "declarations of the class", tip)
+        yield text, number if native.line else 0
+
+
+def _refuse(function: tree.Function, line: int, given: str, allowed: str, tip: str = "") -> NoReturn:
+    raise ShaderError(
+        rules.NATIVE,
+        f"{function.name}\n{show(function.file, SourceSpan(line))}",
+        given,
+        allowed,
+        tip,
+        CallSite(str(function.file), line, function.name),
+    )
