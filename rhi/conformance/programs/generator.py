@@ -193,9 +193,11 @@ class _Maker:
         formats = [f for kind in self._theme.kinds for f in kind.colors]
         if not formats or any(not f.is_integer for f in formats):
             self._float_shapes = [self._make_shape(None) for _ in range(random.choice([2, 3]))]
-        for integer in {f.kind: f for f in formats if f.is_integer}.values():
-            most = min(largest(f) for f in formats if f.is_integer)
-            self._integer_shapes += [self._make_shape((integer.kind, most)) for _ in range(2)]
+        integers = [f for f in formats if f.is_integer]
+        if integers:  # shared by all integer targets, so negative only if all are signed
+            sign = min((f.kind for f in integers), key=lambda each: each is ChannelKind.INT)
+            most = min(map(largest, integers))
+            self._integer_shapes = [self._make_shape((sign, most)) for _ in range(2)]
         steps: list[Step] = [self._make_pass(clear=True)]
         for _ in range(random.choice([3, 5, 7])):
             step = self._make_step()
