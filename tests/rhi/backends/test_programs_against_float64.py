@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from known_faults import CL, CL_SMALLEST, FAULTS, LLVMPIPE, SMALLEST
+from known_faults import CL, FAULTS, LLVMPIPE, SMALLEST
 
 import rhi
 from rhi import (
@@ -107,16 +107,6 @@ def test_a_fault_of_llvmpipe_is_still_there(llvmpipe: Device, fault: object) -> 
     assert not check(llvmpipe, program, LLVMPIPE)
     with rhi.create_device("cl") as device:
         assert not check(device, program, CL)
-
-
-@pytest.mark.parametrize("fault", CL.faults, ids=lambda fault: fault.name)
-def test_a_fault_of_the_opencl_backend_is_still_there(llvmpipe: Device, fault: object) -> None:
-    """Its smallest program differs if it isn't excepted, passes if it is, and passes on gl."""
-    program = CL_SMALLEST[fault]
-    with rhi.create_device("cl") as device:
-        assert check(device, program)
-        assert not check(device, program, CL)
-    assert not check(llvmpipe, program, replace(LLVMPIPE, faults=()))
 
 
 # -- the interpreter -----------------------------------------------------------------------------------------
