@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from typing import Final
 
 from rhi.backends.gl import enums
@@ -17,6 +17,7 @@ from rhi.contract.states import MAX_TARGETS
 __rhi_internal__ = True
 
 _PROBE_SIZE: Final = 4
+_MAX_SAMPLE_COUNTS: Final = 16
 
 
 def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]) -> Capabilities:
@@ -32,6 +33,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
     timestamp_bits = ctypes.c_int()
     gl.GetQueryiv(enums.TIMESTAMP, enums.QUERY_COUNTER_BITS, ctypes.byref(timestamp_bits))
     most_samples = smallest(enums.MAX_COLOR_TEXTURE_SAMPLES, enums.MAX_DEPTH_TEXTURE_SAMPLES)
+    samples = _query_samples(gl, [f for f in Format if f not in unrenderable]) & {*range(most_samples + 1)}
     groups = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_SIZE, axis) for axis in range(3)]
     dispatches = [gl.get_integer(enums.MAX_COMPUTE_WORK_GROUP_COUNT, axis) for axis in range(3)]
     return Capabilities(
@@ -41,7 +43,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         max_texture_size=gl.get_integer(enums.MAX_TEXTURE_SIZE),
         max_texture_layers=smallest(enums.MAX_ARRAY_TEXTURE_LAYERS, enums.MAX_3D_TEXTURE_SIZE),
         max_color_targets=min(smallest(enums.MAX_DRAW_BUFFERS, enums.MAX_COLOR_ATTACHMENTS), MAX_TARGETS),
-        sample_counts=tuple(count for count in SAMPLE_COUNTS if count <= most_samples),
+        sample_counts=tuple(count for count in SAMPLE_COUNTS if count == 1 or count in samples),
         max_vertex_attributes=gl.get_integer(enums.MAX_VERTEX_ATTRIBS),
         max_uniform_bytes=gl.get_integer(enums.MAX_UNIFORM_BLOCK_SIZE),
         max_storage_bytes=gl.get_integer(enums.MAX_SHADER_STORAGE_BLOCK_SIZE),
@@ -81,6 +83,20 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         unsupported_formats=unsupported,
         unrenderable_formats=unrenderable,
     )  # fmt: skip
+
+
+def _query_samples(gl: EntryPoints, formats: Sequence[Format]) -> set[int]:
+    """Return the numbers of samples that textures of all formats can have. For any other number GL takes a larger one:
+    llvmpipe makes 4 of 2, and queries count twice as many."""
+    common: set[int] | None = None
+    count, counts = ctypes.c_int(), (ctypes.c_int * _MAX_SAMPLE_COUNTS)()
+    for texel in formats:
+        query = enums.TEXTURE_2D_MULTISAMPLE, PIXEL_FORMATS[texel].internal
+        gl.GetInternalformativ(*query, enums.NUM_SAMPLE_COUNTS, 1, ctypes.byref(count))
+        gl.GetInternalformativ(*query, enums.SAMPLES, _MAX_SAMPLE_COUNTS, ctypes.byref(counts))
+        own = set(counts[: min(count.value, _MAX_SAMPLE_COUNTS)])
+        common = own if common is None else common & own
+    return common or set()
 
 
 def _find_compressed(extensions: Container[str]) -> frozenset[CompressedFormat]:

@@ -48,6 +48,7 @@ class EntryPoints:
     # context
     GetError: Callable[[], Int]
     GetIntegerv: Callable[[Int, Reference], None]
+    GetInternalformativ: Callable[[Int, Int, Int, Size, Reference], None]
     GetIntegeri_v: Callable[[Int, Int, Reference], None]
     GetInteger64v: Callable[[Int, Reference], None]
     GetFloatv: Callable[[Int, Reference], None]

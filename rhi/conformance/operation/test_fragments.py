@@ -18,6 +18,7 @@ from rhi import (
     Primitive,
 )
 from rhi.conformance.compare import assert_mask, assert_near, assert_same
+from rhi.conformance.formats import require_samples
 from rhi.conformance.shaders import Colored, Corner, DepthFromColor, Shade
 from rhi.conformance.shapes import centers, corners, rectangle
 from rhi.shading import (
@@ -114,6 +115,24 @@ def test_every_covered_texel_runs_one_fragment(device: Device) -> None:
         with device.render_pass(image):
             device.draw(device.program(CountFragments), mesh, total=total)
         assert_same(total.read(), 16)
+
+
+@pytest.mark.parametrize("primitive", [Primitive.POINTS, Primitive.LINES], ids=lambda p: p.name)
+def test_a_texel_runs_one_fragment_however_many_of_its_samples_are_covered(
+    device: Device, primitive: Primitive
+) -> None:
+    """Of two points at texel centres, or of a line between texels of one row."""
+    require_samples(device, 4)
+    rows = corners(centers([(2, 3), (6, 3)], SIZE))
+    with (
+        device.texture(SIZE, Format.R8, samples=4) as image,
+        device.mesh(rows, primitive=primitive) as mesh,
+        device.storage(uint, 1) as total,
+    ):
+        with device.render_pass(image):
+            device.draw(device.program(CountFragments), mesh, total=total)
+        texels = 2 if primitive is Primitive.POINTS else 5  # from the middle of texel 2 to that of texel 6
+        assert_same(total.read(), texels)
 
 
 def counted(device: Device, shader: Any) -> int:

@@ -30,6 +30,14 @@ QUICK = 10
 """Steps that are tried of each call; all of them nightly."""
 
 
+@pytest.fixture(autouse=True)
+def interrupts() -> Iterator[None]:
+    """Python's own handler, also where this process was started to ignore Ctrl-C, as background jobs of a shell are."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.fixture(scope="module", params=["gl", "cl", "null"])
 def houses(request: pytest.FixtureRequest) -> Iterator[Callable[[], House]]:
     """A function that returns the house of this backend: the same one until a test has damaged it."""

@@ -41,8 +41,8 @@ kernel void run({parameters}global const uint *inputs, global const uint *flats,
     for (int i = 0; i < {inputs}; i++) flat[i] = flats[block * {inputs} + i];
     for (int i = 0; i < 4; i++) at[i] = vload16(block * 4 + i, place);
     for (int i = 0; i < {outputs}; i++) out[i] = 0;
-    int16 left = rhi_fragment({arguments}in, flat, at[0], at[1], at[2], at[3], front, primitive, vload16(block, mask),
-                              out, &depth);
+    int16 left = rhi_fragment({arguments}in, flat, at[0], at[1], at[2], at[3], front, primitive, (float16)(0.0f),
+                              (float16)(0.0f), vload16(block, mask), out, &depth);
     for (int i = 0; i < {outputs}; i++) vstore16(out[i], block * ({outputs} + 2) + i, outputs);
     vstore16(as_uint16(depth), block * ({outputs} + 2) + {outputs}, outputs);
     vstore16(as_uint16(left), block * ({outputs} + 2) + {outputs} + 1, outputs);

@@ -389,3 +389,25 @@ def test_the_order_of_tests_follows_the_program(
 ) -> None:
     key = key_of(*states, **program)
     assert (key.order, key.shades) == (order, shades)
+
+
+@pytest.mark.parametrize("samples", [1, 4])
+@pytest.mark.parametrize("formats", [[Format.RGBA8_SRGB, Format.R32F], [Format.RGBA16F], [Format.R8_SNORM]], ids=str)
+def test_a_kernel_for_one_combination_merges_the_same_bits(formats: list[Format], samples: int) -> None:
+    states: list[State] = [
+        BlendFunction.ALPHA, DepthTest.ON, DepthFunction.LESS, DepthWrite.ON, StencilTest.ON, ColorWrite(alpha=False),
+    ]  # fmt: skip
+    planes = Planes(
+        [texels(f, samples, seed) for seed, f in enumerate(formats)],
+        depths(Format.D24S8, samples),
+        np.random.default_rng(4).choice(STENCILS, (samples, *SIZE)),
+    )
+    given = fragments(formats, samples), depths(None, samples, 5), coverage(samples)
+    general, special = (
+        run(formats, Format.D24S8, states, planes, *given, special=special) for special in (False, True)
+    )
+    for one, other in zip(general.colors, special.colors, strict=True):
+        np.testing.assert_array_equal(one.view(np.uint8), other.view(np.uint8))
+    np.testing.assert_array_equal(general.depth, special.depth)
+    np.testing.assert_array_equal(general.stencil, special.stencil)
+    assert not np.array_equal(general.colors[0], planes.colors[0])

@@ -87,17 +87,30 @@ INLINE bool set_edge(const Targets *targets, Edges *edges, const int i, int a, i
     return true;
 }
 
+// The same for an edge from one corner to the next.
+INLINE bool join_corners(const Targets *targets, Edges *edges, const int i, int2 from, int2 to) {
+    int a = from.y - to.y, b = to.x - from.x;
+    long start = (long)a * (edges->x * SUBTEXELS - from.x) + (long)b * (edges->y * SUBTEXELS - from.y);
+    return set_edge(targets, edges, i, a, b, start);
+}
+
 // Compute the edges of a triangle of any size at texel x, y. Return false if it covers nothing of the tile from there on.
 INLINE bool find_edges(const Targets *targets, const int2 *points, int x, int y, Edges *edges) {
     edges->x = x;
     edges->y = y;
-    UNROLL for (int i = 0; i < 3; ++i) {
-        int2 from = points[i], to = points[i < 2 ? i + 1 : 0];
-        int a = from.y - to.y, b = to.x - from.x;
-        long start = (long)a * (x * SUBTEXELS - from.x) + (long)b * (y * SUBTEXELS - from.y);
-        if (!set_edge(targets, edges, i, a, b, start)) return false;
-    }
+    UNROLL for (int i = 0; i < 3; ++i)
+        if (!join_corners(targets, edges, i, points[i], points[i < 2 ? i + 1 : 0])) return false;
     return true;
+}
+
+// The same for a line or a point, a parallelogram: two triangles would shade a texel twice whose samples both cover.
+// `range`: the fourth edge.
+INLINE bool find_parallelogram_edges(const Targets *targets, const int2 *points, int x, int y, Edges *edges, Edges *range) {
+    edges->x = range->x = x;
+    edges->y = range->y = y;
+    UNROLL for (int i = 0; i < 3; ++i)
+        if (!join_corners(targets, edges, i, points[i], points[i + 1])) return false;
+    return join_corners(targets, range, 0, points[3], points[0]) && set_edge(targets, range, 1, 0, 0, 1l << 40);
 }
 
 // The same for a triangle that the view cuts. `range`: what the near and far planes cut, in two edges.
@@ -425,14 +438,13 @@ SINGLE raster(ulong address) {
 #endif
 
         int2 points[MAX_CORNERS];
-        int pieces = 1;
         bool is_point = false;
         if (kind == POLYGON) {
             float4 clips[2];
             UNROLL for (int i = 0; i < 2; ++i) clips[i] = load_clip(batch, record[CLIPPED_SLOTS + i]);
             is_point = record[POLYGON_PRIMITIVE] == POINTS;
             const float size = is_point ? load_point_size(batch, record[CLIPPED_SLOTS]) : view->line_width;
-            pieces = make_polygon(view, clips, record[POLYGON_PRIMITIVE], size, points) - 2;
+            if (!make_polygon(view, clips, record[POLYGON_PRIMITIVE], size, points)) continue;
         }
         Outline outline;
         Barycentrics precise;
@@ -445,173 +457,167 @@ SINGLE raster(ulong address) {
             precise = find_barycentrics(&outline);
             if (kind == CLIPPED) contour = find_contour(&outline, &precise);
         }
-        for (int piece = 0; piece < pieces; ++piece) {
-            Edges edges, range;
-            if (kind == SMALL) {
-                UNROLL for (int i = 0; i < 3; ++i) {
-                    edges.a[i] = i < 2 ? record[EDGE_A + i] : -record[EDGE_A] - record[EDGE_A + 1];
-                    edges.b[i] = i < 2 ? record[EDGE_B + i] : -record[EDGE_B] - record[EDGE_B + 1];
-                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) edges.c[sample][i] = record[EDGE_C + i];
-                }
-                edges.x = box_x;
-                edges.y = box_y;
-            } else if (kind == CLIPPED) {
-                if (!find_clipped_edges(targets, &contour, x0, y0, &edges, &range)) break;
-            } else {
-                int2 triangle[3];
-                if (kind == BIG) {
-                    triangle[0] = (int2)(record[EDGE_C], record[EDGE_C + 1]);
-                    triangle[1] = triangle[0] + (int2)(record[EDGE_B], -record[EDGE_A]);
-                    triangle[2] = triangle[1] + (int2)(record[EDGE_B + 1], -record[EDGE_A + 1]);
-                } else {
-                    triangle[0] = points[0];
-                    triangle[1] = points[piece + 1];
-                    triangle[2] = points[piece + 2];
-                }
-                if (!find_edges(targets, triangle, x0, y0, &edges)) continue;
+        Edges edges, range;
+        if (kind == SMALL) {
+            UNROLL for (int i = 0; i < 3; ++i) {
+                edges.a[i] = i < 2 ? record[EDGE_A + i] : -record[EDGE_A] - record[EDGE_A + 1];
+                edges.b[i] = i < 2 ? record[EDGE_B + i] : -record[EDGE_B] - record[EDGE_B + 1];
+                UNROLL for (int sample = 0; sample < SAMPLES; ++sample) edges.c[sample][i] = record[EDGE_C + i];
             }
-            UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
-            int16 starts[3];
-            uint crossed = parts;
-            if (crossed & (crossed - 1)) crossed &= cross_squares(&edges, tile_x, tile_y, PART_BITS, starts);
-            for (; crossed; crossed &= crossed - 1) {
-                const int part = 31 - clz(crossed & -crossed);
-                const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
-                uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
-                                          min(y1 - part_y, PART - 1), 2);
-                int start[3][16] __attribute__((aligned(64)));  // edges and depth at the first texel of each block
-                float start_depth[16] __attribute__((aligned(64)));
-                const float part_away_x = part_x - box_x, part_away_y = part_y - box_y;
-                if (todo & (todo - 1)) {
-                    todo &= cross_squares(&edges, part_x, part_y, 2, starts);
-                    const float16 first_depths =
-                        fma((float16)(depth_x), LANE_FX * 4.0f + part_away_x, depth_y * (LANE_FY * 4.0f + part_away_y)) + depth_start;
+            edges.x = box_x;
+            edges.y = box_y;
+        } else if (kind == CLIPPED) {
+            if (!find_clipped_edges(targets, &contour, x0, y0, &edges, &range)) continue;
+        } else if (kind == BIG) {
+            int2 triangle[3];
+            triangle[0] = (int2)(record[EDGE_C], record[EDGE_C + 1]);
+            triangle[1] = triangle[0] + (int2)(record[EDGE_B], -record[EDGE_A]);
+            triangle[2] = triangle[1] + (int2)(record[EDGE_B + 1], -record[EDGE_A + 1]);
+            if (!find_edges(targets, triangle, x0, y0, &edges)) continue;
+        } else {
+            if (!find_parallelogram_edges(targets, points, x0, y0, &edges, &range)) continue;
+        }
+        UNROLL for (int i = 0; i < 3; ++i) edges.lanes[i] = edges.a[i] * LANE_X + edges.b[i] * LANE_Y;
+        int16 starts[3];
+        uint crossed = parts;
+        if (crossed & (crossed - 1)) crossed &= cross_squares(&edges, tile_x, tile_y, PART_BITS, starts);
+        for (; crossed; crossed &= crossed - 1) {
+            const int part = 31 - clz(crossed & -crossed);
+            const int part_x = tile_x + part % PARTS * PART, part_y = tile_y + part / PARTS * PART;
+            uint todo = touch_squares(max(x0 - part_x, 0), max(y0 - part_y, 0), min(x1 - part_x, PART - 1),
+                                      min(y1 - part_y, PART - 1), 2);
+            int start[3][16] __attribute__((aligned(64)));  // edges and depth at the first texel of each block
+            float start_depth[16] __attribute__((aligned(64)));
+            const float part_away_x = part_x - box_x, part_away_y = part_y - box_y;
+            if (todo & (todo - 1)) {
+                todo &= cross_squares(&edges, part_x, part_y, 2, starts);
+                const float16 first_depths =
+                    fma((float16)(depth_x), LANE_FX * 4.0f + part_away_x, depth_y * (LANE_FY * 4.0f + part_away_y)) + depth_start;
 #if BOUNDS_DEPTH
-                    if (DEPTH_WRITES) {  // without writes, most blocks have the bound of their part, which was tested
-                        const float16 nearest = round_depth(targets, clamp_to(first_depths + to_nearest, lowest, highest));
-                        todo &= ~bits_of(BEHIND(nearest, block_bounds[part]));
-                    }
-#endif
-                    if (!todo) continue;
-                    UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
-                    *(float16 *)start_depth = first_depths;
-                } else {  // a single block, as most small triangles touch, isn't worth a test
-                    const int block = 31 - clz(todo), column = block % 4, row_of_blocks = block / 4;
-                    const int x = part_x + column * 4 - edges.x, y = part_y + row_of_blocks * 4 - edges.y;
-                    UNROLL for (int i = 0; i < 3; ++i) start[i][block] = edges.c[0][i] + edges.a[i] * x + edges.b[i] * y;
-                    start_depth[block] =
-                        fma(depth_x, column * 4.0f + part_away_x, depth_y * (row_of_blocks * 4.0f + part_away_y)) + depth_start;
+                if (DEPTH_WRITES) {  // without writes, most blocks have the bound of their part, which was tested
+                    const float16 nearest = round_depth(targets, clamp_to(first_depths + to_nearest, lowest, highest));
+                    todo &= ~bits_of(BEHIND(nearest, block_bounds[part]));
                 }
-#if BOUNDS_DEPTH
-                if (DEPTH_WRITES) writes[part] += popcount(todo);
 #endif
-                for (; todo; todo &= todo - 1) {
-                    const int place_in_part = 31 - clz(todo & -todo);
-                    const int x = part_x + place_in_part % 4 * 4, y = part_y + place_in_part / 4 * 4;
-                    const int16 edge0 = edges.lanes[0] + start[0][place_in_part];
-                    const int16 edge1 = edges.lanes[1] + start[1][place_in_part];
-                    const int16 edge2 = edges.lanes[2] + start[2][place_in_part];
-                    int16 box = (int16)(-1);
-                    if (flags & CUTS)
-                        box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
-                    int16 masks[MAX_SAMPLES], covered = (int16)(0);
-                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
-                        masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
-                                                (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
-                                                (edge2 + (edges.c[sample][2] - edges.c[0][2]))) >= 0);
-                        if (is_cut(&contour)) masks[sample] &= find_within(&range, x, y, sample);
-                        covered |= masks[sample];
-                    }
-                    // The centres that are known to be covered: those of several samples may lie outside, as on other devices.
-                    const int16 inside = SAMPLES == 1 ? covered : (int16)(0);
-                    float16 z = lane_depth + start_depth[place_in_part];
-                    if (thin) z = FIND_DEPTH(0, 0, inside);
+                if (!todo) continue;
+                UNROLL for (int i = 0; i < 3; ++i) *(int16 *)start[i] = starts[i];
+                *(float16 *)start_depth = first_depths;
+            } else {  // a single block, as most small triangles touch, isn't worth a test
+                const int block = 31 - clz(todo), column = block % 4, row_of_blocks = block / 4;
+                const int x = part_x + column * 4 - edges.x, y = part_y + row_of_blocks * 4 - edges.y;
+                UNROLL for (int i = 0; i < 3; ++i) start[i][block] = edges.c[0][i] + edges.a[i] * x + edges.b[i] * y;
+                start_depth[block] =
+                    fma(depth_x, column * 4.0f + part_away_x, depth_y * (row_of_blocks * 4.0f + part_away_y)) + depth_start;
+            }
+#if BOUNDS_DEPTH
+            if (DEPTH_WRITES) writes[part] += popcount(todo);
+#endif
+            for (; todo; todo &= todo - 1) {
+                const int place_in_part = 31 - clz(todo & -todo);
+                const int x = part_x + place_in_part % 4 * 4, y = part_y + place_in_part / 4 * 4;
+                const int16 edge0 = edges.lanes[0] + start[0][place_in_part];
+                const int16 edge1 = edges.lanes[1] + start[1][place_in_part];
+                const int16 edge2 = edges.lanes[2] + start[2][place_in_part];
+                int16 box = (int16)(-1);
+                if (flags & CUTS)
+                    box = (x + LANE_X >= first_x) & (x + LANE_X <= last_x) & (y + LANE_Y >= first_y) & (y + LANE_Y <= last_y);
+                int16 masks[MAX_SAMPLES], covered = (int16)(0);
+                UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                    masks[sample] = box & (((edge0 + (edges.c[sample][0] - edges.c[0][0])) |
+                                            (edge1 + (edges.c[sample][1] - edges.c[0][1])) |
+                                            (edge2 + (edges.c[sample][2] - edges.c[0][2]))) >= 0);
+                    if (kind == POLYGON || is_cut(&contour)) masks[sample] &= find_within(&range, x, y, sample);
+                    covered |= masks[sample];
+                }
+                // The centres that are known to be covered: those of several samples may lie outside, as on other devices.
+                const int16 inside = SAMPLES == 1 ? covered : (int16)(0);
+                float16 z = lane_depth + start_depth[place_in_part];
+                if (thin) z = FIND_DEPTH(0, 0, inside);
 #if STAGES_DEPTH
-                    // The same as merge_depth_stencil for one sample without stencil, on the staged block.
-                    float16 *block = blocks + part * PART_BLOCKS + place_in_part;
-                    float16 stored = *block, fresh = round_depth(targets, clamp_to(z, lowest, highest));
+                // The same as merge_depth_stencil for one sample without stencil, on the staged block.
+                float16 *block = blocks + part * PART_BLOCKS + place_in_part;
+                float16 stored = *block, fresh = round_depth(targets, clamp_to(z, lowest, highest));
 #if TEST_ORDER != TEST_LATE || !SHADES
-                    covered &= compare_depth(targets, fresh, stored);
-                    masks[0] = covered;
+                covered &= compare_depth(targets, fresh, stored);
+                masks[0] = covered;
 #if DEPTH_WRITES && (TEST_ORDER == TEST_EARLY || !SHADES)
 #if SHADES
-                    if (!bits_of(covered)) continue;
+                if (!bits_of(covered)) continue;
 #endif
-                    *block = covered ? fresh : stored;
+                *block = covered ? fresh : stored;
 #endif
 #if TEST_ORDER == TEST_EARLY || !SHADES
-                    passed -= covered;
+                passed -= covered;
 #endif
 #endif
 #endif
 #if FRAGMENT || !STAGES_DEPTH
-                    if (!bits_of(covered)) continue;
+                if (!bits_of(covered)) continue;
 #endif
 #define PLANE_DEPTH (z + (depth_x * (SAMPLE_X(sample) / 256.0f) + depth_y * (SAMPLE_Y(sample) / 256.0f)))
 #define SAMPLE_DEPTH \
-    clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(SAMPLE_X(sample), SAMPLE_Y(sample), masks[sample]) : PLANE_DEPTH, lowest, highest)
+clamp_to(thin && SAMPLES > 1 ? FIND_DEPTH(SAMPLE_X(sample), SAMPLE_Y(sample), masks[sample]) : PLANE_DEPTH, lowest, highest)
 #if !STAGES_DEPTH
-                    if (TEST_ORDER != TEST_LATE || !SHADES) {
-                        covered = (int16)(0);
-                        UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
-                            if (TEST_ORDER == TEST_EARLY || !SHADES) {
-                                masks[sample] =
-                                    merge_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-                                passed -= masks[sample];
-                            } else
-                                masks[sample] =
-                                    test_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
-                            covered |= masks[sample];
-                        }
-                        if (SHADES && !bits_of(covered)) continue;
+                if (TEST_ORDER != TEST_LATE || !SHADES) {
+                    covered = (int16)(0);
+                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                        if (TEST_ORDER == TEST_EARLY || !SHADES) {
+                            masks[sample] =
+                                merge_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                            passed -= masks[sample];
+                        } else
+                            masks[sample] =
+                                test_depth_stencil(targets, state, x, y, sample, front, masks[sample], SAMPLE_DEPTH);
+                        covered |= masks[sample];
                     }
+                    if (SHADES && !bits_of(covered)) continue;
+                }
 #endif
 #if FRAGMENT
-                    if (!SHADES) continue;
-                    float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
-                    Weights weights = thin ? find_thin_weights(&outline, &precise, x, y, inside)
-                                           : find_weights(planes, away_x, away_y);
-                    // Those of a point are the place inside it, not shares of corners.
-                    if (!is_point) clamp_weights(&weights.weight1, &weights.weight2, inside);
-                    clamp_weights(&weights.straight1, &weights.straight2, inside & -as_int(planes[IN_FRONT]));
-                    uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
-                    uint flat[VARYING_WORDS + 1];
+                if (!SHADES) continue;
+                float16 away_x = (float)(x - box_x) + LANE_FX, away_y = (float)(y - box_y) + LANE_FY;
+                Weights weights = thin ? find_thin_weights(&outline, &precise, x, y, inside)
+                                       : find_weights(planes, away_x, away_y);
+                // Those of a point are the place inside it, not shares of corners.
+                if (!is_point) clamp_weights(&weights.weight1, &weights.weight2, inside);
+                clamp_weights(&weights.straight1, &weights.straight2, inside & -as_int(planes[IN_FRONT]));
+                uint16 inputs[VARYING_WORDS + 1], outputs[OUTPUT_WORDS];
+                uint flat[VARYING_WORDS + 1];
 #if VARYING_WORDS
-                    VARYINGS(SMOOTH, FLAT, STRAIGHT)
+                VARYINGS(SMOOTH, FLAT, STRAIGHT)
 #endif
-                    UNROLL for (int i = 0; i < OUTPUT_WORDS; ++i) outputs[i] = (uint16)(0u);
-                    z = inside ? clamp_to(z, lowest, highest) : z;
-                    float16 depth = z;
-                    int16 kept = rhi_fragment(
-                        BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
-                        front, as_int(planes[NUMBER]), weights.weight1, weights.weight2, covered, outputs, &depth);
-                    kept = test_alpha(targets, state, kept, outputs);
-                    UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
-                        int16 mask = masks[sample] & kept;
-                        if (MAX_SAMPLES > 1) mask = cover_by_alpha(targets, mask, outputs, sample);
+                UNROLL for (int i = 0; i < OUTPUT_WORDS; ++i) outputs[i] = (uint16)(0u);
+                z = inside ? clamp_to(z, lowest, highest) : z;
+                float16 depth = z;
+                int16 kept = rhi_fragment(
+                    BINDINGS inputs, flat, (float)x + LANE_FX + 0.5f, (float)y + LANE_FY + 0.5f, z, weights.near_w,
+                    front, as_int(planes[NUMBER]), weights.weight1, weights.weight2, covered, outputs, &depth);
+                kept = test_alpha(targets, state, kept, outputs);
+                UNROLL for (int sample = 0; sample < SAMPLES; ++sample) {
+                    int16 mask = masks[sample] & kept;
+                    if (MAX_SAMPLES > 1) mask = cover_by_alpha(targets, mask, outputs, sample);
 #if STAGES_DEPTH
 #if TEST_ORDER != TEST_EARLY
-                        fresh = GIVES_DEPTH ? quantize_depth(targets, depth) : fresh;
-                        mask &= compare_depth(targets, fresh, stored);
-                        if (DEPTH_WRITES) *block = mask ? fresh : stored;
-                        passed -= mask;
+                    fresh = GIVES_DEPTH ? quantize_depth(targets, depth) : fresh;
+                    mask &= compare_depth(targets, fresh, stored);
+                    if (DEPTH_WRITES) *block = mask ? fresh : stored;
+                    passed -= mask;
 #endif
 #else
-                        if (TEST_ORDER != TEST_EARLY) {
-                            mask = merge_depth_stencil(targets, state, x, y, sample, front, mask,
-                                                       GIVES_DEPTH ? depth : SAMPLE_DEPTH);
-                            passed -= mask;
-                        }
-#endif
-                        if (COLOR_COUNT && (MAX_SAMPLES == 1 || bits_of(mask)))
-                            merge_colors(targets, state, x, y, sample, mask, outputs);
+                    if (TEST_ORDER != TEST_EARLY) {
+                        mask = merge_depth_stencil(targets, state, x, y, sample, front, mask,
+                                                   GIVES_DEPTH ? depth : SAMPLE_DEPTH);
+                        passed -= mask;
                     }
 #endif
+                    if (COLOR_COUNT && (MAX_SAMPLES == 1 || bits_of(mask)))
+                        merge_colors(targets, state, x, y, sample, mask, outputs);
                 }
-#if BOUNDS_DEPTH
-                if (DEPTH_WRITES && writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
 #endif
             }
+#if BOUNDS_DEPTH
+            if (DEPTH_WRITES && writes[part] >= WRITES_BEFORE_BOUND) FIND_BOUNDS(part)
+#endif
         }
     }
     count_samples(batch, samples, passed);

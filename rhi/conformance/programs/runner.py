@@ -1,0 +1,284 @@
+"""Execution of programs on a device, and the comparison with what the interpreter allows."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rhi import (
+    Buffer,
+    Device,
+    IndirectDraws,
+    Mesh,
+    OcclusionQuery,
+    QuerySet,
+    Region,
+    StorageBuffer,
+    Texture,
+)
+from rhi.conformance.programs.coverage import clip_corners
+from rhi.conformance.programs.inks import SHADERS, AddTexels, Move
+from rhi.conformance.programs.interpreter import Result, interpret, random_texels
+from rhi.conformance.programs.rules import EXACT, Rules
+from rhi.conformance.programs.steps import (
+    CELLS,
+    ClearCells,
+    Copy,
+    Dispatch,
+    Draw,
+    Ink,
+    Mipmaps,
+    Part,
+    Pass,
+    Place,
+    Program,
+    Read,
+    Recorded,
+    Reshape,
+    Resolve,
+    Shape,
+    Step,
+    Way,
+    Write,
+)
+from rhi.conformance.shaders import Corner
+from rhi.device.encoder import Encoder
+from rhi.device.resources.programs import Program as DeviceProgram
+from rhi.shading import uint
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """A result that lies outside of what the interpreter allows."""
+
+    name: str
+    count: int
+    first: tuple[int, ...]
+    given: float
+    low: float
+    high: float
+
+    def __str__(self) -> str:
+        at = ", ".join(map(str, self.first))
+        return f"{self.name}: {self.count} differ, first at ({at}): {self.given!r}, not {self.low!r} to {self.high!r}"
+
+
+def check(device: Device, program: Program, rules: Rules = EXACT) -> list[Difference]:
+    """Run a program on a device and return its differences from the interpreter's results."""
+    return compare(run(device, program), interpret(program, rules))
+
+
+def compare(given: list[tuple[str, NDArray[Any]]], allowed: list[Result]) -> list[Difference]:
+    """Return where results lie outside of what is allowed."""
+    differences = []
+    for (name, array), result in zip(given, allowed, strict=True):
+        assert name == result.name, (name, result.name)
+        values = array.astype(np.float64).reshape(result.low.shape)
+        if array.dtype == np.int8:
+            values = np.maximum(values, -127)  # −128 and −127 both mean −1
+        unknown = np.isneginf(result.low) & np.isposinf(result.high)
+        with np.errstate(invalid="ignore"):
+            wrong = ~((values >= result.low) & (values <= result.high)) & ~unknown
+        if wrong.any():
+            first = tuple(int(i) for i in np.argwhere(wrong)[0])
+            low, high = float(result.low[first]), float(result.high[first])
+            differences.append(Difference(name, int(wrong.sum()), first, float(values[first]), low, high))
+    return differences
+
+
+def run(device: Device, program: Program) -> list[tuple[str, NDArray[Any]]]:
+    """Execute a program; return its reads, counts and buffers, and the final contents of its images, each named."""
+    with ExitStack() as stack:
+        return _Run(device, program, stack).results()
+
+
+class _Run:
+    def __init__(self, device: Device, program: Program, stack: ExitStack) -> None:
+        self._device, self._program, self._stack = device, program, stack
+        self._images: list[Texture] = []
+        for image in program.images:
+            texture = device.texture(
+                image.size, image.format, kind=image.kind, layers=image.layers, levels=image.levels,
+                samples=image.samples,
+            )  # fmt: skip
+            self._images.append(stack.enter_context(texture))
+        self._shapes = list(program.shapes)
+        self._meshes: dict[tuple[int, tuple[int, int]], Mesh] = {}
+        self._counts: StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
+        self._reds: StorageBuffer[uint] = stack.enter_context(device.storage(uint, CELLS))
+        self._queries: list[OcclusionQuery] = []
+        for _ in range(program.queries):
+            query = device.occlusion_query()
+            stack.callback(query.destroy)
+            self._queries.append(query)
+        self._used: set[int] = set()
+        self._sets: list[QuerySet] = []
+        self._reads: list[tuple[str, NDArray[Any]]] = []
+
+    def results(self) -> list[tuple[str, NDArray[Any]]]:
+        for step in self._program.steps:
+            self._execute(step)
+        results = self._reads
+        for number, queries in enumerate(self._sets):
+            results.append((f"query set {number}", queries.wait()))
+        counts = [self._queries[i].wait() if i in self._used else 0 for i in range(len(self._queries))]
+        results.append(("queries", np.array(counts)))
+        results += [("counts", self._counts.read()), ("reds", self._reds.read())]
+        for number, image in enumerate(self._program.images):
+            texture = self._images[number]
+            if image.samples > 1:
+                if not (image.format.is_depth or image.format.is_integer):
+                    with self._device.texture(image.size, image.format) as mean:
+                        texture.resolve_to(mean)
+                        results.append((f"image {number}, resolved", mean.read()))
+                continue
+            for level in range(image.levels):
+                for layer in range(image.level_layers(level)):
+                    place = f"image {number}, level {level}, layer {layer}"
+                    results.append((place, texture.read(level, layer)))
+                    if image.format.has_stencil:
+                        results.append((f"stencil of {place}", texture.read_stencil(level, layer)))
+        return results
+
+    def _execute(self, step: Step) -> None:
+        device, images = self._device, self._images
+        match step:
+            case Pass():
+                self._pass(device, step)
+            case Recorded():
+                with device.record() as commands:
+                    for part in step.passes:
+                        self._pass(commands, part)
+                for _ in range(step.times):
+                    device.submit(commands)
+            case Copy():
+                x, y, width, height, layer, layers = step.box
+                images[step.source.image].copy_to(
+                    images[step.target.image], level=step.source.level,
+                    region=Region(x, y, width, height, layer, layers), target_level=step.target.level, x=step.x,
+                    y=step.y, layer=step.target.layer,
+                )  # fmt: skip
+            case Write():
+                texture = images[step.target.image]
+                texels = random_texels(texture.format, step)
+                if texture.format.channels == 1:
+                    texels = texels[..., 0]
+                texture.write(texels, step.target.level, step.target.layer, step.x, step.y)
+            case Mipmaps():
+                images[step.image].generate_mipmaps()
+            case Resolve():
+                images[step.source].resolve_to(images[step.target])
+            case Read():
+                place = step.place
+                texels = images[place.image].read(place.level, place.layer)
+                self._reads.append((f"read of {place}", texels))
+            case Reshape():
+                self._reshape(step)
+            case ClearCells():
+                self._counts.clear(step.value)
+                self._reds.clear(step.value)
+            case Dispatch():
+                image = images[step.source.image]
+                width, height = image.size
+                groups = (-(-width // 8), -(-height // 8))
+                program = device.program(AddTexels)
+                device.dispatch(program, groups, source=image, counts=self._counts)
+
+    def _reshape(self, step: Reshape) -> None:
+        shape, source = self._shapes[step.shape], self._shapes[step.source]
+        kept = min(len(shape.corners), len(source.corners))
+        corners = source.corners[:kept] + shape.corners[kept:]
+        self._shapes[step.shape] = Shape(shape.primitive, corners, shape.indices)
+        for (number, frame), mesh in self._meshes.items():
+            if number == step.shape:
+                assert mesh.vertices is not None
+                mesh.vertices.write(_rows(self._shapes[number], frame)[:kept])
+
+    def _mesh(self, number: int, frame: tuple[int, int]) -> Mesh:
+        """Return the mesh of a shape in a frame; it is made once, before anything is recorded with it."""
+        mesh = self._meshes.get((number, frame))
+        if mesh is None:
+            shape = self._shapes[number]
+            indices = None if shape.indices is None else np.array(shape.indices, np.uint16)
+            mesh = self._device.mesh(_rows(shape, frame), indices, primitive=shape.primitive)
+            self._meshes[number, frame] = self._stack.enter_context(mesh)
+        return mesh
+
+    def _target(self, place: Place) -> Any:
+        return self._images[place.image].at(place.level, place.layer)
+
+    def _pass(self, encoder: Encoder, step: Pass) -> None:
+        sets = []
+        resolve = [None if i is None else self._images[i] for i in step.resolve]
+        with encoder.render_pass(
+            [self._target(place) for place in step.colors] or None,
+            None if step.depth is None else self._target(step.depth),
+            clear=list(step.clear) or None,
+            clear_depth=step.clear_depth,
+            clear_stencil=step.clear_stencil,
+            resolve=resolve or None,
+        ):
+            for draw in step.draws:
+                sets += self._draw(encoder, draw)
+        self._sets += sets
+
+    def _draw(self, encoder: Encoder, draw: Draw) -> list[QuerySet]:
+        device = self._device
+        program: DeviceProgram[...] = device.program(SHADERS[draw.ink])
+        bindings: dict[str, Any] = {}
+        level, layer = (draw.source.level, draw.source.layer) if draw.source is not None else (0, 0)
+        bindings["move"] = encoder.transient.uniform(Move(step=draw.step, level=level, layer=layer))
+        if draw.ink in (Ink.COUNT, Ink.COUNT_EARLY):
+            bindings |= {"counts": self._counts, "reds": self._reds}
+        if draw.source is not None and draw.ink in (Ink.LOAD, Ink.LOAD_LAYER):
+            bindings["source"] = self._images[draw.source.image]
+        mesh = self._mesh(draw.shape, draw.frame)
+        sets: list[QuerySet] = []
+        with ExitStack() as around:
+            around.enter_context(encoder.states(*draw.states))
+            if draw.condition is not None:
+                number, inverted = draw.condition
+                around.enter_context(encoder.conditional(self._queries[number], inverted=inverted))
+            if draw.query is not None:
+                self._used.add(draw.query)
+                around.enter_context(self._query(encoder, draw.query))
+            parts = _array(mesh, draw.parts)
+            match draw.way:
+                case Way.DIRECT:
+                    for part in draw.parts:
+                        view = mesh.view(part.first, part.count, base_instance=part.base_instance)
+                        encoder.draw(program, view, part.instances, **bindings)
+                case Way.MANY:
+                    encoder.draw_many(program, mesh, parts, **bindings)
+                case Way.INDIRECT:
+                    arguments: Buffer = device.buffer(parts)
+                    self._stack.enter_context(arguments)
+                    encoder.draw_indirect(program, mesh, IndirectDraws(arguments, len(parts)), **bindings)
+                case Way.COUNTED:
+                    sets.append(device.query_set(len(parts)))
+                    self._stack.callback(sets[0].destroy)
+                    encoder.draw_counted(program, mesh, parts, sets[0], **bindings)
+        return sets
+
+    def _query(self, encoder: Encoder, number: int) -> Any:
+        query = self._queries[number]
+        if encoder is self._device:
+            return query
+        return encoder.query(query)  # type: ignore[attr-defined]
+
+
+def _rows(shape: Shape, frame: tuple[int, int]) -> NDArray[Any]:
+    clip, colors = clip_corners(shape, frame)
+    rows = np.zeros(len(clip), Corner.dtype)
+    rows["position"], rows["color"] = clip, colors
+    return rows
+
+
+def _array(mesh: Mesh, parts: tuple[Part, ...]) -> NDArray[Any]:
+    columns = ([getattr(part, name) for part in parts] for name in ("first", "count", "instances", "base_instance"))
+    first, count, instances, base = (np.array(column) for column in columns)
+    return mesh.draws(first, count, instances=instances, base_instance=base)

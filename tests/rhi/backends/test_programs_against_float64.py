@@ -1,0 +1,248 @@
+"""Random programs of all formats and states do on a device what the interpreter in float64 allows.
+
+Programs of one theme share their pipelines, so a backend that compiles per pipeline compiles little. A program that
+fails is printed as a small one that fails too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from known_faults import CL, FAULTS, LLVMPIPE, SMALLEST
+
+import rhi
+from rhi import (
+    BlendFactor,
+    BlendFunction,
+    BlendOperation,
+    Capabilities,
+    ColorWrite,
+    Comparison,
+    CullMode,
+    DepthFunction,
+    Device,
+    Format,
+    Primitive,
+    Scissor,
+    State,
+    StencilFront,
+    StencilOperation,
+    StencilReference,
+    StencilTest,
+    TextureKind,
+)
+from rhi.conformance import reference
+from rhi.conformance.programs import EXACT, Program, Rules, check, interpret
+from rhi.conformance.programs import steps as step_types
+from rhi.conformance.programs.generator import FORMATS, make_program, make_theme
+from rhi.conformance.programs.intervals import Interval
+from rhi.conformance.programs.merging import blend
+from rhi.conformance.programs.reducer import reduce
+from rhi.conformance.programs.runner import compare, run
+from rhi.conformance.programs.steps import (
+    Draw,
+    Image,
+    Ink,
+    Part,
+    Pass,
+    Place,
+    Shape,
+    Step,
+    Write,
+    to_python,
+)
+from rhi.contract.formats import DEPTH_FORMATS
+
+PROGRAMS = 12
+"""Programs of a theme."""
+
+THEMES = [
+    pytest.param(range(3), id="few"),
+    pytest.param(range(100, 250), id="many", marks=pytest.mark.nightly),
+]
+ALL_FORMATS = Capabilities("", "", "")
+
+
+def rules_of(device: Device) -> Rules:
+    if device.backend_name == "cl":
+        return CL
+    return LLVMPIPE if "llvmpipe" in device.capabilities.device else EXACT
+
+
+@pytest.mark.parametrize("themes", THEMES)
+@pytest.mark.parametrize("backend", ["gl", "cl"])
+def test_random_programs_leave_what_float64_allows(backend: str, themes: range) -> None:
+    for number in themes:
+        with rhi.create_device(backend) as device:
+            rules = rules_of(device)
+            theme = make_theme(number, device.capabilities)
+            for seed in range(PROGRAMS):
+                program = make_program(1000 * number + seed, theme)
+                if check(device, program, rules):
+                    small = reduce(program, lambda p: bool(check(device, p, rules)), 400)
+                    shown = "\n".join(map(str, check(device, small, rules)))
+                    pytest.fail(f"theme {number}, program {seed}:\n{to_python(small)}\n{shown}")
+
+
+# -- the driver's faults -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def llvmpipe() -> Iterator[Device]:
+    with rhi.create_device("gl") as device:
+        if "llvmpipe" not in device.capabilities.device:
+            pytest.skip(f"{device.capabilities.device} isn't llvmpipe")
+        yield device
+
+
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: fault.name)
+def test_a_fault_of_llvmpipe_is_still_there(llvmpipe: Device, fault: object) -> None:
+    """Its smallest program differs if it isn't excepted, passes if it is, and passes on cl."""
+    program = SMALLEST[fault]
+    others = replace(LLVMPIPE, faults=tuple(other for other in FAULTS if other is not fault))
+    assert check(llvmpipe, program, others)
+    assert not check(llvmpipe, program, LLVMPIPE)
+    with rhi.create_device("cl") as device:
+        assert not check(device, program, CL)
+
+
+# -- the interpreter -----------------------------------------------------------------------------------------
+
+
+def colors(seed: int, count: int) -> np.ndarray:
+    return np.random.default_rng(seed).integers(0, 9, (count, 4)) / 8
+
+
+@pytest.mark.parametrize("operation", list(BlendOperation), ids=lambda value: value.name)
+@pytest.mark.parametrize("factor", list(BlendFactor), ids=lambda value: value.name)
+def test_blending_of_intervals_contains_that_of_their_ends(factor: BlendFactor, operation: BlendOperation) -> None:
+    """Of exact numbers it is that of the reference; of intervals it contains all that lies between."""
+    function = BlendFunction(factor, factor, operation)
+    constant = rhi.BlendColor(0.25, 0.5, 0.75, 1.0)
+    numbers = (0.25, 0.5, 0.75, 1.0)
+    source, stored = colors(1, 40), colors(2, 40)
+    exact = blend(Format.RGBA32F, function, constant, Interval.of(source), Interval.of(stored), EXACT)
+    wanted = reference.blend(function, source, stored, numbers)
+    assert np.abs(exact.low - wanted).max() < 1e-6
+    assert np.abs(exact.high - wanted).max() < 1e-6
+    wide = blend(
+        Format.RGBA32F, function, constant, Interval.of(source).widen(0.125), Interval.of(stored).widen(0.125), EXACT
+    )  # fmt: skip
+    for seed in range(3):
+        moves = np.random.default_rng(seed).uniform(-0.125, 0.125, (2, 40, 4))
+        inside = reference.blend(function, source + moves[0], stored + moves[1], numbers)
+        assert (wide.low - 1e-9 <= inside).all()
+        assert (inside <= wide.high + 1e-9).all()
+
+
+SQUARE = Shape(
+    Primitive.QUADS,
+    tuple((x, y, 0.25, 1.0, 0.5, 0.25, 1.0, 0.5) for x, y in ((1.0, 1.0), (1.0, 6.0), (7.0, 6.0), (7.0, 1.0))),
+)
+DRAW = Draw(Ink.FLAT, 0, (Part(0, 4),), (8, 8), (DepthFunction.LESS, StencilTest.ON, CullMode.NONE), query=0)
+PASS = Pass((Place(0),), Place(1), (DRAW, DRAW), ((0.25, 0.5, 0.0, 1.0),), 0.5, 7)
+IMAGES = (Image((8, 8), Format.RGBA8), Image((8, 8), Format.D24S8))
+STATES: list[State] = [
+    CullMode.FRONT,
+    CullMode.BACK,
+    DepthFunction.LESS_EQUAL,
+    DepthFunction.NEVER,
+    Scissor(1, 1, 6, 4),
+    ColorWrite(green=False),
+    BlendFunction.ADDITIVE,
+    BlendFunction.MULTIPLY,
+    StencilFront(Comparison.GREATER),
+    StencilFront(both_pass=StencilOperation.INCREMENT),
+    StencilFront(depth_fail=StencilOperation.INVERT),
+    StencilReference(9, 9),
+]
+
+
+@pytest.mark.parametrize("state", STATES, ids=str)
+def test_a_state_that_a_device_ignores_is_seen(llvmpipe: Device, state: State) -> None:
+    """The results of a program without a state lie outside of what the program with it allows, and the reverse."""
+    around = () if not isinstance(state, StencilReference) else (StencilFront(Comparison.LESS_EQUAL),)
+    facing = () if state is not CullMode.BACK else (rhi.FrontFace.CLOCKWISE,)
+    before = replace(DRAW, states=(*DRAW.states, *around, *facing))
+    after = replace(before, states=(*(s for s in before.states if type(s) is not type(state)), state))
+    programs = [Program(IMAGES, (SQUARE,), (replace(PASS, draws=(d, d)),), 1) for d in (before, after)]
+    given = [run(llvmpipe, program) for program in programs]
+    allowed = [interpret(program, LLVMPIPE) for program in programs]
+    for i in range(2):
+        assert not compare(given[i], allowed[i])
+        assert compare(given[i], allowed[1 - i])
+
+
+def test_most_texels_have_one_possible_value() -> None:
+    """Else the interpreter would allow anything. Images of integers and of floats are told apart by their widths."""
+    sharp = total = 0
+    for number in range(12):
+        theme = make_theme(number, ALL_FORMATS)
+        for result in interpret(make_program(number, theme)):
+            width = result.high - result.low
+            sharp += int((width <= 1e-6 * np.maximum(1.0, np.abs(result.high))).sum())
+            total += width.size
+    assert sharp > 0.9 * total
+
+
+# -- the generator -------------------------------------------------------------------------------------------
+
+
+def test_themes_have_all_formats_and_inks() -> None:
+    themes = [make_theme(number, ALL_FORMATS) for number in range(250)]
+    kinds = [kind for theme in themes for kind in theme.kinds]
+    assert {f for kind in kinds for f in kind.colors} == set(FORMATS)
+    assert {kind.depth for kind in kinds} == {None, *DEPTH_FORMATS}
+    assert {pipeline.ink for kind in kinds for pipeline in kind.pipelines} == set(Ink)
+    assert {kind.samples for kind in kinds} == {1, 2, 4}
+
+
+def test_programs_have_all_steps_states_and_kinds_of_textures() -> None:
+    programs = [make_program(seed, make_theme(seed // 4, ALL_FORMATS)) for seed in range(400)]
+    steps = [step for program in programs for step in program.steps]
+    assert {type(step) for step in steps} == set(Step.__args__)
+    draws = [draw for step in steps if isinstance(step, Pass) for draw in step.draws]
+    assert {type(state) for draw in draws for state in draw.states} == set(State.__args__) - {
+        rhi.AlphaToCoverage
+    } | {rhi.AlphaToCoverage}
+    assert {draw.way for draw in draws} == set(step_types.Way)
+    assert {image.kind for program in programs for image in program.images} == set(TextureKind)
+    assert {level for p in programs for s in p.steps if isinstance(s, Pass) for level in (s.colors[0].level if s.colors else 0,)} == {0, 2}  # noqa: E501
+
+
+def test_equal_seeds_make_equal_programs() -> None:
+    theme = make_theme(5, ALL_FORMATS)
+    assert make_program(7, theme) == make_program(7, theme)
+    assert make_program(7, theme) != make_program(8, theme)
+
+
+# -- small programs ------------------------------------------------------------------------------------------
+
+
+def test_a_program_is_printed_as_python_that_makes_it() -> None:
+    program = make_program(3, make_theme(2, ALL_FORMATS))
+    names = {**vars(rhi), **vars(step_types)}
+    assert eval(to_python(program), names) == program
+
+
+def test_a_failing_program_is_reduced_to_what_fails() -> None:
+    """Of a program that fails because of one state, one step with one draw of one primitive with that state is left."""
+    guilty = replace(DRAW, states=(CullMode.NONE, ColorWrite(red=False)), parts=(Part(0, 4, 3), Part(0, 4)))
+    more = Write(Place(0), 0, 0, 2, 2, 1)
+    program = Program(IMAGES, (SQUARE,), (more, PASS, replace(PASS, draws=(DRAW, guilty)), more), 1)
+
+    def fails(proposal: Program) -> bool:
+        passes = [step for step in proposal.steps if isinstance(step, Pass)]
+        return any(ColorWrite(red=False) in draw.states for step in passes for draw in step.draws)
+
+    small = reduce(program, fails)
+    assert len(small.steps) == 1
+    assert isinstance(small.steps[0], Pass)
+    (draw,) = small.steps[0].draws
+    assert draw == Draw(Ink.FLAT, 0, draw.parts, (8, 8), (ColorWrite(red=False),))
+    assert [(part.count, part.instances) for part in draw.parts] == [(1, 1)]
+    assert small.steps[0].depth is None
+    assert small.steps[0].clear == (None,)
