@@ -417,3 +417,15 @@ def test_filled_triangles_and_edges_are_drawn_in_order(device: Device) -> None:
 def test_edges_of_a_triangle_that_reaches_beyond_the_view_are_drawn_where_they_are_seen(device: Device) -> None:
     points = [(-40.3125, 4.4375), (5.6875, 70.1875), (27.5625, 8.3125)]
     assert_covers(wired(device, points), outline(points))
+
+
+@pytest.mark.needs("wireframe")
+@pytest.mark.parametrize("beyond", [-0.5, 1.5], ids=["near", "far"])
+def test_no_line_is_drawn_where_a_plane_cuts_a_triangle(device: Device, beyond: float) -> None:
+    """The edges end there."""
+    image = wired(device, TRIANGLE, depth=[0.5, 0.5, beyond])
+    (ax, ay), (bx, by), (cx, cy) = TRIANGLE
+    y, x = np.mgrid[0 : SIZE[1], 0 : SIZE[0]] + 0.5
+    share = ((bx - ax) * (y - ay) - (by - ay) * (x - ax)) / ((bx - ax) * (cy - ay) - (by - ay) * (cx - ax))
+    certain, possible = outline(TRIANGLE)
+    assert_covers(image, (certain & (share < 0.45), possible & (share < 0.55)))
