@@ -30,7 +30,7 @@ STEPS: Final = (
     Step(
         "buffers",
         ("capabilities", "close", "create_buffer", "destroy", "write_buffer", "read_buffer", "copy_buffer",
-         "clear_buffer"),
+         "clear_buffer", "signal", "completed", "wait"),
         ("operation · buffers",),
     ),
     Step(
@@ -41,8 +41,7 @@ STEPS: Final = (
     ),
     Step(
         "time and labels",
-        ("signal", "completed", "wait", "create_query", "write_query", "read_query", "push_label", "pop_label",
-         "present"),
+        ("create_query", "write_query", "read_query", "push_label", "pop_label", "present"),
         ("operation · time",),
     ),
     Step(

@@ -27,6 +27,8 @@ def create_backend(*, validation: bool = False) -> Any:
         for name in step.methods:
             if name != "capabilities":
                 members[name] = staticmethod(getattr(whole, name) if number <= written else _missing(name))
+    for name in ("resume", "make_current", "release_current"):  # GL contexts need them to move between threads
+        members[name] = staticmethod(getattr(whole, name))
     return type("PartialBackend", (), members)()
 
 
