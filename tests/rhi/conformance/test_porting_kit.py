@@ -278,7 +278,7 @@ def test_the_earliest_step_is_next_with_the_methods_that_stop_most() -> None:
 
 def test_without_a_missing_method_the_failed_tests_are_next() -> None:
     failures = [("operation · buffers", f"test_{i}", "") for i in range(7)]
-    found = describe_next(board(*failures, ("operation · time", "test_b", "signal")))
+    found = describe_next(board(*failures, ("operation · time", "test_b", "present")))
     assert found[1] == "  operation · buffers: test_0"
     assert found[-1] == "  … and 2 more"
     assert len(found) == 7
