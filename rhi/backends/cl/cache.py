@@ -22,7 +22,7 @@ import time
 import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 try:
@@ -39,6 +39,8 @@ _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
 _RECORDS: Final = "rhi"
 _COMMENT: Final = re.compile("//[^\n]*")  # they name shaders, whose stages may be the same
 _PROGRAM: Final = "program.bc"
+_PLACES: Final = "[A-Z][A-Z]/*"
+"""Where PoCL's folders of programs lie in the folder of compiled kernels."""
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
 
@@ -90,13 +92,13 @@ class KernelCache:
         if self._folder is None:
             return False
         record = self._folder / _RECORDS / key
+        place, files = _read_record(self._folder, record)
         try:
-            known = json.loads(record.read_bytes())
-            place = self._folder / known["folder"]
-            files: dict[str, int] = known["files"]
-            complete = all(zlib.crc32((place / name).read_bytes()) == sum_ for name, sum_ in files.items())
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
-            complete, place, files = False, None, {}
+            complete = place is not None and all(
+                zlib.crc32((place / name).read_bytes()) == checksum for name, checksum in files.items()
+            )
+        except OSError:
+            complete = False
         if not complete:
             with suppress(OSError):
                 record.unlink()
@@ -149,14 +151,12 @@ class KernelCache:
     def _find(self, key: str) -> Path | None:
         """Return the folder of a program."""
         assert self._folder is not None
-        with suppress(OSError, ValueError, KeyError, TypeError):
-            known = json.loads((self._folder / _RECORDS / key).read_bytes())
-            place = self._folder / str(known["folder"])
-            if (place / _PROGRAM).is_file():
-                return place
+        known, _ = _read_record(self._folder, self._folder / _RECORDS / key)
+        if known is not None and (known / _PROGRAM).is_file():
+            return known
         name = f"rhi_{key}".encode()
         places: list[tuple[float, Path]] = []
-        for place in self._folder.glob("[A-Z][A-Z]/*"):
+        for place in self._folder.glob(_PLACES):
             with suppress(OSError):
                 places.append((place.stat().st_mtime, place))
         # Nearly always it was written just now. Older ones were left by a process that ended before it recorded them.
@@ -180,10 +180,10 @@ class KernelCache:
     def _trim(self, folder: Path) -> None:
         found: list[tuple[float, int, Path, Path]] = []
         for record in (folder / _RECORDS).iterdir():
-            with suppress(OSError, ValueError, KeyError, TypeError):
+            with suppress(OSError):
                 used = record.stat().st_mtime
-                if not record.suffix:
-                    place = folder / json.loads(record.read_bytes())["folder"]
+                place, _ = _read_record(folder, record)
+                if place is not None:
                     size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
                     found.append((used, size, record, place))
                 elif used < time.time() - _OLD:
@@ -196,3 +196,20 @@ class KernelCache:
                 record.unlink()
             shutil.rmtree(place, ignore_errors=True)
             total -= size
+
+
+def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int]]:
+    """Return the folder of a record's program, and the checksums of its files by their names.
+
+    The folder is None for a record that is damaged or unfinished, or that names another place than PoCL's folders: what
+    it names may be removed, and records can come from elsewhere.
+    """
+    try:
+        known = json.loads(record.read_bytes())
+        name = PurePosixPath(known["folder"])
+        files = {str(path): int(checksum) for path, checksum in known["files"].items()}
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None, {}
+    if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
+        return None, {}
+    return folder / name, files

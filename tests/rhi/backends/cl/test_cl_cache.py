@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import subprocess
 import sys
@@ -100,6 +101,21 @@ def test_a_damaged_record_is_made_again(tmp_path: Path) -> None:
         path.write_bytes(content)
     assert draw(tmp_path)[0] == picture
     assert draw(tmp_path) == (picture, 0)
+
+
+@pytest.mark.parametrize("place", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "{outside}"])
+def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path, place: str) -> None:
+    """Records may come from elsewhere, and what they name may be removed."""
+    folder, outside = tmp_path / "kernels", tmp_path / "mine"
+    for each in (folder / "rhi", folder / "AB" / "key", outside):
+        each.mkdir(parents=True)
+        (each / "kept").write_bytes(b"kept")
+    record = folder / "rhi" / "evil"
+    record.write_text(json.dumps({"folder": place.format(outside=outside), "files": {"missing": 0}}))
+    assert not KernelCache(folder, "driver").knows("evil")
+    assert not record.exists()
+    for each in (folder / "rhi", folder / "AB" / "key", outside):
+        assert (each / "kept").read_bytes() == b"kept"
 
 
 def make(folder: Path, key: str, size: int, since: float) -> None:
