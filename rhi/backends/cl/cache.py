@@ -98,7 +98,7 @@ class KernelCache:
                 zlib.crc32((place / name).read_bytes()) == checksum for name, checksum in files.items()
             )
         except OSError:
-            complete = False
+            complete, place = False, None
         if not complete:
             with suppress(OSError):
                 record.unlink()

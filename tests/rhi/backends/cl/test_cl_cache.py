@@ -111,7 +111,7 @@ def test_a_record_that_names_another_place_removes_nothing_there(tmp_path: Path,
         each.mkdir(parents=True)
         (each / "kept").write_bytes(b"kept")
     record = folder / "rhi" / "evil"
-    record.write_text(json.dumps({"folder": place.format(outside=outside), "files": {"missing": 0}}))
+    record.write_text(json.dumps({"folder": place.format(outside=outside), "files": {"kept": 0}}))
     assert not KernelCache(folder, "driver").knows("evil")
     assert not record.exists()
     for each in (folder / "rhi", folder / "AB" / "key", outside):
