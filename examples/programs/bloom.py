@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from frame import main
+from frame import Screen, main
 
 import rhi
 from rhi import Filter, Format, SamplerDescriptor, Wrap
 from rhi.shading import (
-    Shader,
     Struct,
     Texture2D,
     Uniform,
@@ -20,18 +19,9 @@ from rhi.shading import (
     vec2,
     vec3,
     vec4,
-    vertex_index,
 )
 
 RADIUS = 12
-
-
-class Screen(Shader):
-    """A triangle that covers the target."""
-
-    def vertex(self) -> vec4:
-        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
-        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
 
 
 class Window(Struct):

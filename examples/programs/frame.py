@@ -1,4 +1,4 @@
-"""What the programs of this folder share: a command line that saves a picture, and cameras.
+"""What the programs of this folder share: a command line that saves a picture, a full-screen triangle, and cameras.
 
 Each program is one file with one function, `render(device, size)`, which returns the texture it has drawn.
 
@@ -16,8 +16,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 import rhi
+from rhi.shading import Shader, vec2, vec4, vertex_index
 
-SIZE = (640, 480)
+
+class Screen(Shader):
+    """A triangle that covers the target: draw it with `device.mesh(3)`."""
+
+    def vertex(self) -> vec4:
+        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
+        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
 
 
 def main(render: Callable[[rhi.Device, tuple[int, int]], rhi.Texture]) -> None:

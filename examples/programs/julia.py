@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import main
+from frame import Screen, main
 
 import rhi
 from rhi.shading import (
-    Shader,
     Struct,
     Texture2D,
     Uniform,
@@ -16,7 +15,6 @@ from rhi.shading import (
     log2,
     vec2,
     vec4,
-    vertex_index,
 )
 
 
@@ -26,15 +24,11 @@ class Fractal(Struct):
     zoom: float
 
 
-class Julia(Shader):
+class Julia(Screen):
     """Counts the steps until z² + c escapes, with a fraction, so that no bands show."""
 
     fractal: Uniform[Fractal]
     palette: Texture2D
-
-    def vertex(self) -> vec4:
-        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
-        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> vec4:
         z = (fragment_coordinate().xy - self.fractal.size * 0.5) / self.fractal.size.y * self.fractal.zoom

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import main
+from frame import Screen, main
 
 import rhi
 from rhi.shading import (
@@ -20,7 +20,6 @@ from rhi.shading import (
     uvec4,
     vec2,
     vec4,
-    vertex_index,
 )
 
 CELLS = (128, 96)
@@ -51,15 +50,11 @@ class Window(Struct):
     size: vec2
 
 
-class Enlarged(Shader):
+class Enlarged(Screen):
     """Each cell as a square."""
 
     window: Uniform[Window]
     cells: UintTexture2D
-
-    def vertex(self) -> vec4:
-        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
-        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> vec4:
         cell = ivec2(fragment_coordinate().xy / self.window.size * vec2(self.cells.size()))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from frame import look_at, main, perspective
+from frame import Screen, look_at, main, perspective
 
 import rhi
 from rhi.shading import (
@@ -18,7 +18,6 @@ from rhi.shading import (
     global_id,
     ivec2,
     mat4,
-    vec2,
     vec3,
     vec4,
     vertex_index,
@@ -89,14 +88,10 @@ class Draw(Shader):
         return vec4(s.color, 1.0)
 
 
-class ToneMap(Shader):
+class ToneMap(Screen):
     """Maps sums of any size to 0…1."""
 
     light: Texture2D
-
-    def vertex(self) -> vec4:
-        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
-        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> vec4:
         light = self.light.load(ivec2(fragment_coordinate().xy)).rgb

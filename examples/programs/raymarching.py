@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from frame import main
+from frame import Screen, main
 
 import rhi
 from rhi.shading import (
-    Shader,
     Struct,
     Uniform,
     clamp,
@@ -23,7 +22,6 @@ from rhi.shading import (
     vec2,
     vec3,
     vec4,
-    vertex_index,
 )
 
 
@@ -50,14 +48,10 @@ def trace(origin: vec3, direction: vec3, farthest: float) -> float:
     return t
 
 
-class Spheres(Shader):
+class Spheres(Screen):
     """One ray for the eye and one for the shadow."""
 
     view: Uniform[View]
-
-    def vertex(self) -> vec4:
-        corner = vec2(float(vertex_index() & 1), float(vertex_index() >> 1))
-        return vec4(corner * 4.0 - 1.0, 0.5, 1.0)
 
     def fragment(self) -> vec4:
         place = (fragment_coordinate().xy - self.view.size * 0.5) / self.view.size.y
