@@ -56,6 +56,12 @@ class SharedDevices:
             self._devices[record] = device
         return device
 
+    def lend(self, test: pytest.Item, record: bool) -> Iterator[rhi.Device]:
+        """Yield a device for one test, and renew the devices if the test has failed."""
+        yield self.get(record)
+        if FAILED in test.stash:
+            self.renew()
+
     def renew(self) -> None:
         """Close the devices; the next test creates new ones."""
         while self._devices:
@@ -77,17 +83,13 @@ def shared_devices(backend: str) -> Iterator[SharedDevices]:
 @pytest.fixture
 def shared_device(request: pytest.FixtureRequest, shared_devices: SharedDevices) -> Iterator[rhi.Device]:
     """The session's device, with timers."""
-    yield shared_devices.get(record=False)
-    if FAILED in request.node.stash:
-        shared_devices.renew()
+    yield from shared_devices.lend(request.node, record=False)
 
 
 @pytest.fixture
 def recording_device(request: pytest.FixtureRequest, shared_devices: SharedDevices) -> Iterator[rhi.Device]:
     """A second device, which records its commands."""
-    yield shared_devices.get(record=True)
-    if FAILED in request.node.stash:
-        shared_devices.renew()
+    yield from shared_devices.lend(request.node, record=True)
 
 
 @pytest.fixture
