@@ -107,6 +107,10 @@ class ClKit:
             self.release(held)
         self.backend.close()
 
+    def finish(self) -> None:
+        """Wait for all dispatches. Reads of `READBACK` buffers don't: they take what is there."""
+        self.backend.context.queue.finish()
+
     def dispatch(self, program: Id, groups: int = 1) -> None:
         self.backend.bind_program(program)
         self.backend.dispatch(groups, 1, 1)
