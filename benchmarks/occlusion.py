@@ -39,12 +39,12 @@ DOUBLING = 1.2
 SIGHT = 150.0
 
 
-class OracleQuery:
-    """An occlusion query that is answered at once."""
+class OracleSet:
+    """A query set that is answered at once."""
 
     is_finished = True
 
-    def __init__(self, shows: bool) -> None:
+    def __init__(self, shows: list[bool]) -> None:
         self.shows = shows
 
 
@@ -64,12 +64,15 @@ class OracleQueries:
     def states(self) -> Any:
         return nullcontext()
 
-    def issue(self, nodes: list[int]) -> OracleQuery:
-        self.issued += 1
-        return OracleQuery(any(self.nodes[node] for node in nodes))
+    def ask(self, nodes: list[int], rows: list[int]) -> OracleSet:
+        shows = [False] * (rows[-1] + 1)
+        for node, row in zip(nodes, rows, strict=True):
+            shows[row] |= self.nodes[node]
+        self.issued += len(shows)
+        return OracleSet(shows)
 
-    def resolve(self, query: OracleQuery) -> bool:
-        return query.shows
+    def read(self, queries: OracleSet) -> list[bool]:
+        return queries.shows
 
 
 def measure(text: str) -> dict[str, Any]:

@@ -16,7 +16,18 @@ from renderer.frame.resources import SceneResources
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
 from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
-from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
+from rhi import (
+    CullMode,
+    DepthFunction,
+    DepthTest,
+    DepthWrite,
+    Device,
+    FrontFace,
+    Program,
+    QuerySet,
+    Texture,
+    refuse,
+)
 
 _DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}
 """The depth to clear to, and the depth function that nearer fragments pass."""
@@ -125,21 +136,51 @@ class TechniquePass:
 
     def draw(self, rows: NDArray[np.int64]) -> None:
         """Draw the objects `rows` (k,)."""
-        self.open()
-        self.drawn.batches.append(rows)
-        resources = self._resources
-        resources.simulate(rows)
+        resources = self._begin_batch(rows)
         if len(rows) > 1:
-            objects, forward = resources.scene.objects, self._camera.forward
-            far = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
-            rows = rows[np.argsort(far, kind="stable")]
+            rows = rows[np.argsort(self._find_farthest(rows), kind="stable")]
         for mirrored, winding in _WINDINGS:
-            part = resources.take_winding(rows, mirrored=mirrored)
+            part = rows[resources.find_winding(rows, mirrored=mirrored)]
             if part.size:
                 with self._device.states(winding):
                     self._device.draw_many(
                         self._program, resources.mesh, resources.draws[part], **self._bindings
                     )
+
+    def draw_conditional(
+        self, rows: NDArray[np.int64], queries: QuerySet, answers: NDArray[np.int64]
+    ) -> None:
+        """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
+        Objects with the same condition are drawn together, front to back."""
+        resources = self._begin_batch(rows)
+        order = np.lexsort((self._find_farthest(rows), answers))
+        rows, answers = rows[order], answers[order]
+        for mirrored, winding in _WINDINGS:
+            chosen = resources.find_winding(rows, mirrored=mirrored)
+            part = rows[chosen]
+            if part.size:
+                with self._device.states(winding):
+                    self._device.draw_conditional(
+                        self._program,
+                        resources.mesh,
+                        resources.draws[part],
+                        queries,
+                        answers[chosen],
+                        **self._bindings,
+                    )
+
+    def _begin_batch(self, rows: NDArray[np.int64]) -> SceneResources:
+        """Open the pass, and record and simulate the objects that are drawn next; return the scene's resources."""
+        self.open()
+        self.drawn.batches.append(rows)
+        self._resources.simulate(rows)
+        return self._resources
+
+    def _find_farthest(self, rows: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the depth of the farthest corner of each object's box."""
+        objects, forward = self._resources.scene.objects, self._camera.forward
+        far: NDArray[np.float64] = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
+        return far
 
     def draw_list(self, draws: DeviceList) -> None:
         """Draw the objects that the device has listed. Simulated objects that are not outside the view are stepped,

@@ -200,12 +200,12 @@ class SceneResources:
         """Return whether there are objects of one winding: mirrored ones, or others."""
         return self._windings[mirrored]
 
-    def take_winding(self, rows: NDArray[np.int64], *, mirrored: bool) -> NDArray[np.int64]:
-        """Return those of `rows` whose objects are mirrored, or those that aren't. In a scene with only one winding
-        this takes no test."""
+    def find_winding(self, rows: NDArray[np.int64], *, mirrored: bool) -> slice | NDArray[np.bool_]:
+        """Return the index of those of `rows` whose objects are mirrored, or of those that aren't. In a scene with
+        only one winding this takes no test."""
         if not self.has_winding(mirrored=mirrored):
-            return rows[:0]
-        return rows[self.mirrored[rows] == mirrored] if self.has_winding(mirrored=not mirrored) else rows
+            return slice(0)
+        return self.mirrored[rows] == mirrored if self.has_winding(mirrored=not mirrored) else slice(None)
 
     def update(self, camera: Camera) -> None:
         """Update the buffers to the scene as `camera` sees it."""

@@ -16,7 +16,7 @@ from typing import NoReturn, Protocol
 from renderer import rules
 from renderer.scene.arrays import Rows
 from renderer.shaders import MeshPart, Object, ObjectPosition, View
-from rhi import IndirectDraws, Texture, refuse
+from rhi import IndirectDraws, QuerySet, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
 
 __rhi_internal__ = True
@@ -78,6 +78,11 @@ class ScenePass(Protocol):
         """Draw the objects `rows` (k,) now, before anything that is issued later; opens the pass if it is closed."""
         ...
 
+    def draw_conditional(self, rows: Rows, queries: QuerySet, answers: Rows) -> None:
+        """Draw the objects `rows` (k,), each on condition that row `answers[i]` (k,) of a query set counted a sample.
+        The device decides."""
+        ...
+
     def draw_list(self, draws: DeviceList) -> None:
         """Draw the objects that the device has listed; opens the pass if it is closed."""
         ...
@@ -108,6 +113,10 @@ class CallbackPass:
 
     def draw(self, rows: Rows) -> None:
         """Hand the rows (k,) to the function."""
+        self._draw(rows)
+
+    def draw_conditional(self, rows: Rows, queries: QuerySet, answers: Rows) -> None:
+        """Hand the rows (k,) to the function: all of them may be drawn."""
         self._draw(rows)
 
     def draw_list(self, draws: DeviceList) -> None:

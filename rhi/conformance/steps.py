@@ -71,7 +71,7 @@ STEPS: Final = (
     Step(
         "occlusion queries",
         ("begin_query", "end_query", "begin_conditional", "end_conditional"),
-        ("operation · queries", "operation · query sets"),
+        ("operation · queries", "operation · query sets", "operation · conditional draws"),
     ),
     Step(
         "all together",

@@ -214,6 +214,13 @@ class PreparedQueries(Protocol):
         per element of `draws` (`rhi.DRAW` or, without indices, `rhi.DRAW_UNINDEXED`) and `Backend.end_query`. Each row
         occurs in one run only; there is at least one draw. COUNTER queries count these draws, too."""
 
+    def draw_conditional(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+    ) -> None:
+        """Draw on condition: for each run of equal `rows`, the equivalent of `Backend.begin_conditional` of its query,
+        one `Backend.draw_indirect` of its draws and `Backend.end_conditional`. The draws lie one after the other at
+        `offset` of `buffer`, one for each of `rows`, which the latest `draw` has used; there is at least one."""
+
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         """Return the samples that passed, for rows of the latest `draw` and in their order, as a new array. Return
         None while any answer is missing; never wait."""

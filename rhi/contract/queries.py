@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.backend import Backend
-from rhi.contract.descriptors import Id, Primitive
+from rhi.contract.descriptors import DRAW, Id, Primitive
 
 __rhi_internal__ = True
 
@@ -44,6 +44,21 @@ class PlainQueries:
             if current >= 0:
                 backend.end_query(queries[current])
 
+    def draw_conditional(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+    ) -> None:
+        """Draw on condition; see `rhi.contract.backend.PreparedQueries.draw_conditional`."""
+        backend, queries = self._backend, self._queries
+        size = DRAW.itemsize
+        for row, begin, end in list_runs(rows):
+            backend.begin_conditional(queries[row], False)
+            try:
+                backend.draw_indirect(
+                    vertex_array, primitive, buffer, offset + begin * size, end - begin, size, 0, 0
+                )
+            finally:
+                backend.end_conditional()
+
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         """Return the samples of each row, or None; see `rhi.contract.backend.PreparedQueries.read`."""
         read, queries = self._backend.read_query, self._queries
@@ -64,3 +79,9 @@ def list_draws(draws: NDArray[Any]) -> Iterator[tuple[int, int, int, int, int]]:
     indexed = "base_vertex" in (draws.dtype.names or ())
     base_vertex = draws["base_vertex"].tolist() if indexed else [0] * len(draws)
     return zip(first, count, instances, base_vertex, base_instance, strict=True)
+
+
+def list_runs(rows: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
+    """Yield the row, begin and end of each run of equal rows, of which there is at least one."""
+    begins = np.flatnonzero(np.diff(rows, prepend=-1))
+    return zip(rows[begins].tolist(), begins.tolist(), [*begins[1:].tolist(), len(rows)], strict=True)

@@ -185,6 +185,14 @@ class CommandBuffer(Encoder):
 
     def _mark_rows_drawn(self, queries: QuerySet, rows: NDArray[np.int64]) -> None:
         self._recorder.queries[queries.id] = partial(queries.mark_rows_submitted, rows)
+        self._recorder.counted_rows[queries.id] = rows
+
+    def _find_counted(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
+        counted = self._recorder.counted_rows.get(queries.id)
+        if counted is None:
+            given = "a query set that this command buffer hasn't used in draw_counted"
+            self._recorder.refuse(QUERY_STATE, call, given, "one that it has used before")
+        return counted
 
     def conditional(self, query: OcclusionQuery, *, inverted: bool = False) -> Conditional:
         """Create a condition: `with commands.conditional(query):` skips draws on the GPU if the query counted nothing.

@@ -21,7 +21,7 @@ from rhi.device.core.state_cache import StateScope
 from rhi.device.immediate import Immediate
 from rhi.device.passes import Clear, RenderPass, RenderTarget
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery
-from rhi.device.queries.sets import QuerySet
+from rhi.device.queries.sets import QuerySet, find_runs
 from rhi.device.queries.timers import EventScope, Timers
 from rhi.device.resources.buffers import Buffer, StorageBuffer, check_buffer
 from rhi.device.resources.meshes import Drawable, Mesh, check_draws
@@ -30,6 +30,7 @@ from rhi.device.resources.textures import Texture
 from rhi.device.transient import TransientMemory
 from rhi.errors.arguments import Arguments, Fields, as_whole
 from rhi.errors.rules import (
+    CONDITION_NESTED,
     DEVICE_ARGUMENT,
     DEVICE_CAPABILITY,
     DISPATCH_SIZE,
@@ -194,6 +195,68 @@ class Encoder:
         counted = queries.draw(core, vertex_array, mesh.primitive, array, each)
         core.draws += len(array)
         self._mark_rows_drawn(queries, counted)
+
+    def draw_conditional(
+        self,
+        program: Program[P],
+        mesh: Drawable,
+        draws: NDArray[Any],
+        queries: QuerySet,
+        rows: NDArray[Any] | Sequence[int] | None = None,
+        /,
+        *args: P.args,
+        **bindings: P.kwargs,
+    ) -> None:
+        """Draw parts of `mesh`, each on condition that a row of a query set counted a sample, in one call.
+
+        The GPU decides, without a round trip to the CPU, as in `conditional`.
+
+        Args:
+            draws: (n,) as for `draw_many`. Shaders tell them apart by `instance_index()`; their `draw_index()` counts
+                from 0 within consecutive draws of one row.
+            queries: a query set that `draw_counted` has used.
+            rows: (n,) integers, the row that decides about each draw; by default row i decides about draw i. Draws of
+                the same row are best consecutive: on most devices each run of them is one conditional draw.
+
+        Raises:
+            ValidationError: `query-rows`, also for a row that the latest `draw_counted` didn't use; `query-state` if
+                there was none; `device-capability` for an emulated set; `condition-nested` inside another condition;
+                and the errors of `draw_many`; nothing is drawn or bound then.
+        """
+        call = f"{self.NAME}.draw_conditional"
+        own = self._resolve_program(program, call)
+        core = self._core
+        check_drawable(core, mesh, call)
+        array = check_draws(core, mesh, draws, call)
+        check = Arguments(call, core.refuse)
+        check.instance("queries", queries, QuerySet, "a QuerySet from device.query_set(…)")
+        core.check_usable(queries, call)
+        if not core.capabilities.conditional_rendering:
+            core.refuse(
+                DEVICE_CAPABILITY, call, "conditional rendering", "needs capabilities.conditional_rendering"
+            )
+        if queries.emulated:
+            core.refuse(DEVICE_CAPABILITY, call, "an emulated query set", "a native one: device.query_set(…)")
+        if core.condition_open:
+            core.refuse(CONDITION_NESTED, call, "a condition inside another")
+        if mesh.primitive is Primitive.QUADS:
+            core.refuse(DEVICE_CAPABILITY, call, "Primitive.QUADS", "any other primitive")
+        each = queries.check_conditions(rows, len(array), self._find_counted(queries, call), call)
+        vertex_array = self._bind_draws(own, mesh, bindings)
+        if not len(array):
+            return
+        core.upload_bytes += array.nbytes
+        arguments = self._transient.arguments
+        offset = arguments.write(array.view(np.uint8).data, array.nbytes, 4)
+        queries.draw_conditional(core, vertex_array, mesh.primitive, arguments.buffer, offset, each)
+        runs = len(find_runs(each))
+        core.condition_count += runs
+        core.draws += runs
+
+    def _find_counted(self, queries: QuerySet, call: str) -> NDArray[np.int64]:
+        """Return the rows whose answers a condition can use; `query-state` if the set wasn't used."""
+        queries.check_ended(self._core, call)
+        return queries.counted
 
     def _check_query_set(self, queries: QuerySet, call: str) -> None:
         self._core.check_usable(queries, call)

@@ -12,6 +12,9 @@ from collections.abc import Callable
 from types import CodeType
 from typing import Any, NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from rhi.commands.recorder import CommandWriter
 from rhi.contract.descriptors import Id, VertexArrayDescriptor
 from rhi.device.core.core import Core, Owner, describe_object
@@ -48,10 +51,11 @@ class RecordingCore(Core):
         conditions: queries that must have ended before the buffer is submitted.
         queries: for each query and query set that the buffer uses, by id, the function that receives the fence of a
             submission.
+        counted_rows: for each query set that the buffer uses, by id, the rows that it counts in.
     """
 
     __slots__ = (
-        "conditions", "device", "own_arrays", "queries", "recording", "stream", "uses", "vertex_arrays",
+        "conditions", "counted_rows", "device", "own_arrays", "queries", "recording", "stream", "uses", "vertex_arrays",
     )  # fmt: skip
     records = True
 
@@ -68,6 +72,7 @@ class RecordingCore(Core):
         self.own_arrays = writer.vertex_arrays
         self.conditions: list[OcclusionQuery] = []
         self.queries: dict[Id, Callable[[int], None]] = {}
+        self.counted_rows: dict[Id, NDArray[np.int64]] = {}
 
     def new_id(self) -> Id:
         return self.device.new_id()

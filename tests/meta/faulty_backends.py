@@ -104,6 +104,18 @@ class RowsInOrder(Preparing):
         return SimpleNamespace(draw=prepared.draw, read=lambda rows: prepared.read(np.sort(rows)))
 
 
+class OneConditionForAll(Preparing):
+    """Decides about all draws by the same row of a query set."""
+
+    def prepare_queries(self, queries: Any) -> Any:
+        prepared = self._inner.prepare_queries(queries)
+
+        def draw_conditional(array: int, primitive: Any, buffer: int, offset: int, rows: Any) -> None:
+            prepared.draw_conditional(array, primitive, buffer, offset, rows * 0 + rows[0])
+
+        return SimpleNamespace(draw=prepared.draw, read=prepared.read, draw_conditional=draw_conditional)
+
+
 class UpsideDown(Faulty):
     def read_texture(self, *a: Any) -> Any:
         return self._inner.read_texture(*a)[:, ::-1].copy()
@@ -202,6 +214,7 @@ FAULTS: dict[str, tuple[Callable[[Any], Any], str]] = {
     "prepared at zero": (PreparedAtZero, "transient"),
     "one row for all": (OneRowForAll, "query_sets"),
     "rows in order": (RowsInOrder, "query_sets"),
+    "one condition for all": (OneConditionForAll, "conditional_draws"),
     "no mipmaps": (NoMipmaps, "textures"),
     "copy to corner": (CopyToCorner, "textures"),
     "short write": (ShortWrite, "buffers"),

@@ -80,6 +80,7 @@ def use(device: rhi.Device) -> None:
         device.draw_many(flat, mesh, mesh.draws(), tint=tint, many=many, albedo=image)
         counted = device.query_set(2)
         device.draw_counted(flat, mesh, mesh.draws(), counted, [1], tint=tint, many=many, albedo=image)
+        device.draw_conditional(flat, mesh, mesh.draws(), counted, [1], tint=tint, many=many, albedo=image)
         assert_type(counted.wait(), NDArray[np.int64])
         with device.immediate(flat, Primitive.QUADS, tint=tint, many=many, albedo=image) as quads:
             quads.vertex(position=(0, 0))

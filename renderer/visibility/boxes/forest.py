@@ -66,6 +66,7 @@ class Forest:
         self.child: list[int] = child.tolist()
         self.object: list[int] = row.tolist()
         self.order, self.runs = self._find_runs()
+        self._run_ends: Rows = np.array(self.runs, np.int64).reshape(-1, 2)
         self._inner: Rows = np.flatnonzero(child >= 0)
         self._first: Rows = child[self._inner]
         self._leaves: Rows = np.flatnonzero(child < 0)
@@ -118,11 +119,15 @@ class Forest:
         run = slice(self._starts[tree], self._starts[tree + 1])
         self.lower[run], self.upper[run] = hierarchy.fit(self._objects.lower[rows], self._objects.upper[rows])
 
-    def objects(self, node: int) -> Rows:
-        """Return the rows, ascending, of the objects below a node that are not outside the frustum."""
-        first, end = self.runs[node]
-        rows = self.order[first:end]
-        return np.sort(rows[self._in_view[rows]])
+    def find_objects(self, nodes: list[int]) -> tuple[Rows, Rows]:
+        """Return the rows of the objects below several nodes that are not outside the frustum, and for each of them
+        the index of its node in `nodes`."""
+        begins, ends = self._run_ends[nodes].T
+        counts = ends - begins
+        which = np.repeat(np.arange(len(nodes)), counts)
+        rows = self.order[np.arange(len(which)) + (begins - np.cumsum(counts) + counts)[which]]
+        seen = self._in_view[rows]
+        return rows[seen], which[seen]
 
     def _find_runs(self) -> tuple[Rows, list[tuple[int, int]]]:
         order, runs, start = [np.zeros(0, np.int64)], [], 0

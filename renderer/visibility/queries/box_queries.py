@@ -3,8 +3,10 @@
 A query is about nodes, each of which has one box or several. All boxes are rows of one array, relative to the eye,
 written once a frame. A node's boxes are consecutive rows and the instances of one draw; the draws of several nodes
 are one call. The directions of the boxes' axes are another array, written when they change. Boxes are drawn with the
-technique's depth test, and write neither colour nor depth. Query objects are reused. The time for which the CPU
-waits for results is counted.
+technique's depth test, and write neither colour nor depth. The time for which the CPU waits for results is counted.
+
+Many nodes are asked about at once with a query set, which is one call and one answer. Query sets and single queries
+are reused.
 """
 
 from __future__ import annotations
@@ -19,7 +21,7 @@ from renderer.scene import Camera
 from renderer.scene.arrays import Rows
 from renderer.visibility.boxes.bounds import QueryBoxes
 from renderer.visibility.boxes.cubes import BoxCamera, CubeCorner, make_cube
-from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, StateScope
+from rhi import ColorWrite, CullMode, DepthWrite, Device, FrontFace, OcclusionQuery, QuerySet, StateScope
 from rhi.shading import Shader, Storage, Struct, Uniform, cross, instance_index, vec3, vec4
 
 __rhi_internal__ = True
@@ -86,6 +88,7 @@ class BoxQueries:
             np.zeros((0, 3), np.float32),
         ) * 2  # those on the device
         self._free: list[OcclusionQuery] = []
+        self._free_sets: dict[int, list[QuerySet]] = {}  # by size
 
     def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
         """Upload the boxes of all nodes, gathered from `boxes`, and reset the counters."""
@@ -150,10 +153,57 @@ class BoxQueries:
         """Make a query reusable without reading its result."""
         self._free.append(query)
 
+    def ask(self, nodes: Sequence[int], rows: Sequence[int]) -> QuerySet:
+        """Query the boxes of `nodes` in one call. Node i is counted by row `rows[i]` of the set; nodes with the same row
+        are consecutive, and rows go from 0 up. Pass the set to `read` or `release_set` later."""
+        queries = self._acquire_set(rows[-1] + 1)
+        draws = self._draws.take(nodes)
+        self.device.draw_counted(
+            self._program,
+            self._mesh,
+            draws,
+            queries,
+            np.asarray(rows),
+            camera=self._camera,
+            boxes=self._buffer,
+            turns=self._turns,
+        )
+        self.issued += rows[-1] + 1
+        self.draws += len(draws)
+        self.boxes += int(draws["instances"].sum())
+        return queries
+
+    def _acquire_set(self, rows: int) -> QuerySet:
+        """Return an unused set of at least so many rows, fewer than twice as many."""
+        size = 1 << (rows - 1).bit_length()
+        free = self._free_sets.setdefault(size, [])
+        return free.pop() if free else self.device.query_set(size)
+
+    def read(self, queries: QuerySet) -> list[bool]:
+        """Return for each row of a set whether more samples than the threshold passed, and release the set. Waits for
+        the results if they are not yet available."""
+        if queries.is_finished:
+            samples = queries.visible_samples
+        else:
+            began = perf_counter()
+            samples = queries.wait()
+            self.stalled += perf_counter() - began
+        self.release_set(queries)
+        shows: list[bool] = (samples > self.threshold).tolist()
+        return shows
+
+    def release_set(self, queries: QuerySet) -> None:
+        """Make a set reusable without reading its results."""
+        self._free_sets[len(queries)].append(queries)
+
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         for query in self._free:
             query.destroy()
+        for free in self._free_sets.values():
+            for queries in free:
+                queries.destroy()
         self._free.clear()
+        self._free_sets.clear()
         for resource in (self._mesh, self._buffer, self._turns, self._camera):
             resource.destroy()

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import exp
 from random import Random
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -31,9 +31,12 @@ from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import NEVER, pull_up
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
+from rhi import Device, FixedQueue, FixedStack, QuerySet, refuse
 
 __rhi_internal__ = True
+
+Asked: TypeAlias = tuple[QuerySet, list[list[int]]]
+"""A query set in flight, and the nodes that each of its rows is about."""
 
 STAYS_HIDDEN: Final = tuple(0.99 - 0.7 * exp(-t) for t in range(16))
 """The probability that a node that was hidden for t frames stays hidden in the next; almost constant from 15 on."""
@@ -97,12 +100,14 @@ class ChcPlusPlus:
         self._frame = 0
         room = max(count, 1)
         self._stack: FixedStack[int] = FixedStack(room)
-        self._i_queue: list[int] = []  # nodes
-        self._requery: list[int] = []  # nodes of multiqueries in which something was visible
+        self._i_queue: FixedQueue[int] = FixedQueue(room)  # nodes
+        self._requery: FixedQueue[int] = FixedQueue(
+            room
+        )  # nodes of multiqueries in which something was visible
         self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
-        self._i_queries: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
-        self._v_queries: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
-        self._render_queue: list[int] = []  # objects
+        self._i_queries: FixedQueue[Asked] = FixedQueue(room)
+        self._v_queries: FixedQueue[Asked] = FixedQueue(room)
+        self._render_queue: FixedQueue[int] = FixedQueue(room)  # objects
         self._shown: list[int] = []
         self._drawn = self._batches = self._visits = 0
 
@@ -111,21 +116,21 @@ class ChcPlusPlus:
         forest, stack, pending, visit = self._forest, self._stack, self._i_queries, self._visit
         self._begin(camera)
         while True:
-            while pending and pending.front[1].is_finished:
-                self._resolve(*pending.pop())
             if stack:
                 visit(stack.pop())
-                if len(self._i_queue) >= self._batch:
-                    self._query_i_queue(scene_pass)
+                if len(self._i_queue) < self._batch:
+                    continue
+                self._query_i_queue(scene_pass)
             elif self._i_queue or self._requery:
                 self._query_i_queue(scene_pass)
-            elif pending:
-                if self._v_queue:
-                    self._query_v_queue(scene_pass)
-                else:
-                    self._resolve(*pending.pop())
-            else:
+            elif not pending:
                 break
+            elif self._v_queue:
+                self._query_v_queue(scene_pass)
+            else:
+                self._resolve(*pending.pop())
+            while pending and pending.front[0].is_finished:
+                self._resolve(*pending.pop())
         self._draw_render_queue(scene_pass)
         if self._v_queue:
             self._query_v_queue(scene_pass)
@@ -161,17 +166,22 @@ class ChcPlusPlus:
         ):
             left.clear()
         while self._i_queries:  # left by a frame that raised
-            queries.release(self._i_queries.pop()[1])
-        while self._v_queries and self._v_queries.front[1].is_finished:
-            leaf, query = self._v_queries.pop()
-            self._is_queried[leaf] = 0
-            if queries.resolve(query):
-                self._next_query[leaf] = self._frame - 1 + self._persistence
-            elif self._visible[leaf]:
-                self._visible[leaf] = 0
-                self._hidden_since[leaf] = self._frame
+            queries.release_set(self._i_queries.pop()[0])
+        while self._v_queries and self._v_queries.front[0].is_finished:
+            asked, leaves = self._v_queries.pop()
+            for (leaf,), shows in zip(leaves, queries.read(asked), strict=False):
+                self._note_leaf(leaf, shows)
         for root in forest.roots:
             self._stack.push(root)
+
+    def _note_leaf(self, leaf: int, shows: bool) -> None:
+        """Take the answer for a leaf that was drawn in the last frame, or earlier."""
+        self._is_queried[leaf] = 0
+        if shows:
+            self._next_query[leaf] = self._frame - 1 + self._persistence
+        elif self._visible[leaf]:
+            self._visible[leaf] = 0
+            self._hidden_since[leaf] = self._frame
 
     def _visit(self, node: int) -> None:
         forest, visible, frame = self._forest, self._visible, self._frame
@@ -187,28 +197,30 @@ class ChcPlusPlus:
             visible[node] = 0
             if not was_visited:
                 self._hidden_since[node] = frame
-            self._i_queue.append(node)
+            self._i_queue.push(node)
         elif forest.child[node] < 0:
             if self._next_query[node] <= frame and not self._is_queried[node]:
                 self._v_queue.push(node)
             self._shown.append(node)
-            self._render_queue.append(forest.object[node])
+            self._render_queue.push(forest.object[node])
         else:
             visible[node] = 0
             self._hidden_since[node] = frame
             self._open(node)
 
-    def _resolve(self, nodes: list[int], query: OcclusionQuery) -> None:
-        """Read the result for previously invisible nodes; waits if it is not yet available."""
-        if not self._queries.resolve(query):
-            return
-        if len(nodes) > 1:
-            self._requery += nodes
-            return
-        (node,) = nodes
-        self._hidden_since[node] = self._frame
-        self._next_query[node] = self._frame + self._random.randint(1, self._persistence)
-        self._show(node)
+    def _resolve(self, asked: QuerySet, groups: list[list[int]]) -> None:
+        """Read the results for previously invisible nodes; waits if they are not yet available."""
+        for nodes, shows in zip(groups, self._queries.read(asked), strict=False):
+            if not shows:
+                continue
+            if len(nodes) > 1:
+                for node in nodes:
+                    self._requery.push(node)
+                continue
+            (node,) = nodes
+            self._hidden_since[node] = self._frame
+            self._next_query[node] = self._frame + self._random.randint(1, self._persistence)
+            self._show(node)
 
     def _show(self, node: int) -> None:
         self._visible[node] = 1
@@ -219,19 +231,16 @@ class ChcPlusPlus:
         forest = self._forest
         child = forest.child[node]
         if child < 0:
-            self._render_queue.append(forest.object[node])
+            self._render_queue.push(forest.object[node])
         else:
             nearer = forest.second_first[node]
             self._stack.push(child + 1 - nearer)
             self._stack.push(child + nearer)
 
     def _query_i_queue(self, scene_pass: ScenePass) -> None:
-        """Query all nodes in the i-queue; nodes that are likely to stay hidden share queries."""
+        """Query all nodes in the i-queue in one call; nodes that are likely to stay hidden share a query."""
         self._draw_render_queue(scene_pass)
-        queries, pending = self._queries, self._i_queries
-        with queries.states():
-            for nodes in self._group_i_queue():
-                pending.push((nodes, queries.issue(nodes)))
+        self._i_queries.push(self._ask(self._group_i_queue()))
         self._i_queue.clear()
         self._requery.clear()
 
@@ -249,21 +258,29 @@ class ChcPlusPlus:
         return groups
 
     def _query_v_queue(self, scene_pass: ScenePass) -> None:
-        """Query leaves of the v-queue until a result of the i-queue is available."""
+        """Query all leaves of the v-queue in one call."""
         self._draw_render_queue(scene_pass)
-        pending = self._i_queries
-        with self._queries.states():
-            while self._v_queue and not (pending and pending.front[1].is_finished):
-                self._query_leaf(self._v_queue.pop())
+        self._v_queries.push(self._ask(self._take_v_queue()))
 
-    def _query_leaf(self, leaf: int) -> None:
-        self._is_queried[leaf] = 1
-        self._v_queries.push((leaf, self._queries.issue((leaf,))))
+    def _take_v_queue(self) -> list[list[int]]:
+        """Empty the v-queue; return its leaves as groups of one."""
+        leaves = [[leaf] for leaf in self._v_queue]
+        for (leaf,) in leaves:
+            self._is_queried[leaf] = 1
+        self._v_queue.clear()
+        return leaves
+
+    def _ask(self, groups: list[list[int]]) -> Asked:
+        """Query groups of nodes, each with one query, in one call."""
+        nodes = [node for group in groups for node in group]
+        rows = [row for row, group in enumerate(groups) for _ in group]
+        with self._queries.states():
+            return self._queries.ask(nodes, rows), groups
 
     def _draw_render_queue(self, scene_pass: ScenePass) -> None:
         """Draw all objects in the render queue."""
         if self._render_queue:
-            rows = np.array(self._render_queue)
+            rows = np.fromiter(self._render_queue, np.int64, len(self._render_queue))
             rows.sort()
             scene_pass.draw(rows)
             self._drawn += len(rows)
@@ -272,6 +289,7 @@ class ChcPlusPlus:
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        while self._v_queries:
-            self._queries.release(self._v_queries.pop()[1])
+        for pending in (self._i_queries, self._v_queries):
+            while pending:
+                self._queries.release_set(pending.pop()[0])
         self._queries.destroy()

@@ -1,14 +1,21 @@
 """CHC++ with conditional rendering (thesis 8.2): the GPU itself discards what it finds to be hidden.
 
-The traversal is that of CHC++. What was visible is opened and drawn. Then what was hidden is queried, and all of it
-is drawn on condition that its query finds it visible. So the CPU never waits for a result: if it is available in the
-next frame, it tells what is visible then. The price is that a hidden node becomes visible as a whole, and is refined
-by one level per frame.
+The traversal is that of CHC++, but a frame asks once, and never waits:
+
+1. What was visible is opened and drawn.
+2. What was hidden, and the visible leaves that are due, are queried with one query set.
+3. All that was hidden is drawn, each object on condition that its row of the set finds it visible.
+
+The answers are read at the beginning of the next frame, if they are available, and tell what counts as visible then.
+They decide what is asked and when, never what is seen. The price is that a hidden node becomes visible as a whole, and
+is refined by one level per frame.
 
 Conditional draws count as drawn: only the GPU knows whether they were.
 """
 
 from __future__ import annotations
+
+from typing import Final
 
 import numpy as np
 
@@ -16,11 +23,14 @@ from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.queries.chc import pull_up
-from renderer.visibility.queries.chc_plus_plus import ChcPlusPlus
+from renderer.visibility.queries.chc_plus_plus import Asked, ChcPlusPlus
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, refuse
+from rhi import Device, FixedQueue, refuse
 
 __rhi_internal__ = True
+
+_MOST_ASKED: Final = 8
+"""The largest number of frames whose answers are awaited; older ones are given up."""
 
 
 class ConditionalCulling(ChcPlusPlus):
@@ -39,46 +49,69 @@ class ConditionalCulling(ChcPlusPlus):
                 f"a {device.backend_name} device without conditional rendering",
             )
         super().__init__(scene, device, persistence=persistence, threshold=threshold, seed=seed)
+        self._asked: FixedQueue[tuple[Asked, int]] = FixedQueue(_MOST_ASKED)
+        """For each frame that asked, its questions, and how many of them are about hidden nodes: the first ones."""
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` saw in recent frames, and the rest on condition."""
-        forest, stack = self._forest, self._stack
+        stack = self._stack
         self._begin(camera)
         while stack:
             self._visit(stack.pop())
         self._draw_render_queue(scene_pass)
-        self._query_i_queue(scene_pass)
-        device = self._queries.device
-        for nodes, query in self._i_queries:
-            rows = np.sort(np.concatenate([forest.objects(node) for node in nodes]))
-            with device.conditional(query):
-                scene_pass.draw(rows)
-            self._drawn += len(rows)
-            self._batches += 1
-        if self._v_queue:
-            self._query_v_queue(scene_pass)
-        pull_up(self._shown, self._visible, forest.parent)
+        hidden = self._group_i_queue()
+        groups = hidden + self._take_v_queue()
+        if groups:
+            if self._asked.is_full:
+                self._give_up()
+            asked = self._ask(groups)
+            self._asked.push((asked, len(hidden)))
+            self._draw_hidden(hidden, asked, scene_pass)
+        pull_up(self._shown, self._visible, self._forest.parent)
         return self._count()
 
+    def _draw_hidden(self, hidden: list[list[int]], asked: Asked, scene_pass: ScenePass) -> None:
+        """Draw all objects below hidden nodes, on condition that their row of the set finds them visible."""
+        rows, nodes = self._forest.find_objects([node for group in hidden for node in group])
+        if len(rows):
+            row_of = np.repeat(np.arange(len(hidden)), [len(group) for group in hidden])
+            scene_pass.draw_conditional(rows, asked[0], row_of[nodes])
+            self._drawn += len(rows)
+            self._batches += 1
+
     def _begin(self, camera: Camera) -> None:
-        """Read the last frame's results for hidden nodes; those not yet available are discarded."""
-        shown = []
-        while self._i_queries:
-            nodes, query = self._i_queries.pop()
-            if not query.is_finished:
-                self._queries.release(query)
-            elif self._queries.resolve(query):
-                if len(nodes) == 1:
-                    self._next_query[nodes[0]] = self._frame + self._random.randint(1, self._persistence)
-                    self._visible[nodes[0]] = 1
-                    shown += nodes
-                for node in nodes:  # some are visible, unknown which: each is queried alone next time
-                    self._hidden_since[node] = self._frame + 1
+        """Take the answers that are available, and begin a frame."""
+        shown: list[int] = []
+        while self._asked and self._asked.front[0][0].is_finished:
+            (queries, groups), hidden = self._asked.pop()
+            answers = self._queries.read(queries)
+            for nodes, shows in zip(groups[:hidden], answers, strict=False):
+                if shows:
+                    self._note_shown(nodes)
+                    shown += nodes[: len(nodes) == 1]
+            for (leaf,), shows in zip(groups[hidden:], answers[hidden:], strict=False):
+                self._note_leaf(leaf, shows)
         pull_up(shown, self._visible, self._forest.parent)
         super()._begin(camera)
 
-    def _query_v_queue(self, scene_pass: ScenePass) -> None:
-        """Query all leaves of the v-queue."""
-        with self._queries.states():
-            while self._v_queue:
-                self._query_leaf(self._v_queue.pop())
+    def _note_shown(self, nodes: list[int]) -> None:
+        """Note that a query found a hidden node visible, or some of several, unknown which: then each is queried alone
+        next time."""
+        if len(nodes) == 1:
+            self._next_query[nodes[0]] = self._frame + self._random.randint(1, self._persistence)
+            self._visible[nodes[0]] = 1
+        for node in nodes:
+            self._hidden_since[node] = self._frame + 1
+
+    def _give_up(self) -> None:
+        """Forget the oldest questions."""
+        (queries, groups), hidden = self._asked.pop()
+        self._queries.release_set(queries)
+        for (leaf,) in groups[hidden:]:
+            self._is_queried[leaf] = 0
+
+    def destroy(self) -> None:
+        """Destroy the resources on the device."""
+        while self._asked:
+            self._give_up()
+        super().destroy()

@@ -126,6 +126,12 @@ class _CheckedQueries:
     ) -> None:
         self._backend.check(self._queries.draw, "draw_counted", vertex_array, primitive, draws, rows)
 
+    def draw_conditional(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+    ) -> None:
+        draw = self._queries.draw_conditional
+        self._backend.check(draw, "draw_conditional", vertex_array, primitive, buffer, offset, rows)
+
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         samples: NDArray[np.int64] | None = self._backend.check(self._queries.read, "read_queries", rows)
         return samples

@@ -82,6 +82,11 @@ class GlQuerySet:
             if current is not None:
                 end(samples_passed)
 
+    def draw_conditional(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+    ) -> None:
+        self._plain.draw_conditional(vertex_array, primitive, buffer, offset, rows)
+
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         if self._is_plain:
             return self._plain.read(rows)

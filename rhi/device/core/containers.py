@@ -71,7 +71,9 @@ class FixedStack(Generic[T]):
 
     def clear(self) -> None:
         """Remove all elements."""
-        self._data[: self._index] = [None] * self._index
+        data = self._data
+        for index in range(self._index):
+            data[index] = None
         self._index = 0
 
     def __len__(self) -> int:
@@ -135,7 +137,9 @@ class FixedQueue(Generic[T]):
 
     def clear(self) -> None:
         """Remove all elements."""
-        self._data = [None] * (self._mask + 1)
+        data, mask = self._data, self._mask
+        for position in range(self._read, self._read + self._count):
+            data[position & mask] = None
         self._read = self._count = 0
 
     def __len__(self) -> int:

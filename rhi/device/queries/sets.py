@@ -79,7 +79,7 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         self._size = size
         self._rows = np.zeros(0, np.int64)
         self._in_order = np.arange(self._size)
-        self._prepared: PreparedQueries = self._plain(core)
+        self._prepared: PreparedQueries | EmulatedQueries = self._plain(core)
         if not self.emulated and hasattr(core.backend, "prepare_queries"):
             self._prepared = cast("PreparesQueries", core.backend).prepare_queries(self.ids)
         self._reader = self._prepared
@@ -95,6 +95,29 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
 
     def check_rows(self, rows: object, draws: int, call: str) -> NDArray[np.int64]:
         """Return the row that counts each draw, (draws,) int64; `query-rows` if `rows` don't fit."""
+        each = self._read_rows(rows, draws, call)
+        if rows is None:
+            return each
+        repeated = np.bincount(find_runs(each)) > 1
+        if repeated.any():
+            repeat = f"row {repeated.argmax()} again after other rows"
+            self._core.refuse(QUERY_ROWS, call, repeat, "consecutive draws for each row")
+        return each
+
+    def check_conditions(
+        self, rows: object, draws: int, counted: NDArray[np.int64], call: str
+    ) -> NDArray[np.int64]:
+        """Return the row that each draw depends on, (draws,) int64; `query-rows` if `rows` don't fit, or name one that
+        isn't among `counted`."""
+        each = self._read_rows(rows, draws, call)
+        missing = each[~np.isin(each, counted)]
+        if len(missing):
+            given = f"row {missing[0]}, in which the latest draw_counted counted nothing"
+            self._core.refuse(QUERY_ROWS, call, given, "rows that it used")
+        return each
+
+    def _read_rows(self, rows: object, draws: int, call: str) -> NDArray[np.int64]:
+        """Return the row of each draw, by default row i for draw i; `query-rows` if it isn't a row of the set."""
         size = len(self)
         if rows is None:
             if draws > size:
@@ -108,11 +131,12 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
         each: NDArray[np.int64] = given.astype(np.int64)
         if draws and not 0 <= each.min() <= each.max() < size:
             self._core.refuse(QUERY_ROWS, call, f"rows {given.min()} to {given.max()}", f"0 to {size - 1}")
-        repeated = np.bincount(find_runs(each)) > 1
-        if repeated.any():
-            repeat = f"row {repeated.argmax()} again after other rows"
-            self._core.refuse(QUERY_ROWS, call, repeat, "consecutive draws for each row")
         return each
+
+    @property
+    def counted(self) -> NDArray[np.int64]:
+        """The rows that the latest `draw_counted` used, in its order."""
+        return self._rows
 
     def draw(
         self, core: Core, vertex_array: Id, primitive: Primitive, draws: NDArray[Any], rows: NDArray[np.int64]
@@ -126,6 +150,20 @@ class QuerySet(PendingQuery[NDArray[np.int64]]):
             prepared.draw(vertex_array, primitive, draws, rows)
         core.counters.queries += len(used)
         return used
+
+    def draw_conditional(
+        self,
+        core: Core,
+        vertex_array: Id,
+        primitive: Primitive,
+        buffer: Id,
+        offset: int,
+        rows: NDArray[np.int64],
+    ) -> None:
+        """Send draws, each on condition that its row counted a sample, to `core`. The set isn't emulated."""
+        reader = self._reader if core is self._core else self._plain(core)
+        assert not isinstance(reader, EmulatedQueries)
+        reader.draw_conditional(vertex_array, primitive, buffer, offset, rows)
 
     def mark_rows_drawn(self, rows: NDArray[np.int64]) -> None:
         """Note that the device has drawn with these rows."""

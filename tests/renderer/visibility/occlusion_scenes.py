@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from renderer.visibility.gpu.depth_pyramid import CompareBoxes
 from renderer.visibility.gpu.occludees import DRAWN, HIDDEN, VISIBLE, MarkBoxes, MarkListedBoxes
 from renderer.visibility.gpu.reprojection import WriteDepth
 from renderer.visibility.queries.box_queries import QueryBoxShader
-from rhi import OcclusionQuery
+from rhi import OcclusionQuery, QuerySet
 from rhi.backends.null import Draw, NullBackend
 
 WAITING = ("stop_and_wait", "chc", "chc_plus_plus")
@@ -206,29 +207,33 @@ def count_wrong_pixels(
 
 
 def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
-    """Let every query be looked at (`is_finished`) so many times before its answer is there, and no more often, as
+    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, and no more often, as
     quick or slow as the GPU may be; waiting for it always helps."""
     left: dict[int, int] = {}
-    begin, read, wait = OcclusionQuery.begin, OcclusionQuery._read, OcclusionQuery.wait
 
-    def begin_late(query: OcclusionQuery) -> None:
-        begin(query)
-        left[query.id] = looks
+    def delay(kind: type, begins: str) -> None:
+        begin, read, wait = (getattr(kind, name) for name in (begins, "_read", "wait"))
 
-    def read_late(query: OcclusionQuery) -> int | None:
-        left[query.id] -= 1
-        samples = None
-        while left[query.id] < 0 and samples is None:
-            samples = read(query)
-        return samples
+        def begin_late(query: Any, *arguments: object) -> object:
+            left[query.id] = looks
+            return begin(query, *arguments)
 
-    def wait_late(query: OcclusionQuery) -> int:
-        left[query.id] = 0
-        return wait(query)
+        def read_late(query: Any) -> object:
+            left[query.id] -= 1
+            answer = None
+            while left[query.id] < 0 and answer is None:
+                answer = read(query)
+            return answer
 
-    monkeypatch.setattr(OcclusionQuery, "begin", begin_late)
-    monkeypatch.setattr(OcclusionQuery, "_read", read_late)
-    monkeypatch.setattr(OcclusionQuery, "wait", wait_late)
+        def wait_late(query: Any) -> object:
+            left[query.id] = 0
+            return wait(query)
+
+        for name, late in ((begins, begin_late), ("_read", read_late), ("wait", wait_late)):
+            monkeypatch.setattr(kind, name, late)
+
+    delay(OcclusionQuery, "begin")
+    delay(QuerySet, "draw")
 
 
 SIZE = (97, 55)

@@ -224,6 +224,9 @@ def encoder_samples(open_encoder: Callable[[House], Any]) -> dict[str, Sample]:
                 with ExitStack() as stack:
                     if name.startswith(("draw", "immediate")):
                         stack.enter_context(encoder.render_pass(house.target))
+                    if name == "draw_conditional":
+                        draws = house.mesh.draws([0, 3], 3)
+                        encoder.draw_counted(house.program, house.mesh, draws, house.queries, tint=house.tint)
                     first = [given.pop(each) for each in positional]
                     made = getattr(encoder, name)(*first, **given)
                     if hasattr(made, "__enter__"):
@@ -271,6 +274,18 @@ def encoder_samples(open_encoder: Callable[[House], Any]) -> dict[str, Sample]:
                 "rows": ([0, 1], optional(array("i8"))),
                 "tint": TINT,
             },
+        ),
+        "draw_conditional": Sample(
+            call("draw_conditional", "program", "mesh", "draws", "queries", "rows"),
+            {
+                "program": PROGRAM,
+                "mesh": MESH,
+                "draws": DRAWS,
+                "queries": (of("queries"), own(rhi.QuerySet)),
+                "rows": ([0, 1], optional(array("i8"))),
+                "tint": TINT,
+            },
+            needs=("conditional_rendering",),
         ),
         "draw_indirect": Sample(
             call("draw_indirect", "program", "mesh", "arguments"),

@@ -40,7 +40,10 @@ INTERNAL = {
         "find_vertex_array", "prepare_draw",
     },
     "OcclusionQuery": {"check_ended", "check_usable", "mark_submitted", "write_begin", "write_end"},
-    "QuerySet": {"check_ended", "check_rows", "draw", "mark_rows_drawn", "mark_rows_submitted", "mark_submitted"},
+    "QuerySet": {
+        "check_conditions", "check_ended", "check_rows", "draw", "draw_conditional", "mark_rows_drawn",
+        "mark_rows_submitted", "mark_submitted",
+    },
 }  # fmt: skip
 """Methods that the package's own modules call on each other."""
 

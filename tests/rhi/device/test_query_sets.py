@@ -152,3 +152,22 @@ def test_a_set_that_cannot_be_made_leaves_nothing_behind(kit: Kit) -> None:
     kit.device.finish()
     kit.device.signal()
     assert len(kit.ops(Op.DESTROY)) == 3
+
+
+def test_conditional_draws_are_one_condition_for_each_run_of_rows(kit: Kit) -> None:
+    queries = kit.device.query_set(5)
+    kit.device.backend_as(NullBackend).answer_queries(1)
+    ask(kit, queries)
+    before, counted = len(kit.device.stream), kit.device.statistics
+    draws = kit.mesh.draws(np.zeros(5, int), 3)
+    with kit.device.render_pass(kit.image):
+        kit.device.draw_conditional(
+            kit.program, kit.mesh, draws, queries, [3, 3, 0, 2, 2], camera=kit.camera, object=kit.objects[0]
+        )
+    begin, draw, end = Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.END_CONDITIONAL
+    commands = kit.device.stream[before:].filter(frozenset({begin, draw, end}))
+    assert [c.op for c in commands] == [begin, draw, end] * 3
+    assert [c["query"] for c in commands if c.op is begin] == [queries.ids[row] for row in (3, 0, 2)]
+    assert [c["draws"] for c in commands if c.op is draw] == [2, 1, 2]
+    assert kit.device.statistics.draws == counted.draws + 3
+    assert kit.device.statistics.upload_bytes == counted.upload_bytes + draws.nbytes

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.pieces import DrawList
 from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
+from rhi.backends.cl.raster.rows import COUNTER_BYTES
 from rhi.contract.descriptors import DRAW, Id, Primitive
 
 __rhi_internal__ = True
@@ -70,17 +71,38 @@ class DrawListCache:
         whole = draws.tobytes(), None if counters is None else counters.tobytes()
         list_of_all = part.arrays.get(whole)
         if list_of_all is None:
-            if self._size and self._size + 2 * len(draws) > _MAX_KNOWN:
-                self._parts.clear()
-                self._size = 0
-                part = self._find_part(vertex_array, primitive, version)
-            numbers, places = self._find_each(part.draws, draws, indexed, fill)
+            part = self._make_room(part, vertex_array, primitive, len(draws))
+            places, holders = self._find_each(part.draws, draws, indexed, fill)
             instances = draws["instances"].astype(np.int64)
-            list_of_all = DrawList(self._prepared, numbers, places, instances, counters)
+            if counters is None:
+                list_of_all = DrawList(self._prepared, places, holders, instances, np.arange(len(places)))
+            else:
+                numbers, offsets = np.zeros(len(places), np.int64), COUNTER_BYTES * (1 + counters)
+                list_of_all = DrawList(self._prepared, places, holders, instances, numbers, samples=offsets)
             part.arrays[whole] = list_of_all
-            part.listed += len(numbers) + 1
-            self._size += len(numbers) + 1
+            part.listed += len(places) + 1
+            self._size += len(places) + 1
         return list_of_all
+
+    def make_conditional(
+        self, vertex_array: Id, primitive: Primitive, version: int, draws: NDArray[Any], numbers: NDArray[np.int64],
+        conditions: NDArray[np.int64], indexed: bool, fill: Callable[..., None],
+    ) -> DrawList:  # fmt: skip
+        """Return an array of draws that have conditions, (n,) addresses, and `numbers`. The draws are found as by
+        `find`; the array isn't kept, since what is in question changes from frame to frame."""
+        part = self._find_part(vertex_array, primitive, version)
+        part = self._make_room(part, vertex_array, primitive, len(draws))
+        places, holders = self._find_each(part.draws, draws, indexed, fill)
+        instances = draws["instances"].astype(np.int64)
+        return DrawList(self._prepared, places, holders, instances, numbers, conditions=conditions)
+
+    def _make_room(self, part: _Part, vertex_array: Id, primitive: Primitive, draws: int) -> _Part:
+        """Return the part, a new one if everything had to be dropped to make room."""
+        if not self._size or self._size + 2 * draws <= _MAX_KNOWN:
+            return part
+        self._parts.clear()
+        self._size = 0
+        return self._find_part(vertex_array, primitive, part.version)
 
     def forget(self, vertex_array: Id) -> None:
         """Drop everything of a vertex array that is being destroyed."""

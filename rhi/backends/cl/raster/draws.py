@@ -22,6 +22,7 @@ from rhi.backends.cl.raster.batch_state import BatchState
 from rhi.backends.cl.raster.batches import Batch
 from rhi.backends.cl.raster.draw_lists import DrawListCache
 from rhi.backends.cl.raster.draw_state import DrawState
+from rhi.backends.cl.raster.pieces import DrawList, number_in_runs
 from rhi.backends.cl.raster.pipelines import Pipeline
 from rhi.backends.cl.raster.prepared import DrawSlot, PreparedDraws
 from rhi.backends.cl.raster.rows import COUNTER_BYTES, INSTANCES, PREPARED, VIEW
@@ -140,19 +141,50 @@ class Draws:
         """
         self._gather_list(vertex_array, primitive, draws, counters, first - COUNTER_BYTES)
 
+    def draw_conditional(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64],
+        counters: NDArray[np.int64], *, is_counted: bool,
+    ) -> None:  # fmt: skip
+        """Draw an array of draws, each on condition of a counter.
+
+        Args:
+            rows: (n,) draws are numbered within each run of equal rows.
+            counters: (n,) the counters' addresses. is_counted: whether the draws that count there were submitted.
+        """
+        if not is_counted:
+            self._flush_batch()
+        array = self._arrays[vertex_array]
+        indexed = bool(array.descriptor.index_buffer)
+        record = DRAW if indexed else DRAW_UNINDEXED
+        data = self._read_arguments(buffer, offset, len(rows) * record.itemsize)
+        draws = np.frombuffer(data, record)
+        found = self._lists.make_conditional(
+            vertex_array, primitive, array.version[0], draws, number_in_runs(rows), counters, indexed,
+            self._filler(array, primitive),
+        )  # fmt: skip
+        self._gather(array, found)
+
     def _gather_list(
         self, vertex_array: Id, primitive: Primitive, draws: NDArray[Any],
         counters: NDArray[np.int64] | None = None, start: int = 0,
     ) -> None:  # fmt: skip
         """Gather an array of draws. Without counters the draws are numbered, so that shaders can tell them apart."""
         array = self._arrays[vertex_array]
+        indexed = bool(array.descriptor.index_buffer)
+        fill = self._filler(array, primitive)
+        found = self._lists.find(vertex_array, primitive, array.version[0], draws, counters, indexed, fill)
+        self._gather(array, found, start)
+
+    def _filler(self, array: VertexArray, primitive: Primitive) -> Callable[..., None]:
+        """Return the function that fills in a prepared draw of an array of draws."""
 
         def fill(slot: DrawSlot, *draw: int) -> None:
             self._prepare(slot, array, primitive, *draw)
 
-        indexed = bool(array.descriptor.index_buffer)
-        version = array.version[0]
-        found = self._lists.find(vertex_array, primitive, version, draws, counters, indexed, fill)
+        return fill
+
+    def _gather(self, array: VertexArray, found: DrawList, start: int = 0) -> None:
+        """Gather a draw list. `start`: the address that its counter offsets are relative to."""
         pipeline = self._begin(array)
         self._state.ready_for = None  # the next draw has to spread a list that is alone
         self._batch.gather(found, pipeline.pick(self._columns), start)

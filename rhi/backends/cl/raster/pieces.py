@@ -21,7 +21,6 @@ from rhi.backends.cl.raster.batch_state import BatchState
 from rhi.backends.cl.raster.prepared import PreparedDraws
 from rhi.backends.cl.raster.rows import (
     CONDITION,
-    COUNTER_BYTES,
     FIXED_COLUMNS,
     INSTANCES,
     INVERTED,
@@ -54,34 +53,39 @@ class DrawList:
     Attributes:
         places: (n,) numbers of their prepared draws.
         instances: (n,) their numbers of instances.
-        numbers: (n,) their numbers in the array.
+        numbers: (n,) the numbers by which shaders tell them apart.
         samples: (n,) offsets of their counters in bytes from the batch's `counters`; None if all draws of the array
             share a counter.
+        conditions: (n,) addresses of the counters that decide whether they are drawn; None if all draws of the array
+            share a condition, or have none.
         boxed: version of the prepared draws for which all boxes are known that the draws should have.
     """
 
     __slots__ = (
-        "_holders", "_prepared", "_tables", "_version", "boxed", "instances", "numbers", "places", "samples",
+        "_holders", "_prepared", "_tables", "_version", "boxed", "conditions", "instances", "numbers", "places",
+        "samples",
     )  # fmt: skip
 
     def __init__(
         self, prepared: PreparedDraws, places: NDArray[np.int64], holders: object, instances: NDArray[np.int64],
-        counters: NDArray[np.int64] | None,
+        numbers: NDArray[np.int64], *, samples: NDArray[np.int64] | None = None,
+        conditions: NDArray[np.int64] | None = None,
     ) -> None:  # fmt: skip
-        """`holders` keeps the prepared draws alive. `counters`: numbers of the counters; with them the draws' own
-        numbers are all 0."""
+        """`holders` keeps the prepared draws alive."""
         self._prepared = prepared
         self._holders = holders
         self._tables: list[Table] = []
         self._version = self.boxed = -1
         self.places = places
         self.instances = instances
-        self.numbers = np.arange(len(places)) if counters is None else np.zeros(len(places), np.int64)
-        self.samples = None if counters is None else COUNTER_BYTES * (1 + counters)
+        self.numbers = numbers
+        self.samples = samples
+        self.conditions = conditions
 
     @property
     def tables(self) -> list[Table]:
-        """The tables of the draws if they have the first view and the first row of bindings, and no condition."""
+        """The tables of the draws if they have the first view and the first row of bindings, and no condition but
+        `conditions`."""
         if self._version != self._prepared.version:
             self._tables.clear()
             self._version = self._prepared.version
@@ -89,6 +93,8 @@ class DrawList:
                 table["number"][:-1] = self.numbers[part]
                 if self.samples is not None:
                     table["samples"][:-1] = self.samples[part]
+                if self.conditions is not None:
+                    table["condition"][:-1] = self.conditions[part]
                 self._tables.append(pack_table(table))
         return self._tables
 
@@ -106,7 +112,16 @@ class DrawList:
         words[:, 2 * INSTANCES], words[:, 2 * INSTANCES + 1] = self.instances, self.numbers
         if self.samples is not None:
             rows[:, SAMPLES] = counters + self.samples
+        if self.conditions is not None:
+            rows[:, CONDITION], rows[:, INVERTED] = self.conditions, 0
         return rows
+
+
+def number_in_runs(rows: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return each element's number in its run of equal rows."""
+    places = np.arange(len(rows))
+    begins = np.where(np.diff(rows, prepend=-1) != 0, places, 0)
+    return places - np.maximum.accumulate(begins)
 
 
 def tabulate(

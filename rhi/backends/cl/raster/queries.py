@@ -220,6 +220,10 @@ class SampleQueries:
         self._flush()
         return None
 
+    def is_submitted(self, segment: Segment) -> bool:
+        """Return whether no gathered draw counts in a segment, so that commands that follow find it complete."""
+        return segment.batch < self.gathering
+
     def take(self, query: Id) -> None:
         """Sample the running counter into a COUNTER query."""
         self._make_room()

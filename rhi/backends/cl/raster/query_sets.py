@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from rhi.backends.cl.raster.queries import Segment
 from rhi.backends.cl.raster.rasteriser import Rasteriser
+from rhi.backends.cl.raster.rows import COUNTER_BYTES
 from rhi.contract.descriptors import Id, Primitive
 
 __rhi_internal__ = True
@@ -31,6 +32,17 @@ class ClQuerySet:
             self._rasteriser.draws.draw_counted(vertex_array, primitive, draws, rows, segment.address)
         finally:
             queries.end_set(segment)
+
+    def draw_conditional(
+        self, vertex_array: Id, primitive: Primitive, buffer: Id, offset: int, rows: NDArray[np.int64]
+    ) -> None:
+        segment = self._segment
+        assert segment is not None
+        counters = segment.address + COUNTER_BYTES * rows
+        is_counted = self._rasteriser.queries.is_submitted(segment)
+        self._rasteriser.draws.draw_conditional(
+            vertex_array, primitive, buffer, offset, rows, counters, is_counted=is_counted
+        )
 
     def read(self, rows: NDArray[np.int64]) -> NDArray[np.int64] | None:
         assert self._segment is not None

@@ -205,3 +205,64 @@ def test_a_command_buffer_counts_by_its_device_s_sets(
     with rhi.create_device(backend) as other, recording.record() as commands, commands.render_pass(image):
         with refuses(rules.RESOURCE_FOREIGN, recording):
             commands.draw_counted(program, mesh, draws, other.query_set(1))
+
+
+# -- conditions --------------------------------------------------------------------------------------------
+
+
+def draw_on_condition(
+    encoder: rhi.Encoder, program: Any, mesh: Mesh, queries: QuerySet, rows: Any = None
+) -> None:
+    encoder.draw_conditional(program, mesh, mesh.draws([0, 3], 3), queries, rows)
+
+
+def test_rows_that_counted_decide(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+    program = recording.program(Colored)
+    with recording.render_pass(image):
+        with refuses(rules.QUERY_STATE, recording):
+            draw_on_condition(recording, program, mesh, queries)
+        recording.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries, [1, 3])
+        for wrong in (None, [1, 2], [1], [1, 4], [1.0, 3.0]):
+            with refuses(rules.QUERY_ROWS, recording):
+                draw_on_condition(recording, program, mesh, queries, wrong)
+        draw_on_condition(recording, program, mesh, queries, [1, 3])
+        draw_on_condition(recording, program, mesh, queries, [3, 3])
+
+
+def test_a_condition_of_a_set_is_alone(recording: Device, queries: QuerySet, mesh: Mesh, image: Any) -> None:
+    program, query = recording.program(Colored), recording.occlusion_query()
+    with recording.render_pass(image):
+        with query:
+            pass
+        recording.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries)
+        with recording.conditional(query), refuses(rules.CONDITION_NESTED, recording):
+            draw_on_condition(recording, program, mesh, queries)
+        draw_on_condition(recording, program, mesh, queries)
+    query.destroy()
+
+
+def test_an_emulated_set_decides_nothing(recording: Device, mesh: Mesh, image: Any) -> None:
+    if not recording.capabilities.sample_counter:
+        pytest.skip("the device declares no sample_counter")
+    program, queries = recording.program(Colored), recording.query_set(2, emulated=True)
+    with recording.render_pass(image):
+        recording.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries)
+        with refuses(rules.DEVICE_CAPABILITY, recording):
+            draw_on_condition(recording, program, mesh, queries)
+    queries.destroy()
+
+
+def test_a_command_buffer_decides_by_what_it_counts_itself(
+    recording: Device, queries: QuerySet, mesh: Mesh, image: Any
+) -> None:
+    program = recording.program(Colored)
+    with recording.render_pass(image):
+        recording.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries)
+    with recording.record() as commands, commands.render_pass(image):
+        with refuses(rules.QUERY_STATE, recording):
+            draw_on_condition(commands, program, mesh, queries)
+        commands.draw_counted(program, mesh, mesh.draws([0, 3], 3), queries, [2, 3])
+        with refuses(rules.QUERY_ROWS, recording):
+            draw_on_condition(commands, program, mesh, queries)
+        draw_on_condition(commands, program, mesh, queries, [2, 3])
+    recording.submit(commands)
