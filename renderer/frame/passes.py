@@ -22,6 +22,7 @@ from rhi import (
     DepthTest,
     DepthWrite,
     Device,
+    Encoder,
     FrontFace,
     Program,
     QuerySet,
@@ -105,30 +106,47 @@ class TechniquePass:
         self._clear = clear
         self.was_opened = False
         self._scopes: ExitStack | None = None
+        self._clears_list = False  # whether the first list clears the targets
 
     @property
     def arrays(self) -> SceneArrays:
         """The scene's buffers, up to date."""
         return self._resources.arrays
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """All that the pass's commands depend on, besides what is drawn."""
+        color = self._color
+        return (
+            self._program,
+            *self._bindings.values(),
+            *(color if isinstance(color, list) else (color,)),
+            self.depth,
+            self._clear,
+            self._camera.projection.depth,
+            self.was_opened,
+        )
+
     def open(self) -> None:
         """Begin the pass unless it is open."""
-        if self._scopes is not None:
-            return
+        if self._scopes is None:
+            self._scopes = self._begin(self._device, clears=not self.was_opened)
+            self.was_opened = True
+
+    def _begin(self, encoder: Encoder, *, clears: bool) -> ExitStack:
+        """Begin the pass and its states on an encoder; return the scopes to leave."""
         far, nearer = _DEPTH[self._camera.projection.depth]
-        begins = not self.was_opened
         with ExitStack() as scopes:
             scopes.enter_context(
-                self._device.render_pass(
+                encoder.render_pass(
                     self._color,
                     self.depth,
-                    clear=self._clear if begins and self._color is not None else None,
-                    clear_depth=far if begins else None,
+                    clear=self._clear if clears and self._color is not None else None,
+                    clear_depth=far if clears else None,
                 )
             )
-            scopes.enter_context(self._device.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer))
-            self._scopes = scopes.pop_all()
-        self.was_opened = True
+            scopes.enter_context(encoder.states(CullMode.BACK, DepthTest.ON, DepthWrite.ON, nearer))
+            return scopes.pop_all()
 
     def close(self) -> None:
         """End the pass if it is open. What was drawn is kept."""
@@ -182,24 +200,29 @@ class TechniquePass:
         far: NDArray[np.float64] = np.where(forward > 0.0, objects.upper[rows], objects.lower[rows]) @ forward
         return far
 
-    def draw_list(self, draws: DeviceList) -> None:
-        """Draw the objects that the device has listed. Simulated objects that are not outside the view are stepped,
-        since any of them may be on the list."""
-        self.open()
+    def begin_list(self, draws: DeviceList) -> None:
+        """Record that a list is drawn. Simulated objects that are not outside the view are stepped, since any of them
+        may be on it."""
         simulated = self._resources.simulator.objects
         if len(simulated):
             side = classify(self._camera.frustum.planes, fit_aligned(self._resources.scene, simulated))
             self._resources.simulate(simulated[side != Containment.OUTSIDE])
         self.drawn.add_list(draws)
-        for mirrored, winding in _WINDINGS:
-            if self._resources.has_winding(mirrored=mirrored):
-                with self._device.states(winding):
-                    self._device.draw_indirect(
-                        self._program,
-                        self._resources.mesh,
-                        draws.arguments(mirrored=mirrored),
-                        **self._bindings,
-                    )
+        self._clears_list = self._clears_list or not self.was_opened
+        self.was_opened = True
+
+    def draw_list(self, encoder: Encoder, draws: DeviceList, *, first: bool) -> None:
+        """Draw the objects that the device has listed, in a pass of their own."""
+        with self._begin(encoder, clears=first and self._clears_list):
+            for mirrored, winding in _WINDINGS:
+                if self._resources.has_winding(mirrored=mirrored):
+                    with encoder.states(winding):
+                        encoder.draw_indirect(
+                            self._program,
+                            self._resources.mesh,
+                            draws.arguments(mirrored=mirrored),
+                            **self._bindings,
+                        )
 
     def __enter__(self) -> Self:
         return self

@@ -62,7 +62,7 @@ __all__ = [
     "make_visibility",
 ]
 
-CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "frustum", "depth_pyramid", "two_pass", "none")
+CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "conditional", "frustum", "depth_pyramid", "two_pass", "none")
 """The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
 is."""
 

@@ -16,7 +16,7 @@ from typing import NoReturn, Protocol
 from renderer import rules
 from renderer.scene.arrays import Rows
 from renderer.shaders import MeshPart, Object, ObjectPosition, View
-from rhi import IndirectDraws, QuerySet, Texture, refuse
+from rhi import Encoder, IndirectDraws, QuerySet, Texture, refuse
 from rhi.shading import StorageRange, UniformRange
 
 __rhi_internal__ = True
@@ -70,6 +70,12 @@ class ScenePass(Protocol):
         """The depth target. It may be read, or used in another pass, while this pass is closed."""
         ...
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """All that the commands of this pass depend on, besides what is drawn: the key of commands that are repeated
+        (`RepeatedCommands`)."""
+        ...
+
     def close(self) -> None:
         """End the pass if it is open. The next draw opens it again."""
         ...
@@ -83,8 +89,13 @@ class ScenePass(Protocol):
         The device decides."""
         ...
 
-    def draw_list(self, draws: DeviceList) -> None:
-        """Draw the objects that the device has listed; opens the pass if it is closed."""
+    def begin_list(self, draws: DeviceList) -> None:
+        """Note that the device lists and draws objects in this frame, before its commands are executed."""
+        ...
+
+    def draw_list(self, encoder: Encoder, draws: DeviceList, *, first: bool) -> None:
+        """Draw the objects that the device has listed, in a pass of their own. The `first` list of a frame clears the
+        targets if nothing else has."""
         ...
 
 
@@ -108,6 +119,11 @@ class CallbackPass:
         """Refused: there is no target."""
         self._refuse("depth")
 
+    @property
+    def key(self) -> tuple[object, ...]:
+        """Refused: there is no device."""
+        self._refuse("key")
+
     def close(self) -> None:
         """Do nothing: there is no pass to end."""
 
@@ -119,7 +135,11 @@ class CallbackPass:
         """Hand the rows (k,) to the function: all of them may be drawn."""
         self._draw(rows)
 
-    def draw_list(self, draws: DeviceList) -> None:
+    def begin_list(self, draws: DeviceList) -> None:
+        """Refused: there is no device."""
+        self._refuse("begin_list")
+
+    def draw_list(self, encoder: Encoder, draws: DeviceList, *, first: bool) -> None:
         """Refused: there is no device."""
         self._refuse("draw_list")
 

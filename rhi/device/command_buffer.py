@@ -279,6 +279,7 @@ class CommandBuffer(Encoder):
         if self._calls is None:
             self._create_resources()
             self._calls = self._prepare_calls()
+            device.counters.recorded_commands += len(self)
         device.program = None
         device.send_states(_DEFAULTS)
         calls = iter(self._calls)

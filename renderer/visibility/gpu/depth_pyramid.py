@@ -21,7 +21,7 @@ from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.farthest_depth import SCALE, FarthestDepth
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, FindOccludees, Occludee
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, UniformBuffer
+from rhi import Device, Encoder, UniformBuffer
 from rhi.shading import (
     Array,
     Shader,
@@ -163,14 +163,16 @@ class DepthPyramidCulling(DeviceCulling):
         self._pyramid: FarthestDepth | None = None
         self._levels: UniformBuffer[Levels] = device.uniform(Levels(levels=[(0, 0, 0, 0)] * _LEVELS, count=0))
 
-    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
-        self._occludees.find(camera, scene_pass.arrays, seen=self._seen)
+    def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
+        return (self._fit(size),)
 
-    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
-        direction, occludees = camera.projection.depth, self._occludees
-        pyramid = self._fit(scene_pass.depth.size)
-        pyramid.build(scene_pass.depth, direction)
-        self._device.dispatch(
+    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+        self._occludees.find(encoder, scene_pass.arrays, seen=self._seen)
+
+    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+        pyramid, occludees = self._fit(scene_pass.depth.size), self._occludees
+        pyramid.build(encoder, scene_pass.depth, direction)
+        encoder.dispatch(
             self._device.program(_SHADERS[direction]),
             occludees.groups,
             view=scene_pass.arrays.view,
@@ -182,7 +184,7 @@ class DepthPyramidCulling(DeviceCulling):
             seen=self._seen,
         )
 
-    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
+    def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
         """Do nothing: the shader has recorded what was visible."""
 
     def _fit(self, size: tuple[int, int]) -> FarthestDepth:

@@ -4,7 +4,8 @@ The first list holds what is likely to be visible, judged by the last frame. Wit
 known exactly what else is visible; that is the second list. So whatever the first list misses, which after a teleport
 is everything, is drawn in the same frame. What it holds too much costs time, and changes no pixel.
 
-The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there are.
+The CPU knows none of this. It submits the same commands whatever is visible, and however many objects there are: they
+are recorded once, and a frame writes its constants and submits them.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ from abc import ABC, abstractmethod
 from typing import Final
 
 from renderer import rules
-from renderer.scene import Camera, Scene
+from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.gpu.draw_lists import IndirectDrawList
 from renderer.visibility.gpu.occludees import FindOccludees, Occludees
+from renderer.visibility.repeated import RepeatedCommands
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, refuse
+from rhi import Device, Encoder, refuse
 
 __rhi_internal__ = True
 
@@ -42,34 +44,48 @@ class DeviceCulling(ABC):
         self._occludees = Occludees(device, len(scene.objects), find)
         self.first = IndirectDrawList(device, self._occludees)
         self.second = IndirectDrawList(device, self._occludees)
+        self._repeated = RepeatedCommands(device, "culling")
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what was likely to be visible, then what else is visible."""
-        device = self._device
         scene_pass.close()
-        with device.event("likely"):
-            self._mark_likely(camera, scene_pass)
-            self.first.list_draws(scene_pass.arrays)
-        scene_pass.draw_list(self.first)
-        scene_pass.close()
-        with device.event("missed"):
-            self._mark_missed(camera, scene_pass)
-            self.second.list_draws(scene_pass.arrays)
-        scene_pass.draw_list(self.second)
-        scene_pass.close()
-        self._remember(camera, scene_pass)
+        self._occludees.aim(camera)
+        own = self._aim(camera, scene_pass.depth.size)
+        direction = camera.projection.depth
+        key = (*scene_pass.key, scene_pass.arrays, scene_pass.depth, direction, *own)
+        for draws in (self.first, self.second):
+            draws.renew()
+            scene_pass.begin_list(draws)
+
+        def issue(encoder: Encoder) -> None:
+            with encoder.event("likely"):
+                self._mark_likely(encoder, direction, scene_pass)
+                self.first.list_draws(encoder, scene_pass.arrays)
+            scene_pass.draw_list(encoder, self.first, first=True)
+            with encoder.event("missed"):
+                self._mark_missed(encoder, direction, scene_pass)
+                self.second.list_draws(encoder, scene_pass.arrays)
+            scene_pass.draw_list(encoder, self.second, first=False)
+            self._remember(encoder, direction, scene_pass)
+
+        self._repeated.execute(key, issue)
         return self._count()
 
     @abstractmethod
-    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
+    def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
+        """Write the constants of a frame, and return what its commands depend on besides the size and the direction of
+        depth."""
+
+    @abstractmethod
+    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
         """Find the boxes, and mark the objects of the first list."""
 
     @abstractmethod
-    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
+    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
         """Mark the objects of the second list: visible given the depth of the first list, and not yet drawn."""
 
     @abstractmethod
-    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
+    def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
         """Keep what the next frame needs of this one."""
 
     def _count(self) -> VisibilityStatistics:
@@ -78,5 +94,6 @@ class DeviceCulling(ABC):
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
+        self._repeated.forget()
         for part in (self._occludees, self.first, self.second):
             part.destroy()

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from renderer.shaders import MeshPart, ObjectPosition
 from renderer.visibility.gpu.occludees import DRAWN, GROUP, HIDDEN, VISIBLE, Occludee, Occludees
+from renderer.visibility.repeated import clear
 from renderer.visibility.scene_pass import SceneArrays
-from rhi import DRAW, Device, IndirectDraws
+from rhi import DRAW, Device, Encoder, IndirectDraws
 from rhi.shading import (
     Shader,
     Storage,
@@ -182,7 +183,7 @@ class IndirectDrawList:
         draws: (2 n,) of `rhi.DRAW`: from 0 on the objects that aren't mirrored, from n on those that are.
         totals: (1,) of `ListCounts`.
         hidden: (n,) rows of the hidden objects. box_draw: a draw of as many boxes.
-        generation: how often the list was made.
+        generation: how often the list was renewed.
     """
 
     def __init__(self, device: Device, occludees: Occludees) -> None:
@@ -200,13 +201,16 @@ class IndirectDrawList:
         self._add_counts = device.program(AddCounts)
         self._write_draws = device.program(WriteDraws)
 
-    def list_draws(self, arrays: SceneArrays) -> None:
-        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the rows marked HIDDEN."""
-        device, occludees = self._device, self._occludees
+    def renew(self) -> None:
+        """Begin another list: what was read of the one before is out of date."""
         self.generation += 1
-        if not device.capabilities.indirect_count:
-            self.draws.clear()  # all are drawn then; those that aren't listed have no instance
-        device.dispatch(
+
+    def list_draws(self, encoder: Encoder, arrays: SceneArrays) -> None:
+        """List the draws of the objects marked VISIBLE, which marks them DRAWN, and the rows marked HIDDEN."""
+        occludees = self._occludees
+        if not self._device.capabilities.indirect_count:
+            clear(encoder, self.draws)  # all are drawn then; those that aren't listed have no instance
+        encoder.dispatch(
             self._count_keys,
             occludees.groups,
             places=arrays.places,
@@ -215,8 +219,8 @@ class IndirectDrawList:
             keys=self._keys,
             counts=self._counts,
         )
-        device.dispatch(self._add_counts, 1, counts=self._counts)
-        device.dispatch(
+        encoder.dispatch(self._add_counts, 1, counts=self._counts)
+        encoder.dispatch(
             self._write_draws,
             occludees.groups,
             places=arrays.places,

@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Final
 
 from renderer.scene import Depth
-from rhi import Device, StorageBuffer, Texture, UniformBuffer
+from rhi import Device, Encoder, StorageBuffer, Texture, UniformBuffer
 from rhi.shading import (
     Shader,
     StorageRW,
@@ -129,7 +129,7 @@ class FarthestDepth:
             for level in range(1, len(self.sizes))
         ]
 
-    def build(self, depth: Texture, direction: Depth) -> None:
+    def build(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
         """Compute all levels from the image's depth. Must be called outside of passes."""
         device = self._device
         from_texture, from_level = _SHADERS[direction]
@@ -137,9 +137,9 @@ class FarthestDepth:
             groups = tuple(-(-length // _GROUP) for length in self.sizes[level])
             if level == 1:
                 program = device.program(from_texture)
-                device.dispatch(program, groups, step=step, farthest=self.farthest, depth=depth)
+                encoder.dispatch(program, groups, step=step, farthest=self.farthest, depth=depth)
             else:
-                device.dispatch(device.program(from_level), groups, step=step, farthest=self.farthest)
+                encoder.dispatch(device.program(from_level), groups, step=step, farthest=self.farthest)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -27,11 +27,13 @@ from rhi import (
     DepthTest,
     DepthWrite,
     Device,
+    Encoder,
     FrontFace,
     IndirectDraws,
     Program,
     StateScope,
     StorageBuffer,
+    UniformBuffer,
 )
 from rhi.shading import (
     Shader,
@@ -246,9 +248,7 @@ class Occludees:
         self.boxes = device.storage(Occludee, count, label="boxes")
         self.marks = device.storage(uint, count, label="marks")
         self.cube = make_cube(device)
-        self._device = device
         self._lens = device.uniform(_lens(Camera.look_at((0.0, 0.0, 0.0), (0.0, 0.0, -1.0))))
-        self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
         self._find: Program[Any] = device.program(find)
         self._mark = device.program(MarkBoxes)
         self._mark_listed = device.program(MarkListedBoxes)
@@ -258,10 +258,13 @@ class Occludees:
         """Number of work-groups of `GROUP` that have an invocation for each row."""
         return -(-self.count // GROUP)
 
-    def find(self, camera: Camera, arrays: SceneArrays, **more: StorageRange[Any]) -> None:
-        """Find the boxes as `camera` sees them, and set all first marks; `more` are further bindings."""
+    def aim(self, camera: Camera) -> None:
+        """Write the camera that boxes are found for."""
         self._lens.write(_lens(camera))
-        self._device.dispatch(
+
+    def find(self, encoder: Encoder, arrays: SceneArrays, **more: StorageRange[Any]) -> None:
+        """Find the boxes as the camera sees them, and set all first marks; `more` are further bindings."""
+        encoder.dispatch(
             self._find,
             self.groups,
             view=arrays.view,
@@ -274,38 +277,41 @@ class Occludees:
             **more,
         )
 
-    def mark_all(self, matrix: NDArray[Any], depth: Depth) -> None:
-        """Mark the objects whose boxes are visible in the open pass; `matrix` (4, 4) leads to clip space."""
-        self._camera.write(BoxCamera(relative_view_projection=matrix))
-        with self._states(depth):
-            self._device.draw(
-                self._mark, self.cube, self.count, camera=self._camera, boxes=self.boxes, marks=self.marks
+    def mark_all(self, encoder: Encoder, camera: UniformBuffer[BoxCamera], depth: Depth) -> None:
+        """Mark the objects whose boxes are visible in the open pass; `camera` leads to its clip space."""
+        with self._states(encoder, depth):
+            encoder.draw(
+                self._mark, self.cube, self.count, camera=camera, boxes=self.boxes, marks=self.marks
             )
 
     def mark_listed(
-        self, matrix: NDArray[Any], depth: Depth, rows: StorageBuffer[uint], draw: StorageBuffer[Any]
+        self,
+        encoder: Encoder,
+        camera: UniformBuffer[BoxCamera],
+        depth: Depth,
+        rows: StorageBuffer[uint],
+        draw: StorageBuffer[Any],
     ) -> None:
         """Mark like `mark_all`, for the boxes of `rows` only, whose number `draw` holds."""
-        self._camera.write(BoxCamera(relative_view_projection=matrix))
-        with self._states(depth):
-            self._device.draw_indirect(
+        with self._states(encoder, depth):
+            encoder.draw_indirect(
                 self._mark_listed,
                 self.cube,
                 IndirectDraws(draw, 1),
-                camera=self._camera,
+                camera=camera,
                 boxes=self.boxes,
                 marks=self.marks,
                 rows=rows,
             )
 
-    def _states(self, depth: Depth) -> StateScope:
-        return self._device.states(
+    def _states(self, encoder: Encoder, depth: Depth) -> StateScope:
+        return encoder.states(
             DepthTest.ON, DepthWrite.OFF, _NEARER[depth], CullMode.BACK, FrontFace.COUNTER_CLOCKWISE
         )
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        for resource in (self.boxes, self.marks, self.cube, self._lens, self._camera):
+        for resource in (self.boxes, self.marks, self.cube, self._lens):
             resource.destroy()
 
 

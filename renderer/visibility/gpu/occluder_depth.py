@@ -161,7 +161,7 @@ class OccluderDepth:
                         device.draw_many(
                             program, self._mesh, part, view=self._view, occluders=self._occluders
                         )
-        image.pyramid.build(image.depth, direction)
+        image.pyramid.build(device, image.depth, direction)
 
     def find_shown(self, centre: Floats, half: Floats) -> NDArray[np.bool_]:
         """Return which boxes aren't behind what was rendered, (k,) bool. Waits for the device.

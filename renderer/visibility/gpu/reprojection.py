@@ -25,12 +25,14 @@ import numpy as np
 from renderer.scene import Camera, Depth
 from renderer.scene.arrays import Floats
 from renderer.visibility.gpu.farthest_depth import FAR, SCALE, FarthestDepth
+from renderer.visibility.repeated import clear
 from rhi import (
     CullMode,
     DepthFunction,
     DepthTest,
     DepthWrite,
     Device,
+    Encoder,
     Format,
     StorageBuffer,
     Texture,
@@ -168,42 +170,55 @@ class ReprojectedDepth:
         self._motion = device.uniform(Motion(matrix=np.eye(4), pixels=(1.0, 1.0), texels=(1, 1)))
         self._sized: _Sized | None = None
         self._camera: Camera | None = None  # the camera of the depth that is kept
+        self._knows = False  # whether that depth is of use for the present camera
 
-    def remember(self, camera: Camera, depth: Texture) -> None:
-        """Keep `depth`, which was drawn with `camera`. Must be called outside of passes."""
-        self._fit(depth.size).farthest.build(depth, camera.projection.depth)
+    def aim(self, camera: Camera, size: tuple[int, int]) -> tuple[Floats, tuple[object, ...]]:
+        """Write the constants of a frame in which `camera` sees an image of `size`, and whose depth is kept.
+
+        Returns the matrix (4, 4) from the eye's axes to the clip space of `render_pass`, and what the frame's commands
+        depend on.
+        """
+        sized, last, direction = self._fit(size), self._camera, camera.projection.depth
+        self._knows = last is not None and last.projection.depth is direction
+        if self._knows:
+            assert last is not None
+            moved = np.eye(4)
+            moved[:3, 3] = last.position - camera.position
+            self._motion.write(sized.motion(_matrix(camera) @ moved @ np.linalg.inv(_matrix(last))))
         self._camera = camera
+        return sized.to_texels @ _matrix(camera), (sized, self._knows)
+
+    def keep(self, encoder: Encoder, depth: Texture, direction: Depth) -> None:
+        """Keep `depth`, which was drawn with the camera of `aim`. Must be called outside of passes."""
+        assert self._sized is not None, "aim must be called first"
+        self._sized.farthest.build(encoder, depth, direction)
 
     @contextmanager
-    def render_pass(self, camera: Camera, size: tuple[int, int]) -> Iterator[Floats]:
-        """Open a pass whose depth target holds the last frame's depth as `camera` sees it in an image of `size`.
+    def render_pass(self, encoder: Encoder, direction: Depth) -> Iterator[None]:
+        """Open a pass whose depth target holds the last frame's depth as the camera of `aim` sees it.
 
-        Where nothing is known, the depth is far. Yields the matrix (4, 4) from the eye's axes to the pass's clip
-        space.
+        Where nothing is known, the depth is far.
         """
-        sized, device, direction = self._fit(size), self._device, camera.projection.depth
-        last = self._camera
-        if last is None or last.projection.depth is not direction:
-            with device.render_pass(depth=sized.target, clear_depth=FAR[direction]):
-                yield sized.to_texels @ _matrix(camera)
+        sized, device = self._sized, self._device
+        assert sized is not None, "aim must be called first"
+        if not self._knows:
+            with encoder.render_pass(depth=sized.target, clear_depth=FAR[direction]):
+                yield
             return
         scatter, fill_holes, write_depth = _SHADERS[direction]
-        moved = np.eye(4)
-        moved[:3, 3] = last.position - camera.position
-        self._motion.write(sized.motion(_matrix(camera) @ moved @ np.linalg.inv(_matrix(last))))
-        sized.keys.clear()
+        clear(encoder, sized.keys)
         for shader in (scatter, fill_holes):
-            device.dispatch(
+            encoder.dispatch(
                 device.program(shader),
                 sized.groups,
                 motion=self._motion,
                 farthest=sized.farthest.farthest,
                 keys=sized.keys,
             )
-        with device.render_pass(depth=sized.target):
-            with device.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS):
-                device.draw(device.program(write_depth), self._triangle, motion=self._motion, keys=sized.keys)
-            yield sized.to_texels @ _matrix(camera)
+        with encoder.render_pass(depth=sized.target):
+            with encoder.states(CullMode.NONE, DepthTest.ON, DepthWrite.ON, DepthFunction.ALWAYS):
+                encoder.draw(device.program(write_depth), self._triangle, motion=self._motion, keys=sized.keys)
+            yield
 
     def _fit(self, size: tuple[int, int]) -> _Sized:
         """Return the resources for images of `size`. A depth kept for another size is discarded."""

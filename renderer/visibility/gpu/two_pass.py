@@ -10,13 +10,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from renderer.scene import Camera, Scene
+import numpy as np
+
+from renderer.scene import Camera, Depth, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
+from renderer.visibility.boxes.cubes import BoxCamera
 from renderer.visibility.gpu.device_culling import DeviceCulling
 from renderer.visibility.gpu.occludees import FindOccludees
 from renderer.visibility.gpu.reprojection import ReprojectedDepth
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device
+from rhi import Device, Encoder
 
 __rhi_internal__ = True
 
@@ -27,23 +30,28 @@ class TwoPassCulling(DeviceCulling):
     def __init__(self, scene: Scene, device: Device) -> None:
         super().__init__(scene, device, FindOccludees)
         self._reprojected = ReprojectedDepth(device)
+        self._guessed = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
+        self._exact = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
 
-    def _mark_likely(self, camera: Camera, scene_pass: ScenePass) -> None:
-        self._occludees.find(camera, scene_pass.arrays)
-        with self._reprojected.render_pass(camera, scene_pass.depth.size) as matrix:
-            self._occludees.mark_all(matrix, camera.projection.depth)
+    def _aim(self, camera: Camera, size: tuple[int, int]) -> tuple[object, ...]:
+        matrix, key = self._reprojected.aim(camera, size)
+        self._guessed.write(BoxCamera(relative_view_projection=matrix))
+        self._exact.write(BoxCamera(relative_view_projection=camera.relative_view_projection))
+        return key
 
-    def _mark_missed(self, camera: Camera, scene_pass: ScenePass) -> None:
-        with self._device.render_pass(depth=scene_pass.depth):
+    def _mark_likely(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+        self._occludees.find(encoder, scene_pass.arrays)
+        with self._reprojected.render_pass(encoder, direction):
+            self._occludees.mark_all(encoder, self._guessed, direction)
+
+    def _mark_missed(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+        with encoder.render_pass(depth=scene_pass.depth):
             self._occludees.mark_listed(
-                camera.relative_view_projection,
-                camera.projection.depth,
-                self.first.hidden,
-                self.first.box_draw,
+                encoder, self._exact, direction, self.first.hidden, self.first.box_draw
             )
 
-    def _remember(self, camera: Camera, scene_pass: ScenePass) -> None:
-        self._reprojected.remember(camera, scene_pass.depth)
+    def _remember(self, encoder: Encoder, direction: Depth, scene_pass: ScenePass) -> None:
+        self._reprojected.keep(encoder, scene_pass.depth, direction)
 
     def _count(self) -> VisibilityStatistics:
         count = self._occludees.count
@@ -52,4 +60,5 @@ class TwoPassCulling(DeviceCulling):
     def destroy(self) -> None:
         """Destroy the resources on the device."""
         super().destroy()
-        self._reprojected.destroy()
+        for part in (self._reprojected, self._guessed, self._exact):
+            part.destroy()

@@ -50,7 +50,8 @@ MAX_SAMPLERS: Final = 4096
 class Statistics:
     """Counters since creation or the last reset.
 
-    `draws` counts draw calls (an indirect call or a `draw_many` is one), `creations` resources.
+    `draws` counts draw calls (an indirect call or a `draw_many` is one), `creations` resources, `recorded_commands`
+    the commands of command buffers, at their first submission.
     The state counters are those of the thesis's tables (7.1).
     """
 
@@ -61,6 +62,7 @@ class Statistics:
     creations: int = 0
     software_state_changes: int = 0
     hardware_state_changes: int = 0
+    recorded_commands: int = 0
 
 
 class Owner(Protocol):

@@ -77,7 +77,7 @@ def test_each_level_holds_the_farthest_of_its_pixels(
 ) -> None:
     depths = np.random.default_rng(sum(size)).random(size[::-1], np.float32)
     pyramid = FarthestDepth(device, size)
-    pyramid.build(put(device, depths), direction)
+    pyramid.build(device, put(device, depths), direction)
     held, expected = pyramid.farthest.read(), depths
     for (width, height), begin in zip(pyramid.sizes[1:], pyramid.begins[1:], strict=True):
         expected = reduce_once(expected, direction)
@@ -91,7 +91,7 @@ def test_a_pixel_of_sky_is_sky_on_every_level(device: rhi.Device) -> None:
     depths = np.full((23, 41), 0.7, np.float32)
     depths[22, 40] = 0.0
     pyramid = FarthestDepth(device, (41, 23))
-    pyramid.build(put(device, depths), Depth.REVERSED)
+    pyramid.build(device, put(device, depths), Depth.REVERSED)
     held = pyramid.farthest.read()
     ends = [*pyramid.begins[2:], len(held)]
     assert [held[end - 1] for end in ends] == [0.0] * len(ends)
@@ -121,7 +121,7 @@ def test_a_box_shows_if_it_shows_at_full_resolution(
     view = View(relative_view_projection=np.eye(4), eye_high=(0, 0, 0), eye_low=(0, 0, 0))
     pyramid = FarthestDepth(device, size)
     texture = put(device, depths)
-    pyramid.build(texture, direction)
+    pyramid.build(device, texture, direction)
     hidden, seen = device.storage(uint, np.zeros(count, np.uint32)), device.storage(uint, count)
     device.dispatch(
         device.program(CompareBoxes if direction is Depth.REVERSED else CompareBoxesStandard), -(-count // 64),

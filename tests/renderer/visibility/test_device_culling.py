@@ -370,7 +370,7 @@ def test_a_frame_that_was_broken_off_does_not_disturb_the_next(
 ) -> None:
     algorithm, (shot, *shots) = make(name, city, device), walk(city, "ground", range(600, 612, 4))
 
-    def fail(arrays: object) -> None:
+    def fail(*_: object) -> None:
         raise RuntimeError("no")
 
     with Renderer(device, city, size=SIZE) as renderer, monkeypatch.context() as broken:

@@ -104,7 +104,7 @@ def test_a_device_makes_the_same_lists(device: rhi.Device, count: int, seed: int
         arrays.view, arrays.objects, device.storage(ObjectPosition, places), device.storage(MeshPart, parts)
     )
     for _ in range(2):  # the second time nothing is VISIBLE any more
-        lists.list_draws(given_arrays)
+        lists.list_draws(device, given_arrays)
         after = {
             "marks": occludees.marks.read(), "listed": lists.draws.read(), "totals": lists.totals.read(),
             "hidden": lists.hidden.read(), "boxes": lists.box_draw.read(),
@@ -133,5 +133,6 @@ def test_each_list_is_another_generation(null: rhi.Device, count: int) -> None:
     lists, resources = IndirectDrawList(null, Occludees(null, count)), SceneResources(null, scene)
     resources.update(Camera.look_at((0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
     before = lists.generation
-    lists.list_draws(resources.arrays)
+    lists.renew()
+    lists.list_draws(null, resources.arrays)
     assert lists.generation == before + 1

@@ -21,7 +21,8 @@ def find(device: rhi.Device, scene: Scene, camera: Camera) -> tuple[np.ndarray, 
     """Return boxes and marks."""
     resources, occludees = SceneResources(device, scene), Occludees(device, len(scene.objects))
     resources.update(camera)
-    occludees.find(camera, resources.arrays)
+    occludees.aim(camera)
+    occludees.find(device, resources.arrays)
     found = occludees.boxes.read(), occludees.marks.read()
     resources.destroy()
     occludees.destroy()

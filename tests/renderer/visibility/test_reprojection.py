@@ -36,8 +36,10 @@ def reproject(
     """Reproject the depths (h, w) of the camera `last` to the camera `now`."""
     reprojected = ReprojectedDepth(device)
     texture = put(device, depths)
-    reprojected.remember(last, texture)
-    with reprojected.render_pass(now, size or texture.size):
+    reprojected.aim(last, texture.size)
+    reprojected.keep(device, texture, last.projection.depth)
+    reprojected.aim(now, size or texture.size)
+    with reprojected.render_pass(device, now.projection.depth):
         pass
     assert reprojected._sized is not None
     result = reprojected._sized.target.read()
@@ -144,7 +146,8 @@ def test_what_is_drawn_lies_on_the_texels_of_its_pixels(null: rhi.Device, size: 
     points = np.random.default_rng(3).uniform((-4, -3, -20), (4, 3, -2), (50, 3))
     points = np.append(points, np.ones((50, 1)), axis=1)
     reprojected = ReprojectedDepth(null)
-    with reprojected.render_pass(camera, size) as matrix:
+    matrix, _ = reprojected.aim(camera, size)
+    with reprojected.render_pass(null, camera.projection.depth):
         pass
     assert reprojected._sized is not None
 
@@ -166,7 +169,8 @@ def test_without_a_frame_before_everything_is_far(device: rhi.Device, change: st
         assert (reproject(device, depths, look(), look(depth=Depth.STANDARD)) == 1.0).all()
     else:
         reprojected = ReprojectedDepth(device)
-        with reprojected.render_pass(look(), SIZE):
+        reprojected.aim(look(), SIZE)
+        with reprojected.render_pass(device, Depth.REVERSED):
             pass
         assert reprojected._sized is not None
         assert (reprojected._sized.target.read() == 0.0).all()
