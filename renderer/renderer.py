@@ -15,7 +15,13 @@ from renderer.techniques import Forward, Technique
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
-_COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes", "recorded_commands")
+_COUNTERS: Final = (
+    "queries",
+    "software_state_changes",
+    "hardware_state_changes",
+    "upload_bytes",
+    "recorded_commands",
+)
 """The device's counters that are part of a frame's statistics."""
 
 

@@ -90,7 +90,7 @@ BAD_BOUNDS: Final = Rule(
 UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algorithm has this name")
 NO_CONDITIONS: Final = Rule(
     "visibility-no-conditions",
-    "conditional culling needs a device with conditional rendering",
+    "conditional culling needs a device with conditional rendering and occlusion queries",
     "chc_plus_plus needs only occlusion queries",
 )
 NO_COMPUTE: Final = Rule(

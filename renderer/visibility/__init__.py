@@ -62,7 +62,14 @@ __all__ = [
     "make_visibility",
 ]
 
-CANDIDATES: Final[tuple[str, ...]] = ("chc_plus_plus", "conditional", "frustum", "depth_pyramid", "two_pass", "none")
+CANDIDATES: Final[tuple[str, ...]] = (
+    "chc_plus_plus",
+    "conditional",
+    "frustum",
+    "depth_pyramid",
+    "two_pass",
+    "none",
+)
 """The algorithms that `auto` tries, in this order. Each is the fastest for some scene, view and device; no other
 is."""
 
@@ -104,7 +111,7 @@ def _can_run(name: str, device: Device) -> bool:
         case "none" | "frustum" | "auto":
             return True
         case "conditional":
-            return queries and can.conditional_rendering
+            return queries and can.occlusion_queries and can.conditional_rendering
         case "software_depth":
             return can_rasterise()
         case "depth_pyramid" | "two_pass":

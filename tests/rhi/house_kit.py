@@ -412,7 +412,8 @@ def bind_another_sampler(house: House) -> None:
 CALLS: list[Callable[[House], None]] = [
     create_a_buffer, create_a_filled_buffer, create_a_stream_buffer, create_constants, create_an_array_of_constants,
     create_storage, create_a_texture, create_a_mesh, create_queries, create_a_program, destroy_everything, draw,
-    draw_a_new_mesh, change_states, draw_many, draw_counted, draw_conditional, draw_transient_data, grow_a_ring, clear_and_resolve,
+    draw_a_new_mesh, change_states, draw_many, draw_counted, draw_conditional, draw_transient_data, grow_a_ring,
+    clear_and_resolve,
     count_samples, wait_for_a_query, draw_under_a_condition, dispatch, write_and_read, lock, label,
     label_with_times, submit,
     record_and_submit, end_a_frame, wait_for_a_fence, bind_another_sampler,

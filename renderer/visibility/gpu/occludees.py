@@ -13,9 +13,6 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-import numpy as np
-from numpy.typing import NDArray
-
 from renderer.scene import Camera, Depth, FrustumPlane
 from renderer.shaders import MeshPart, Object, ObjectPosition, View, relative_position
 from renderer.visibility.boxes.bounds import ROUNDING, TOO_FAR, is_parallel, margin_terms, near_radius

@@ -154,8 +154,8 @@ class BoxQueries:
         self._free.append(query)
 
     def ask(self, nodes: Sequence[int], rows: Sequence[int]) -> QuerySet:
-        """Query the boxes of `nodes` in one call. Node i is counted by row `rows[i]` of the set; nodes with the same row
-        are consecutive, and rows go from 0 up. Pass the set to `read` or `release_set` later."""
+        """Query the boxes of `nodes` in one call. Node i is counted by row `rows[i]` of the set; nodes with the same
+        row are consecutive, and rows go from 0 up. Pass the set to `read` or `release_set` later."""
         queries = self._acquire_set(rows[-1] + 1)
         draws = self._draws.take(nodes)
         self.device.draw_counted(

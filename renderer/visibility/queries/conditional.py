@@ -40,9 +40,9 @@ class ConditionalCulling(ChcPlusPlus):
         self, scene: Scene, device: Device, *, persistence: int = 20, threshold: int = 0, seed: int = 0
     ) -> None:
         """The parameters are those of `ChcPlusPlus`. `threshold` only affects what counts as visible in the next
-        frame:
-        for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`."""
-        if not device.capabilities.conditional_rendering:
+        frame: for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`, and
+        occlusion queries of its own."""
+        if not (device.capabilities.conditional_rendering and device.capabilities.occlusion_queries):
             refuse(
                 rules.NO_CONDITIONS,
                 "ConditionalCulling(...)",

@@ -207,8 +207,8 @@ def count_wrong_pixels(
 
 
 def delay_answers(monkeypatch: pytest.MonkeyPatch, looks: int) -> None:
-    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, and no more often, as
-    quick or slow as the GPU may be; waiting for it always helps."""
+    """Let every query and query set be looked at (`is_finished`) so many times before its answer is there, and no more
+    often, as quick or slow as the GPU may be; waiting for it always helps."""
     left: dict[int, int] = {}
 
     def delay(kind: type, begins: str) -> None:

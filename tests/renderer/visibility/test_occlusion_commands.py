@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from occlusion_scenes import OCCLUSION, WAITING, Oracle, draw_with, make_boxes, visible
+from occlusion_scenes import OCCLUSION, WAITING, Oracle, delay_answers, draw_with, make_boxes, visible
 
 import rhi
 from renderer.renderer import Renderer
@@ -22,7 +23,8 @@ from renderer.visibility import (
     make_visibility,
 )
 from renderer.visibility.boxes.forest import Forest
-from rhi import Op
+from rhi import FixedQueue, FixedStack, Op, QuerySet
+from rhi.device.core import containers
 from rhi.errors import ValidationError
 
 EYE = Camera.look_at((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), projection=Perspective(near=0.1))
@@ -190,6 +192,113 @@ def test_conditional_culling_never_waits_and_the_gpu_drops_what_is_hidden(render
             assert seen <= set(oracle.executed) <= visible(result)
             assert result.visibility.stalled_milliseconds == 0.0
         assert set(oracle.executed) == seen
+
+
+def test_conditional_culling_asks_once_a_frame_in_one_pass(renderer: Renderer) -> None:
+    device, oracle = renderer.device, Oracle(renderer.device, renderer.scene, "conditional")
+    algorithm = ConditionalCulling(renderer.scene, device, persistence=5)
+    wanted = frozenset({Op.BEGIN_QUERY, Op.BEGIN_CONDITIONAL, Op.DRAW_INDIRECT, Op.BEGIN_PASS, Op.WAIT})
+    for frame in range(40):
+        oracle.seen = set(range(frame // 8, 60, 7))
+        before = len(device.stream)
+        result = draw_with(renderer, algorithm, EYE)
+        ops = [command.op for command in device.stream[before:].filter(wanted)]
+        # What was visible, all questions, and then all conditions: nothing is asked in between.
+        phases = [op for index, op in enumerate(ops) if op is not Op.DRAW_INDIRECT and op not in ops[:index]]
+        assert phases == [op for op in (Op.BEGIN_PASS, Op.BEGIN_QUERY, Op.BEGIN_CONDITIONAL) if op in ops]
+        assert ops.count(Op.BEGIN_PASS) == 1
+        assert ops.count(Op.BEGIN_QUERY) == result.statistics.queries
+        assert ops.count(Op.BEGIN_CONDITIONAL) <= result.statistics.queries
+        assert result.visibility.batches <= 2
+
+
+def test_conditional_culling_gives_up_what_is_never_answered(
+    renderer: Renderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    delay_answers(monkeypatch, 10**9)
+    oracle = Oracle(renderer.device, renderer.scene, "conditional", seen={3, 4})
+    algorithm = ConditionalCulling(renderer.scene, renderer.device)
+    sets = renderer.device.query_set
+    made: list[int] = []
+    monkeypatch.setattr(renderer.device, "query_set", lambda size: made.append(size) or sets(size))
+    for _ in range(40):
+        assert visible(draw_with(renderer, algorithm, EYE)) >= oracle.seen
+    assert len(made) <= 9, "questions that were given up are asked with the same sets"
+
+
+def test_questions_in_flight_may_be_destroyed(renderer: Renderer) -> None:
+    for kind in (ConditionalCulling, ChcPlusPlus):
+        oracle = Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
+        created = renderer.device.backend_as(rhi.Recorder).stream.filter(Op.CREATE_QUERY)
+        before = {command["query"] for command in created}
+        algorithm = kind(renderer.scene, renderer.device, persistence=1)
+        for _ in range(3):
+            draw_with(renderer, algorithm, EYE)
+        assert oracle.seen
+        algorithm.destroy()
+        renderer.device.finish()
+        stream = renderer.device.backend_as(rhi.Recorder).stream
+        made = {command["query"] for command in stream.filter(Op.CREATE_QUERY)} - before
+        gone = {command["resource"] for command in stream.filter(Op.DESTROY)}
+        assert made
+        assert made <= gone
+
+
+def test_chc_plus_plus_asks_a_batch_in_one_call(renderer: Renderer, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[int] = []
+    draw = QuerySet.draw
+
+    def count(queries: QuerySet, *arguments: object) -> object:
+        counted = draw(queries, *arguments)  # type: ignore[arg-type]
+        calls.append(len(counted))
+        return counted
+
+    monkeypatch.setattr(QuerySet, "draw", count)
+    Oracle(renderer.device, renderer.scene, seen=set(range(0, 60, 3)))
+    algorithm = ChcPlusPlus(renderer.scene, renderer.device, batch=1000, persistence=3)
+    for _ in range(12):
+        calls.clear()
+        result = draw_with(renderer, algorithm, EYE)
+        assert sum(calls) == result.statistics.queries
+    assert 1 <= len(calls) <= 3
+    assert result.statistics.queries > 2 * len(calls)
+
+
+QUEUES = ("_i_queue", "_requery", "_v_queue", "_i_queries", "_v_queries", "_render_queue", "_stack")
+
+
+@pytest.mark.parametrize("kind", [ChcPlusPlus, ConditionalCulling])
+def test_the_queues_allocate_nothing_in_a_hundred_frames(renderer: Renderer, kind: type[ChcPlusPlus]) -> None:
+    device, oracle = renderer.device, Oracle(renderer.device, renderer.scene)
+    algorithm = kind(renderer.scene, device, persistence=4)
+
+    def render(frames: int) -> None:
+        for frame in range(frames):
+            oracle.seen = set(range(frame % 5, 60, 3))
+            draw_with(renderer, algorithm, EYE)
+            device.stream.clear()
+
+    def memory() -> dict[str, tuple[int, int]]:
+        return {name: (id(queue._data), len(queue._data)) for name, queue in queues.items()}
+
+    queues = {name: getattr(algorithm, name) for name in QUEUES}
+    assert all(isinstance(queue, FixedQueue | FixedStack) for queue in queues.values())
+    render(20)
+    before = memory()
+    own = tracemalloc.Filter(True, containers.__file__)
+    tracemalloc.start()
+    try:
+        render(10)
+        first = tracemalloc.take_snapshot().filter_traces([own])
+        render(100)
+        last = tracemalloc.take_snapshot().filter_traces([own])
+    finally:
+        tracemalloc.stop()
+    grown = sum(line.size for line in last.statistics("lineno")) - sum(
+        line.size for line in first.statistics("lineno")
+    )
+    assert memory() == before
+    assert grown <= 32 * len(QUEUES), "a position of each queue, which is a number"
 
 
 def test_conditional_culling_needs_a_device_with_conditions(null: rhi.Device) -> None:

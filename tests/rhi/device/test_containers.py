@@ -1,5 +1,6 @@
 """FixedStack and FixedQueue against list and collections.deque."""
 
+import tracemalloc
 from collections import deque
 
 import pytest
@@ -128,3 +129,24 @@ def test_a_container_releases_removed_elements(container):
     room.pop()
     del thing
     assert alive() is None
+
+
+@pytest.mark.parametrize("container", [FixedStack, FixedQueue])
+def test_a_container_allocates_nothing_but_its_positions(container):
+    room, things = container(4096), [object() for _ in range(4096)]
+
+    def use():
+        for thing in things:
+            room.push(thing)
+        for _ in range(1000):
+            room.pop()
+        room.clear()
+
+    use()
+    tracemalloc.start()
+    try:
+        use()
+        _, most = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert most < 1000

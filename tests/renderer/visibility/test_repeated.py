@@ -1,0 +1,199 @@
+"""Commands that are recorded once and submitted in each frame, and frames that overlap."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from occlusion_scenes import DEVICE, ORIGIN, Oracle, draw_with, look, make_boxes, walk
+
+import rhi
+from renderer.content import load_scene
+from renderer.renderer import Renderer
+from renderer.scene import Depth, Perspective, Scene
+from renderer.visibility import NoCulling, make_visibility
+from renderer.visibility.repeated import RepeatedCommands, clear
+from rhi import Op
+from rhi.backends.null import Activity, CostModel, Lane, SimulatedBackend, Simulation
+
+CAMERA = look((0.0, 0.0, 30.0), ORIGIN, near=0.1)
+
+
+def make_cloud() -> Scene:
+    rng = np.random.default_rng(7)
+    return make_boxes(rng.uniform(-6.0, 6.0, (60, 3)), rng.uniform(0.1, 0.8, (60, 3)))
+
+
+# -- repeated commands -------------------------------------------------------------------------------------
+
+
+def count_commands(device: rhi.Device, repeated: RepeatedCommands, *keys: str) -> list[tuple[int, int, int]]:
+    """Return for each key in turn: how often commands were issued, the commands recorded, and the clears executed."""
+    counts = []
+    buffer = device.storage(float, 4)
+    for key in keys:
+        issued: list[rhi.Encoder] = []
+
+        def issue(encoder: rhi.Encoder, issued: list[rhi.Encoder] = issued) -> None:
+            issued.append(encoder)
+            clear(encoder, buffer)
+
+        before, recorded = len(device.stream), device.statistics.recorded_commands
+        repeated.execute((key, buffer), issue)
+        done = device.stream[before:].filter(Op.CLEAR_BUFFER)
+        counts.append((len(issued), device.statistics.recorded_commands - recorded, len(done)))
+    return counts
+
+
+def test_what_comes_again_is_recorded_and_what_stays_is_only_submitted(null: rhi.Device) -> None:
+    repeated = RepeatedCommands(null, "test")
+    # A label is two commands of the recording.
+    assert count_commands(null, repeated, *"aaaa") == [(1, 0, 1), (1, 3, 1), (0, 0, 1), (0, 0, 1)]
+
+
+def test_what_changes_in_each_frame_is_not_recorded(null: rhi.Device) -> None:
+    repeated = RepeatedCommands(null, "")
+    assert count_commands(null, repeated, *"abab") == [(1, 0, 1)] * 4
+    assert count_commands(null, repeated, *"bbc") == [(1, 0, 1), (1, 1, 1), (1, 0, 1)]
+
+
+def test_commands_that_were_forgotten_are_issued_anew(null: rhi.Device) -> None:
+    repeated = RepeatedCommands(null, "")
+    count_commands(null, repeated, *"aaa")
+    repeated.forget()
+    key = ("a",)
+    issued: list[rhi.Encoder] = []
+    for _ in range(3):
+        repeated.execute(key, issued.append)
+    assert issued[0] is null
+    assert len(issued) == 2
+
+
+def test_commands_that_failed_are_issued_again(null: rhi.Device) -> None:
+    repeated = RepeatedCommands(null, "")
+    issued: list[rhi.Encoder] = []
+
+    def fail(encoder: rhi.Encoder) -> None:
+        issued.append(encoder)
+        raise RuntimeError("no")
+
+    for _ in range(2):
+        with pytest.raises(RuntimeError):
+            repeated.execute(("a",), fail)
+    assert issued == [null, null], "what failed wasn't executed, so it doesn't come again"
+    repeated.execute(("a",), lambda encoder: None)
+    with pytest.raises(RuntimeError):
+        repeated.execute(("a",), fail)
+    assert isinstance(issued[-1], rhi.CommandBuffer)
+    repeated.execute(("a",), issued.append)
+    assert isinstance(issued[-1], rhi.CommandBuffer)
+    assert issued[-1] is not issued[-2]
+
+
+# -- culling on the device ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_culling_on_the_device_records_once_and_submits_the_same_commands(null: rhi.Device, name: str) -> None:
+    scene = make_cloud()
+    oracle = Oracle(null, scene, name)
+    algorithm = make_visibility(name, scene, null)
+    cameras = [look((0.1 * frame, 0.0, 30.0), ORIGIN, near=0.1) for frame in range(8)]
+    recorded, executed, waits = [], [], 0
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        for frame, camera in enumerate(cameras):
+            oracle.seen = oracle.guessed = set(range(frame, 60, 1 + frame))
+            before = len(null.stream)
+            result = draw_with(renderer, algorithm, camera)
+            commands = null.stream[before:]
+            waits += len(commands.filter(frozenset({Op.WAIT, Op.READ_BUFFER})))
+            executed.append(
+                [c.op for c in commands.filter(frozenset({Op.DISPATCH, Op.DRAW, Op.DRAW_INDIRECT, Op.BEGIN_PASS}))]
+            )
+            recorded.append(result._counters["recorded_commands"])
+    settled = 3 if name == "two_pass" else 2  # its first frame has nothing to reproject
+    assert [count > 0 for count in recorded] == [frame + 1 == settled for frame in range(8)]
+    assert executed[settled - 1 :] == [executed[-1]] * (9 - settled)
+    assert len(executed[-1]) > 8
+    assert waits == 0
+
+
+@pytest.mark.parametrize("name", DEVICE)
+def test_another_size_direction_of_depth_or_target_is_recorded_anew(null: rhi.Device, name: str) -> None:
+    scene = make_cloud()
+    Oracle(null, scene, name, seen={1})
+    algorithm = make_visibility(name, scene, null)
+    standard = replace(CAMERA, projection=Perspective(near=0.1, far=90.0, depth=Depth.STANDARD))
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+
+        def records(camera: object = CAMERA) -> bool:
+            """Return whether anything was recorded in four frames, and check that it is in use then."""
+            counts = [
+                draw_with(renderer, algorithm, camera)._counters["recorded_commands"]  # type: ignore[arg-type]
+                for _ in range(4)
+            ]
+            assert counts[3] == 0
+            return any(counts)
+
+        assert records()
+        assert not records()
+        assert records(standard)
+        assert records()
+        renderer.size = (32, 18)
+        assert records()
+        renderer.size = (64, 36)
+        assert records()
+        assert not records()
+
+
+@pytest.mark.parametrize("name", [*DEVICE, "conditional", "chc_plus_plus"])
+def test_a_new_size_with_questions_in_flight_changes_no_pixel(device: rhi.Device, name: str) -> None:
+    scene = load_scene("city:blocks=8,detail=2")
+    none, algorithm = NoCulling(scene), make_visibility(name, scene, device)
+    with Renderer(device, scene, size=(97, 55)) as renderer:
+        for index, (camera, seconds) in enumerate(walk(scene, "ground", range(600, 664, 4))):
+            if index % 4 == 3:
+                renderer.size = ((64, 64), (97, 55))[renderer.size == (64, 64)]
+            given = draw_with(renderer, algorithm, camera, seconds).image.read()
+            assert (given == draw_with(renderer, none, camera, seconds).image.read()).all(), index
+    algorithm.destroy()
+
+
+# -- frames that overlap -----------------------------------------------------------------------------------
+
+
+def find_overlap(name: str, *, waits: bool = False) -> float:
+    """Return for how much of the time of the one with less work CPU and GPU worked side by side, in frames that cost
+    both about as much. `waits`: the program waits for the GPU after each frame."""
+    scene = make_cloud()
+    cost = CostModel(command=900.0, vertex=0.0, pixel=0.0, byte=0.0, state_change=0.0, invocation=0.0)
+    simulation = Simulation(cost, call=1000, submission_latency=10, wake_latency=10, batch=10**6)
+    with rhi.create_device("null", simulation=simulation) as device:
+        gpu = device.backend_as(SimulatedBackend)
+        oracle = Oracle(device, scene, name)
+        oracle.seen = oracle.guessed = set(range(0, 60, 5))
+        algorithm = make_visibility(name, scene, device)
+        with Renderer(device, scene, size=(64, 36)) as renderer:
+            for _ in range(3):
+                draw_with(renderer, algorithm, CAMERA)
+            device.finish()
+            begin = gpu.timeline.end
+            for _ in range(12):
+                draw_with(renderer, algorithm, CAMERA)
+                if waits:
+                    device.finish()
+            device.finish()
+            timeline = gpu.timeline
+            busy = [timeline.total(lane, Activity.BUSY, begin) for lane in Lane]
+            return (sum(busy) - (timeline.end - begin)) / min(busy)
+
+
+@pytest.mark.parametrize("name", ["none", "frustum", "conditional", *DEVICE])
+def test_a_frame_is_recorded_while_the_gpu_draws_the_one_before(name: str) -> None:
+    assert find_overlap(name) > 0.8
+
+
+def test_frames_that_are_waited_for_take_turns_with_the_gpu() -> None:
+    for name in ("none", "conditional"):
+        assert find_overlap(name, waits=True) < 0.5
