@@ -15,13 +15,7 @@ from renderer.techniques import Forward, Technique
 from renderer.visibility import VisibilityAlgorithm, VisibilityStatistics, make_visibility
 from rhi import Device, Texture
 
-_COUNTERS: Final = (
-    "queries",
-    "software_state_changes",
-    "hardware_state_changes",
-    "upload_bytes",
-    "recorded_commands",
-)
+_COUNTERS: Final = ("queries", "software_state_changes", "hardware_state_changes", "upload_bytes")
 """The device's counters that are part of a frame's statistics."""
 
 
@@ -37,8 +31,6 @@ class FrameStatistics:
         upload_bytes: bytes written to the device.
         simulation_steps: steps taken by the simulations of drawn objects, counted for each object.
         skipped_simulations: number of simulated objects that weren't drawn, and took no step.
-        recorded_commands: commands recorded for later frames; 0 where they were recorded before, and where all that is
-            drawn changes.
     """
 
     triangles: int
@@ -49,7 +41,6 @@ class FrameStatistics:
     upload_bytes: int
     simulation_steps: int
     skipped_simulations: int
-    recorded_commands: int = 0
 
 
 @dataclass(frozen=True, eq=False)
