@@ -158,16 +158,20 @@ class BoxQueries:
         row are consecutive, and rows go from 0 up. Pass the set to `read` or `release_set` later."""
         queries = self._acquire_set(rows[-1] + 1)
         draws = self._draws.take(nodes)
-        self.device.draw_counted(
-            self._program,
-            self._mesh,
-            draws,
-            queries,
-            np.asarray(rows),
-            camera=self._camera,
-            boxes=self._buffer,
-            turns=self._turns,
-        )
+        try:
+            self.device.draw_counted(
+                self._program,
+                self._mesh,
+                draws,
+                queries,
+                np.asarray(rows),
+                camera=self._camera,
+                boxes=self._buffer,
+                turns=self._turns,
+            )
+        except BaseException:
+            self.release_set(queries)
+            raise
         self.issued += rows[-1] + 1
         self.draws += len(draws)
         self.boxes += int(draws["instances"].sum())
