@@ -5,7 +5,7 @@ kept while its bounds follow the objects, so that a node stays the same from fra
 remembered. Every leaf is one object: culling is then as exact as querying each object.
 
 All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself is
-Python, node by node, and reads bytes and lists.
+Python, node by node, and reads bytes and lists. Its `Frontier` walks all trees together, front to back.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ class Forest:
         parent: for each node its parent, -1 for roots. child: the first child, whose sibling is the next node; -1 for
             leaves. object: the row of a leaf's object, -1 for other nodes.
         lower, upper: (m, 3) bounds, as of the last `update`.
-        status: OUTSIDE, INSIDE or NEAR for each node. second_first: 1 where the second child is the nearer one.
+        status: OUTSIDE, INSIDE or NEAR for each node.
+        front_to_back: the nodes that aren't outside, by the distance of their boxes from the eye, of equally near boxes
+            by that of their centres. place: the index of each of these nodes in it.
         runs: for each node the begin and end of its objects in `order`, which holds the rows of all objects.
         tight: node after node, the nodes whose boxes fit it more closely: nodes below it, or the node itself.
         tight_sizes: (m,) the number of these for each node.
@@ -66,8 +68,6 @@ class Forest:
         self.child: list[int] = child.tolist()
         self.object: list[int] = row.tolist()
         self.order, self.runs = self._find_runs()
-        self._inner: Rows = np.flatnonzero(child >= 0)
-        self._first: Rows = child[self._inner]
         self._leaves: Rows = np.flatnonzero(child < 0)
         self._leaf_objects: Rows = row[self._leaves]
         self._in_view = np.ones(len(objects), bool)
@@ -79,7 +79,8 @@ class Forest:
         for tree in range(len(self._trees)):
             self._fit(tree)
         self.status = bytes(len(child))
-        self.second_first = bytes(len(child))
+        self._front_to_back, self._place = np.zeros((2, len(child)), np.int64)
+        self.front_to_back, self.place = self._front_to_back.data, self._place.data
         tight = self._find_tight()
         self.tight: Rows = np.array([one for chosen in tight for one in chosen], np.int64)
         self.tight_sizes: Rows = np.array([len(chosen) for chosen in tight], np.int64)
@@ -100,16 +101,13 @@ class Forest:
         self.status = status.tobytes()
         self._in_view[self._leaf_objects] = status[self._leaves] != OUTSIDE
 
+        seen = np.flatnonzero(status)
+        lower, upper = lower[seen], upper[seen]
         middle = 0.5 * (lower + upper)
-        distance = squared_distances(eye, lower, upper)
-        centre = squared_distances(eye, middle, middle)
-        first, second = self._first, self._first + 1
-        swap = (distance[second] < distance[first]) | (
-            (distance[second] == distance[first]) & (centre[second] < centre[first])
-        )
-        flags = np.zeros(len(self), np.uint8)
-        flags[self._inner] = swap
-        self.second_first = flags.tobytes()
+        distance, centre = squared_distances(eye, lower, upper), squared_distances(eye, middle, middle)
+        nearest_first = seen[np.lexsort((centre, distance))]
+        self._front_to_back[: len(seen)] = nearest_first
+        self._place[nearest_first] = np.arange(len(seen))
         return boxes
 
     def _fit(self, tree: int) -> None:
@@ -156,6 +154,61 @@ class Forest:
                 chosen = level
             tight.append(chosen)
         return tight
+
+
+class Frontier:
+    """The nodes that a traversal still has to visit, of all trees of a forest together; `pop` returns the nearest one.
+
+    Whatever hides the nearest point of a box is nearer itself. So when a node is popped, all that may hide it entirely
+    has been popped before, in whichever tree it is. Only what has become visible since then comes later.
+
+    A node is a flag at its place in the forest's order from front to back: the memory is of fixed size, and the next
+    node is found by one search through bytes.
+    """
+
+    __slots__ = ("_count", "_first", "_flags", "_forest")
+
+    def __init__(self, forest: Forest) -> None:
+        self._forest = forest
+        self._flags = bytearray(len(forest))
+        self._first = self._count = 0  # no flag is set before `_first`
+
+    def begin(self) -> None:
+        """Remove all nodes and add the roots, after an update of the forest."""
+        forest, flags = self._forest, self._flags
+        if self._count:  # left by a frame that raised
+            flags[:] = bytes(len(flags))
+        self._first, self._count = len(flags), 0
+        for root in forest.roots:
+            if forest.status[root]:
+                self._add(root)
+
+    def open(self, node: int) -> None:
+        """Add those children of an inner node that aren't outside the frustum."""
+        forest = self._forest
+        child, status = forest.child[node], forest.status
+        if status[child]:
+            self._add(child)
+        if status[child + 1]:
+            self._add(child + 1)
+
+    def pop(self) -> int:
+        """Remove the nearest node and return it. There must be one."""
+        place = self._flags.index(1, self._first)
+        self._flags[place] = 0
+        self._first = place
+        self._count -= 1
+        return self._forest.front_to_back[place]
+
+    def _add(self, node: int) -> None:
+        place = self._forest.place[node]
+        self._flags[place] = 1
+        self._count += 1
+        if place < self._first:
+            self._first = place
+
+    def __len__(self) -> int:
+        return self._count
 
 
 def _number(rows: Rows, tree: Hierarchy, start: int) -> tuple[Rows, Rows, Rows]:

@@ -27,11 +27,11 @@ import numpy as np
 from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
+from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import NEVER, pull_up
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
+from rhi import Device, FixedQueue, OcclusionQuery, refuse
 
 __rhi_internal__ = True
 
@@ -96,7 +96,7 @@ class ChcPlusPlus:
         self._is_queried = bytearray(count)  # leaves with a query whose result is not yet read
         self._frame = 0
         room = max(count, 1)
-        self._stack: FixedStack[int] = FixedStack(room)
+        self._frontier = Frontier(self._forest)
         self._i_queue: list[int] = []  # nodes
         self._requery: list[int] = []  # nodes of multiqueries in which something was visible
         self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
@@ -108,13 +108,13 @@ class ChcPlusPlus:
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in recent frames."""
-        forest, stack, pending, visit = self._forest, self._stack, self._i_queries, self._visit
+        forest, frontier, pending, visit = self._forest, self._frontier, self._i_queries, self._visit
         self._begin(camera)
         while True:
             while pending and pending.front[1].is_finished:
                 self._resolve(*pending.pop())
-            if stack:
-                visit(stack.pop())
+            if frontier:
+                visit(frontier.pop())
                 if len(self._i_queue) >= self._batch:
                     self._query_i_queue(scene_pass)
             elif self._i_queue or self._requery:
@@ -146,13 +146,13 @@ class ChcPlusPlus:
         )
 
     def _begin(self, camera: Camera) -> None:
-        """Read the results of the last frame's v-queue, and push the roots."""
+        """Read the results of the last frame's v-queue, and begin at the roots."""
         forest, queries = self._forest, self._queries
         queries.begin_frame(camera, forest.update(camera))
+        self._frontier.begin()
         self._frame += 1
         self._drawn = self._batches = self._visits = 0
         for left in (
-            self._stack,
             self._i_queue,
             self._requery,
             self._render_queue,
@@ -170,18 +170,13 @@ class ChcPlusPlus:
             elif self._visible[leaf]:
                 self._visible[leaf] = 0
                 self._hidden_since[leaf] = self._frame
-        for root in forest.roots:
-            self._stack.push(root)
 
     def _visit(self, node: int) -> None:
         forest, visible, frame = self._forest, self._visible, self._frame
-        status = forest.status[node]
-        if status == OUTSIDE:
-            return
         self._visits += 1
         was_visited = self._visited[node] == frame - 1
         self._visited[node] = frame
-        if status == NEAR:
+        if forest.status[node] == NEAR:
             self._show(node)
         elif not visible[node] or not was_visited:
             visible[node] = 0
@@ -217,13 +212,10 @@ class ChcPlusPlus:
 
     def _open(self, node: int) -> None:
         forest = self._forest
-        child = forest.child[node]
-        if child < 0:
+        if forest.child[node] < 0:
             self._render_queue.append(forest.object[node])
         else:
-            nearer = forest.second_first[node]
-            self._stack.push(child + 1 - nearer)
-            self._stack.push(child + nearer)
+            self._frontier.open(node)
 
     def _query_i_queue(self, scene_pass: ScenePass) -> None:
         """Query all nodes in the i-queue; nodes that are likely to stay hidden share queries."""

@@ -42,10 +42,10 @@ class ConditionalCulling(ChcPlusPlus):
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` saw in recent frames, and the rest on condition."""
-        forest, stack = self._forest, self._stack
+        forest, frontier = self._forest, self._frontier
         self._begin(camera)
-        while stack:
-            self._visit(stack.pop())
+        while frontier:
+            self._visit(frontier.pop())
         self._draw_render_queue(scene_pass)
         self._query_i_queue(scene_pass)
         device = self._queries.device
