@@ -20,13 +20,11 @@ from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
 from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.queries.memory import NodeMemory
 from renderer.visibility.scene_pass import ScenePass
 from rhi import Device, FixedQueue, OcclusionQuery
 
 __rhi_internal__ = True
-
-NEVER = -2
-"""A frame number for "not visited yet": it is less than that of any last frame."""
 
 
 class Chc:
@@ -34,28 +32,29 @@ class Chc:
 
     opens_pass: Final = False
 
-    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
-        """A node that passes at most `threshold` samples counts as hidden."""
+    def __init__(self, scene: Scene, device: Device, *, leaf_size: int = 1, threshold: int = 0) -> None:
+        """A leaf has at most `leaf_size` objects. A node that passes at most `threshold` samples counts as hidden."""
         self._objects = scene.objects
-        self._forest = Forest(scene)
+        self._forest = Forest(scene, leaf_size)
         count = len(self._forest)
         self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
-        self._visible = bytearray(count)
-        self._visited = [NEVER] * count
+        self._memory = NodeMemory(self._forest)
+        self._visible, self._visited = self._memory.visible, self._memory.visited
         self._frame = 0
         room = max(count, 1)
         self._frontier = Frontier(self._forest)
         self._query_queue: FixedQueue[tuple[int, bool, OcclusionQuery]] = FixedQueue(room)
         self._shown: list[int] = []
-        self._drawn = 0
+        self._drawn = self._batches = 0
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in the last frame."""
         forest, frontier = self._forest, self._frontier
         queries, query_queue = self._queries, self._query_queue
+        self._memory.follow(self._frame)
         queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
-        self._drawn = 0
+        self._drawn = self._batches = 0
         self._shown.clear()
         frontier.begin()
         while query_queue:  # left by a frame that raised
@@ -69,7 +68,7 @@ class Chc:
         return VisibilityStatistics(
             objects=len(self._objects),
             visible=self._drawn,
-            batches=self._drawn,
+            batches=self._batches,
             queries=queries.issued,
             box_draws=queries.draws,
             boxes=queries.boxes,
@@ -113,8 +112,10 @@ class Chc:
         """Draw a leaf; have the children of an inner node visited."""
         forest = self._forest
         if forest.child[node] < 0:
-            scene_pass.draw(np.array((forest.object[node],)))
-            self._drawn += 1
+            rows = forest.objects((node,))
+            scene_pass.draw(rows)
+            self._drawn += len(rows)
+            self._batches += 1
         else:
             self._frontier.open(node)
 

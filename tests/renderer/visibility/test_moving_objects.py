@@ -88,7 +88,7 @@ def test_a_moving_copy_of_a_scene_draws_the_same_objects_with_about_as_many_quer
 def test_a_moving_copy_is_a_tree_of_its_own() -> None:
     # The control: the copies that are compared differ in what their trees hold.
     sizes = [
-        [forest.runs[root][1] - forest.runs[root][0] for root in forest.roots]
+        forest.count[forest.roots].tolist()
         for forest in (Forest(make_walled("all", moving)) for moving in ((), range(BOXES), range(BOXES + 1)))
     ]
     assert sizes == [[BOXES + 1], [1, BOXES], [BOXES + 1]]
