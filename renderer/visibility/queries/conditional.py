@@ -37,7 +37,14 @@ class ConditionalCulling(ChcPlusPlus):
     """Draws what was visible, and the rest on conditions that the GPU evaluates."""
 
     def __init__(
-        self, scene: Scene, device: Device, *, persistence: int = 20, threshold: int = 0, seed: int = 0
+        self,
+        scene: Scene,
+        device: Device,
+        *,
+        persistence: int = 20,
+        leaf_size: int = 1,
+        threshold: int = 0,
+        seed: int = 0,
     ) -> None:
         """The parameters are those of `ChcPlusPlus`. `threshold` only affects what counts as visible in the next
         frame: for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`, and
@@ -48,16 +55,18 @@ class ConditionalCulling(ChcPlusPlus):
                 "ConditionalCulling(...)",
                 f"a {device.backend_name} device without conditional rendering",
             )
-        super().__init__(scene, device, persistence=persistence, threshold=threshold, seed=seed)
+        super().__init__(
+            scene, device, persistence=persistence, leaf_size=leaf_size, threshold=threshold, seed=seed
+        )
         self._asked: FixedQueue[tuple[Asked, int]] = FixedQueue(_MOST_ASKED)
         """For each frame that asked, its questions, and how many of them are about hidden nodes: the first ones."""
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` saw in recent frames, and the rest on condition."""
-        stack = self._stack
+        frontier = self._frontier
         self._begin(camera)
-        while stack:
-            self._visit(stack.pop())
+        while frontier:
+            self._visit(frontier.pop())
         self._draw_render_queue(scene_pass)
         hidden = self._group_i_queue()
         groups = hidden + self._take_v_queue()
@@ -110,8 +119,8 @@ class ConditionalCulling(ChcPlusPlus):
         for (leaf,) in groups[hidden:]:
             self._is_queried[leaf] = 0
 
-    def destroy(self) -> None:
-        """Destroy the resources on the device."""
+    def _release_leaves(self) -> None:
+        """Discard all questions in flight, also those about hidden nodes."""
         while self._asked:
             self._give_up()
-        super().destroy()
+        super()._release_leaves()
