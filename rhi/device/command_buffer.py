@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from operator import length_hint
+from threading import get_ident
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -119,6 +120,7 @@ class CommandBuffer(Encoder):
                 RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
             )
         self._state = _RECORDING
+        self._recorder.thread = get_ident()
         self._recorder.recording = True
         if self.label:
             self._writer.push_label(self.label)
@@ -131,6 +133,7 @@ class CommandBuffer(Encoder):
         if self._state is not _RECORDING:
             core.scopes.refuse_unopened("device.record()", error)
             return
+        core.check_thread("the end of device.record()")
         core.recording = False
         self._state = _INVALID
         left = self._find_open()
@@ -149,9 +152,7 @@ class CommandBuffer(Encoder):
 
     def _find_open(self) -> list[str]:
         """Return the texts of everything that is still open."""
-        scopes = self._recorder.scopes
-        scopes.end_unheld()
-        return [scope.describe() for scope in scopes]
+        return [scope.describe() for scope in self._recorder.scopes]
 
     def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""

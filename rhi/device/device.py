@@ -212,10 +212,12 @@ class Device(Encoder):
     @property
     def statistics(self) -> Statistics:
         """A snapshot of the counters since creation or the last `reset_statistics`."""
+        self._core.check_thread("device.statistics")
         return self._core.statistics()
 
     def reset_statistics(self) -> None:
         """Set all counters to zero."""
+        self._core.check_thread("device.reset_statistics")
         self._core.reset_statistics()
 
     @property
@@ -584,6 +586,7 @@ class Device(Encoder):
 
     @timing.setter
     def timing(self, on: bool) -> None:
+        self._core.check_thread("device.timing")
         on = Arguments("device.timing", self._core.refuse).flag("on", on)
         if on and not self._core.capabilities.timestamps:
             self._core.refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")

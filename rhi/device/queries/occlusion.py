@@ -408,5 +408,6 @@ class Conditional:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._core.check_thread("the end of a condition")
         if not self._core.closed:
             self._core.scopes.leave(self._scope, error)

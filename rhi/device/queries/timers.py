@@ -206,6 +206,7 @@ class EventScope:
         core, events = self._core, self._events
         if core.closed:
             return
+        core.check_thread("the end of an event")
         core.resume_scope()
         if not events:
             core.scopes.refuse_unopened(f"event {self._label!r}", error)
