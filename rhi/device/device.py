@@ -115,7 +115,12 @@ class Device(Encoder):
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
-        states = StateCache(_unsupported_states(capabilities), capabilities.max_line_width, refusals=refusals)
+        states = StateCache(
+            _unsupported_states(capabilities),
+            capabilities.max_line_width,
+            refusals=refusals,
+            platform_states=capabilities.platform_states,
+        )
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs = ProgramTable(core.timeline)

@@ -32,6 +32,11 @@ STATE_DUPLICATE: Final = Rule(
 STATE_CAPABILITY: Final = Rule(
     "state-capability", "the device doesn't support this state", "check device.capabilities first"
 )
+PLATFORM_STATE: Final = Rule(
+    "platform-state",
+    "the device's platform doesn't have this state",
+    "use it only where capabilities.platform_states names its type",
+)
 
 # -- device ----------------------------------------------------------------------------------------------
 

@@ -218,7 +218,7 @@ class Everything:
         self.device = device
         self.buffer, self.other = device.buffer(np.zeros(8, "u4")), device.buffer(np.zeros(8, "u4"))
         self.large = device.buffer(4096)
-        self.texture, self.second = device.texture(SIZE, Format.RGBA8), device.texture(SIZE, Format.RGBA8)
+        self.texture, self.second = device.texture(SIZE, Format.RGBA8, levels=None), device.texture(SIZE, Format.RGBA8)
         self.several = device.texture(SIZE, Format.RGBA8, samples=device.capabilities.sample_counts[-1])
         self.layered = device.texture(SIZE, Format.RGBA8, kind=TextureKind.D2_ARRAY, layers=2)
         self.stencil = device.texture(SIZE, Format.D24S8)
@@ -239,9 +239,14 @@ class Everything:
             device.draw_counted(self.program, self.mesh, self.mesh.draws(), self.queries)
 
 
+def use_device(use: Callable[[Device, Any], object], everything: Everything) -> object:
+    """Call one of `USES`."""
+    return use(everything.device, everything)
+
+
 EVERY: dict[str, dict[str, Callable[[Everything], object]]] = {
     "Device": {
-        **{name: (lambda e, use=use: use(e.device, e)) for name, use in USES.items() if name.isidentifier()},
+        **{name: partial(use_device, use) for name, use in USES.items() if name.isidentifier()},
         "uniform_array": lambda e: e.device.uniform_array(Tint, 1),
         "program": lambda e: e.device.program(Unseen),
         "prepare": lambda e: e.device.prepare(e.program),

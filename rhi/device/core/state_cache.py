@@ -28,6 +28,7 @@ from rhi.contract.states import (
     STATE_TYPES,
     BlendFunction,
     LineWidth,
+    PlatformState,
     PolygonOffset,
     State,
     StateChange,
@@ -38,7 +39,7 @@ from rhi.contract.states import (
 )
 from rhi.device.core.refusals import NO_LOG, RefusalLog
 from rhi.device.core.scopes import OpenScopes, Scope, unwrap
-from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_TYPE
+from rhi.errors.rules import PLATFORM_STATE, STATE_CAPABILITY, STATE_DUPLICATE, STATE_TYPE
 
 __rhi_internal__ = True
 
@@ -69,6 +70,7 @@ class StateVector:
 
 
 _INDEX: Final = {state_type: index for index, state_type in enumerate(STATE_TYPES)}
+_PLATFORM: Final = _INDEX[PlatformState]
 
 
 class Validator(Protocol):
@@ -91,12 +93,13 @@ class StateCache:
         refusals: raises and keeps the errors of refused scopes.
         unsupported: state types that the device lacks, each with the name of the missing capability.
         max_line_width: the largest `LineWidth`.
+        platform_states: the types of states that only this platform has.
         validator: the checks of both ends of a `ValidatedScope`.
         software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
-    __slots__ = ("_entries", "_limit", "_pool", "hardware", "hardware_changes", "max_line_width", "refusals",
-                 "scopes", "software_changes", "unsupported", "validator", "wanted")  # fmt: skip
+    __slots__ = ("_entries", "_limit", "_pool", "hardware", "hardware_changes", "max_line_width", "platform_states",
+                 "refusals", "scopes", "software_changes", "unsupported", "validator", "wanted")  # fmt: skip
 
     def __init__(
         self,
@@ -104,7 +107,9 @@ class StateCache:
         max_line_width: float = 1.0,
         pool_entries: int = POOL_ENTRIES,
         refusals: RefusalLog = NO_LOG,
+        platform_states: frozenset[type[PlatformState]] = frozenset(),
     ) -> None:
+        self.platform_states = platform_states
         self.unsupported = unsupported or {}
         self.max_line_width = max_line_width
         self.refusals = refusals
@@ -119,7 +124,9 @@ class StateCache:
 
     def fresh(self) -> StateCache:
         """Return an empty cache with the same limits, missing capabilities and log."""
-        return StateCache(self.unsupported, self.max_line_width, self._limit, self.refusals)
+        return StateCache(
+            self.unsupported, self.max_line_width, self._limit, self.refusals, self.platform_states
+        )
 
     @property
     def depth(self) -> int:
@@ -188,9 +195,11 @@ class StateCache:
         self._validate(states)
         values = list(self.wanted.values)
         for state in states:
-            index = _INDEX[type(state)]
+            index = _INDEX.get(type(state), _PLATFORM)
             target = getattr(state, "target", None)
-            if type(state) not in PER_TARGET:
+            if index == _PLATFORM:
+                values[index] = _change_platform(values[index], state)
+            elif type(state) not in PER_TARGET:
                 values[index] = state
             elif target is None:
                 values[index] = (state,) * MAX_TARGETS
@@ -208,7 +217,13 @@ class StateCache:
         seen: set[tuple[type, int | None]] = set()
         for state in states:
             state_type = type(state)
-            if state_type not in _INDEX:
+            if isinstance(state, PlatformState):
+                if state_type not in self.platform_states:
+                    have = ", ".join(sorted(each.__name__ for each in self.platform_states)) or "none"
+                    self.refusals.refuse(
+                        PLATFORM_STATE, call, f"{state!r} of {state.platform()!r}", f"this device's own: {have}"
+                    )
+            elif state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
                 self.refusals.refuse(
                     STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
@@ -254,6 +269,16 @@ def _needs_capability(state: State) -> bool:
     if isinstance(state, StencilReference | StencilReadMask | StencilWriteMask):
         return state.front != state.back
     return state != DEFAULTS[type(state)]
+
+
+def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]:
+    """Return the states of the platform that differ from their defaults, after one of them has changed."""
+    assert isinstance(values, tuple)
+    assert isinstance(state, PlatformState)
+    kept = [each for each in values if type(each) is not type(state)]
+    if state is not state.default():
+        kept.append(state)
+    return tuple(sorted(kept, key=lambda each: each.full_name))
 
 
 def _without_target(state: State) -> State:
@@ -320,12 +345,15 @@ class StateScope(Scope):
         again.__enter__()
 
     def find_block(self) -> object | None:
+        """Return the scope itself, which is its own block."""
         return self
 
     def describe(self) -> str:
+        """Return the scope's text in messages."""
         return f"device.states({', '.join(map(repr, self.states))})"
 
     def finish(self, failed: bool) -> None:
+        """Pop the scope, the innermost one, and restore the states before it."""
         self.__exit__(None, None, None)
 
 
