@@ -20,6 +20,7 @@ from rhi.contract.states import (
     DepthTest,
     DepthWrite,
     LineWidth,
+    PlatformState,
     Scissor,
     StateChange,
     Viewport,
@@ -66,7 +67,7 @@ def wanted(cache):
     return dict(zip(STATE_TYPES, cache.wanted.values, strict=True))
 
 
-DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()}
+DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()} | {PlatformState: ()}
 
 
 @given(PROGRAMS, st.sampled_from([16_384, 8, 1]))
