@@ -6,7 +6,7 @@
   only one process at a time builds a program for the first time, and a record with the checksums of its files says that
   they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed.
 - PoCL's names of folders can't be computed. So each program contains a function whose name is its key, by which its
-  folder is found (`mark`).
+  folder is found (`KernelCache.request`).
 - When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes.
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
@@ -23,12 +23,14 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Final, NamedTuple
 
 try:
     import fcntl
 except ImportError:  # not on Windows, where PoCL's users are few
     fcntl = None  # type: ignore[assignment]
+
+from rhi.backends.cl.declarations import GUARD, declare
 
 __rhi_internal__ = True
 
@@ -64,28 +66,47 @@ def choose_folder() -> Path | None:
     return folder
 
 
-class KernelCache:
-    """The compiled programs of one driver's version and device."""
+class Request(NamedTuple):
+    """A program as the driver is given it, and its key."""
 
-    def __init__(self, folder: Path | None, driver: str) -> None:
+    key: str
+    source: str
+    options: tuple[str, ...]
+
+
+class KernelCache:
+    """The compiled programs of one driver's version and device.
+
+    Attributes:
+        declares: whether programs declare the functions that they use, instead of the driver's header
+            (`rhi.backends.cl.declarations`).
+    """
+
+    def __init__(self, folder: Path | None, driver: str, declares: bool = False) -> None:
         """`folder`: None if the driver has none; nothing is known then. `driver`: what compiled kernels depend on."""
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
+        self.declares = declares
 
     @property
     def works(self) -> bool:
         """Whether compiled programs are found again."""
         return self._folder is not None
 
-    def identify(self, source: str, options: Sequence[str]) -> str:
-        """Return the key of a program."""
-        text = "\0".join((self._driver, *options, _COMMENT.sub("", source)))
-        return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-    def mark(self, source: str, key: str) -> str:
-        """Return a program's source with its key in it. No line moves."""
-        return source if self._folder is None else f"{source}\nvoid rhi_{key}(void);\nvoid rhi_{key}(void) {{}}\n"
+    def request(self, source: str, options: Sequence[str]) -> Request:
+        """Return what the driver is given for a program: its key is in it, and the driver counts its lines as here."""
+        source = _COMMENT.sub("", source)
+        declarations = declare(source) if self.declares else None
+        if declarations is not None:
+            options = (*options, GUARD)
+        whole = "\0".join((self._driver, *options, declarations or "", source))
+        key = hashlib.sha256(whole.encode()).hexdigest()[:24]
+        if declarations is not None:
+            source = f"{declarations}#line 1\n{source}"
+        if self._folder is not None:
+            source = f"{source}\nvoid rhi_{key}(void);\nvoid rhi_{key}(void) {{}}\n"
+        return Request(key, source, tuple(options))
 
     def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
         """Return whether a program is there and undamaged, with machine code of these kernels."""

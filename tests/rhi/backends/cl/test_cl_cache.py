@@ -148,9 +148,9 @@ def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
 
 def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> None:
     mine, other = KernelCache(tmp_path, "driver 1"), KernelCache(tmp_path, "driver 2")
-    keys = [mine.identify("a", ()), mine.identify("b", ()), mine.identify("a", ["-w"]), other.identify("a", ())]
-    assert len(set(keys)) == 4
-    assert mine.identify("a", ()) == keys[0]
+    requests = [mine.request("a", ()), mine.request("b", ()), mine.request("a", ["-w"]), other.request("a", ())]
+    assert len({each.key for each in requests}) == 4
+    assert mine.request("a", ()) == requests[0]
 
 
 def test_machine_code_of_a_kernel_is_told_from_its_absence(tmp_path: Path) -> None:
