@@ -43,6 +43,7 @@ _COMMENT: Final = re.compile("//[^\n]*")  # they name shaders, whose stages may 
 _PROGRAM: Final = "program.bc"
 _PLACES: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
+_TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
 
@@ -113,7 +114,7 @@ class KernelCache:
         if self._folder is None:
             return False
         record = self._folder / _RECORDS / key
-        place, files = _read_record(self._folder, record)
+        place, files, _ = _read_record(self._folder, record)
         try:
             complete = place is not None and all(
                 zlib.crc32((place / name).read_bytes()) == checksum for name, checksum in files.items()
@@ -162,7 +163,8 @@ class KernelCache:
             for path in (place / _PROGRAM, *place.glob("*/*/*.so"))
         }
         record = self._folder / _RECORDS / key
-        text = json.dumps({"folder": str(place.relative_to(self._folder)), "files": files})
+        size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+        text = json.dumps({"folder": str(place.relative_to(self._folder)), "files": files, "bytes": size})
         fresh = record.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
         with suppress(OSError):
             fresh.write_text(text)
@@ -172,7 +174,7 @@ class KernelCache:
     def _find(self, key: str) -> Path | None:
         """Return the folder of a program."""
         assert self._folder is not None
-        known, _ = _read_record(self._folder, self._folder / _RECORDS / key)
+        known, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
         if known is not None and (known / _PROGRAM).is_file():
             return known
         name = f"rhi_{key}".encode()
@@ -203,9 +205,8 @@ class KernelCache:
         for record in (folder / _RECORDS).iterdir():
             with suppress(OSError):
                 used = record.stat().st_mtime
-                place, _ = _read_record(folder, record)
+                place, _, size = _read_record(folder, record)
                 if place is not None:
-                    size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
                     found.append((used, size, record, place))
                 elif used < time.time() - _OLD:
                     record.unlink()
@@ -219,8 +220,8 @@ class KernelCache:
             total -= size
 
 
-def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int]]:
-    """Return the folder of a record's program, and the checksums of its files by their names.
+def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int], int]:
+    """Return the folder of a record's program, the checksums of its files by their names, and the bytes of the folder.
 
     The folder is None for a record that is damaged or unfinished, or that names another place than PoCL's folders: what
     it names may be removed, and records can come from elsewhere.
@@ -229,8 +230,9 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int
         known = json.loads(record.read_bytes())
         name = PurePosixPath(known["folder"])
         files = {str(path): int(checksum) for path, checksum in known["files"].items()}
+        size = int(known.get("bytes", _TYPICAL))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None, {}
+        return None, {}, 0
     if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
-        return None, {}
-    return folder / name, files
+        return None, {}, 0
+    return folder / name, files, size
