@@ -39,7 +39,7 @@ LIMIT: Final = 512 << 20
 """Bytes of compiled kernels that are kept."""
 _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
 _RECORDS: Final = "rhi"
-_COMMENT: Final = re.compile("//[^\n]*")  # they name shaders, whose stages may be the same
+_COMMENT: Final = re.compile("//[^\n]*")
 _PROGRAM: Final = "program.bc"
 _PLACES: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
@@ -65,6 +65,11 @@ def choose_folder() -> Path | None:
         return None
     os.environ[_DRIVER_ENVIRONMENT] = given
     return folder
+
+
+def strip_comments(source: str) -> str:
+    """Return a program without comments, which may name a shader whose stages are those of another. No line moves."""
+    return _COMMENT.sub("", source)
 
 
 class Request(NamedTuple):
@@ -97,11 +102,11 @@ class KernelCache:
 
     def request(self, source: str, options: Sequence[str]) -> Request:
         """Return what the driver is given for a program: its key is in it, and the driver counts its lines as here."""
-        source = _COMMENT.sub("", source)
-        declarations = declare(source) if self.declares else None
+        text = strip_comments(source)
+        declarations = declare(text) if self.declares else None
         if declarations is not None:
             options = (*options, GUARD)
-        whole = "\0".join((self._driver, *options, declarations or "", source))
+        whole = "\0".join((self._driver, *options, declarations or "", text))
         key = hashlib.sha256(whole.encode()).hexdigest()[:24]
         if declarations is not None:
             source = f"{declarations}#line 1\n{source}"

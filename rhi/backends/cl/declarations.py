@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from functools import cache
+from functools import lru_cache
 from itertools import product
 from typing import Final
 
@@ -141,21 +141,28 @@ _COUNTS: Final = {name: count for names, count in _ATOMICS.items() for name in n
 def declare(source: str) -> str | None:
     """Return the declarations of what occurs in a program without comments, or None if it needs the header."""
     words = set(source.translate(_SEPARATORS).split())
-    if any(map(_ELSEWHERE.match, words)):
-        return None
+    lines: list[str] = []
+    for found in map(_find_lines, sorted(words)):
+        if found is None:
+            return None
+        lines += found
     # Values of these types exist only where they are named, and each adds a tenth of the declarations.
-    absent = tuple(name for name in ("char", "short") if not any(name in word for word in words))
-    names = sorted(words)
-    lines = [f"#define {name} {_MACROS[name]}" for name in names if name in _MACROS]
-    lines += [f"#define {name}(x) __builtin_astype((x), {m[1]})" for name in names if (m := _CAST.fullmatch(name))]
-    for name in names:
-        lines += [f"{text};" for text in _declare(name) if not any(kind in text for kind in absent)]
+    for kind in ("char", "short"):
+        if not any(kind in word for word in words):
+            lines = [line for line in lines if kind not in line]
     return "\n".join((_TYPES, *lines, ""))
 
 
-@cache
-def _declare(name: str) -> tuple[str, ...]:
-    return tuple(declare_function(name))
+@lru_cache(maxsize=8192)
+def _find_lines(name: str) -> tuple[str, ...] | None:
+    """Return the declarations of a name, or None if only the header has them."""
+    if _ELSEWHERE.match(name):
+        return None
+    if name in _MACROS:
+        return (f"#define {name} {_MACROS[name]}",)
+    if match := _CAST.fullmatch(name):
+        return (f"#define {name}(x) __builtin_astype((x), {match[1]})",)
+    return tuple(f"{each};" for each in declare_function(name))
 
 
 def declare_function(name: str) -> Iterator[str]:
