@@ -53,7 +53,7 @@ class ConditionalCulling(ChcPlusPlus):
             refuse(
                 rules.NO_CONDITIONS,
                 "ConditionalCulling(...)",
-                f"a {device.backend_name} device without conditional rendering",
+                f"a {device.backend_name} device without both",
             )
         super().__init__(
             scene, device, persistence=persistence, leaf_size=leaf_size, threshold=threshold, seed=seed
@@ -88,8 +88,7 @@ class ConditionalCulling(ChcPlusPlus):
             self._drawn += len(rows)
             self._batches += 1
 
-    def _begin(self, camera: Camera) -> None:
-        """Take the answers that are available, and begin a frame."""
+    def _take_answers(self) -> None:
         shown: list[int] = []
         while self._asked and self._asked.front[0][0].is_finished:
             (queries, groups), hidden = self._asked.pop()
@@ -101,16 +100,15 @@ class ConditionalCulling(ChcPlusPlus):
             for (leaf,), shows in zip(groups[hidden:], answers[hidden:], strict=False):
                 self._note_leaf(leaf, shows)
         pull_up(shown, self._visible, self._forest.parent)
-        super()._begin(camera)
 
     def _note_shown(self, nodes: list[int]) -> None:
         """Note that a query found a hidden node visible, or some of several, unknown which: then each is queried alone
         next time."""
         if len(nodes) == 1:
-            self._next_query[nodes[0]] = self._frame + self._random.randint(1, self._persistence)
+            self._next_query[nodes[0]] = self._frame - 1 + self._random.randint(1, self._persistence)
             self._visible[nodes[0]] = 1
         for node in nodes:
-            self._hidden_since[node] = self._frame + 1
+            self._hidden_since[node] = self._frame
 
     def _give_up(self) -> None:
         """Forget the oldest questions."""
