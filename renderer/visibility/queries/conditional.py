@@ -37,11 +37,11 @@ class ConditionalCulling(ChcPlusPlus):
         """The parameters are those of `ChcPlusPlus`. `threshold` only affects what counts as visible in the next
         frame:
         for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`."""
-        if not device.capabilities.conditional_rendering:
+        if not (device.capabilities.conditional_rendering and device.capabilities.occlusion_queries):
             refuse(
                 rules.NO_CONDITIONS,
                 "ConditionalCulling(...)",
-                f"a {device.backend_name} device without conditional rendering",
+                f"a {device.backend_name} device without both",
             )
         super().__init__(
             scene, device, persistence=persistence, leaf_size=leaf_size, threshold=threshold, seed=seed
