@@ -36,6 +36,11 @@ class Drawn:
         self.batches: list[NDArray[np.int64]] = []
         self._lists: list[tuple[DeviceList, int]] = []
 
+    @property
+    def is_known(self) -> bool:
+        """Whether the CPU knows all rows, without waiting for the device."""
+        return not self._lists
+
     def add_list(self, draws: DeviceList) -> None:
         """Record that a list was drawn."""
         self._lists.append((draws, draws.generation))

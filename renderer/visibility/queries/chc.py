@@ -21,6 +21,7 @@ from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.walk import Walk, walk_forest
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery
 
 __rhi_internal__ = True
@@ -124,6 +125,16 @@ class Chc:
             nearer = forest.second_first[node]
             self._stack.push(child + 1 - nearer)
             self._stack.push(child + nearer)
+
+    def walk(self) -> Walk:
+        """Return the nodes that the last frame reached. Visible leaves that aren't near are queried by their own
+        geometry."""
+        forest, visited = self._forest, np.array(self._visited) == self._frame
+        asked = bytearray(
+            was or (child < 0 and status != NEAR)
+            for was, child, status in zip(self._queries.asked, forest.child, forest.status, strict=True)
+        )
+        return walk_forest(forest, visited, self._visible, asked)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

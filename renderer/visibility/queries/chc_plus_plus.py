@@ -31,6 +31,7 @@ from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import NEVER, pull_up
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.walk import Walk, walk_forest
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
 
 __rhi_internal__ = True
@@ -269,6 +270,11 @@ class ChcPlusPlus:
             self._drawn += len(rows)
             self._batches += 1
             self._render_queue.clear()
+
+    def walk(self) -> Walk:
+        """Return the nodes that the last frame reached."""
+        visited = np.array(self._visited) == self._frame
+        return walk_forest(self._forest, visited, self._visible, self._queries.asked)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
