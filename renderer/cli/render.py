@@ -29,7 +29,7 @@ from renderer.measure import FrameCost, measure_frame
 from renderer.overlay import Overlay
 from renderer.renderer import Renderer
 from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective
-from renderer.techniques import TECHNIQUES
+from renderer.techniques import TECHNIQUES, Particles
 from renderer.visibility import ALGORITHMS, AutoCulling, make_visibility
 from rhi.trace import save
 
@@ -97,6 +97,9 @@ def _add_arguments(parser: Parser) -> None:
         help="write the frames' cameras as a walk-through, for --camera and --camera-path",
     )
     parser.add_argument(
+        "--particles", action="store_true", help="draw the drops of the hall's fountains as particles, too"
+    )
+    parser.add_argument(
         "--overlay",
         action="store_true",
         help="draw frame times, counters, the timer tree and the culling over each frame, which costs time, too",
@@ -128,10 +131,12 @@ def _run(given: argparse.Namespace) -> None:
         ) as renderer,
         ExitStack() as layers,
     ):
+        if given.particles:
+            renderer.layers.append(Particles(device))
         if given.overlay:
-            overlay = Overlay(device, scale=max(1, given.size[1] // 720))
-            layers.callback(overlay.destroy)
-            renderer.layers.append(overlay)
+            renderer.layers.append(Overlay(device, scale=max(1, given.size[1] // 720)))
+        for layer in renderer.layers:
+            layers.callback(layer.destroy)
         shots = list(enumerate(cameras, given.frame))
         for _ in show_progress(warm_up(renderer), None, "find the fastest algorithm"):
             measure_frame(renderer, cameras[0], given.frame / FRAMES_PER_SECOND)
