@@ -143,7 +143,10 @@ def _list_counters(frame: Frame, counters: dict[str, int]) -> list[tuple[str, st
     """Return the names and values of the counters."""
     rows = [
         ("draw calls", f"{counters['draws']:,}"),
-        ("states set / sent", f"{counters['software_state_changes']:,} / {counters['hardware_state_changes']:,}"),
+        (
+            "states set / sent",
+            f"{counters['software_state_changes']:,} / {counters['hardware_state_changes']:,}",
+        ),
         ("uploaded", f"{counters['upload_bytes'] / 1024:,.1f} KiB"),
         ("resources made", f"{counters['creations']:,}"),
     ]

@@ -90,7 +90,9 @@ def draw_graph(
     canvas.rects([(box.x, under - each, box.width, 1) for each in heights], RULE)
 
 
-def draw_rows(canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int) -> int:
+def draw_rows(
+    canvas: Canvas, x: int, y: int, rows: Sequence[tuple[str, str]], second: int, scale: int
+) -> int:
     """Draw names and values in two columns, `second` pixels apart; return the height."""
     canvas.text(x, y, "\n".join(name for name, _ in rows), DIM, scale)
     return canvas.text(x + second, y, "\n".join(value for _, value in rows), TEXT, scale)[1]
@@ -137,7 +139,9 @@ def draw_legend(canvas: Canvas, x: int, y: int, walk: Walk, scale: int) -> int:
     row = canvas.font.line_height * scale
     side = row - 8 * scale
     canvas.rects(
-        np.array([(x, y + row * number + 4 * scale, side, side) for number in range(len(kinds))]).reshape(-1, 4),
+        np.array([(x, y + row * number + 4 * scale, side, side) for number in range(len(kinds))]).reshape(
+            -1, 4
+        ),
         np.array([WALK_COLORS[kind] for kind in kinds]).reshape(-1, 4),
     )
     text = "\n".join(f"{counts[kind]:,} {WALK_NAMES[kind]}" for kind in kinds)
@@ -146,7 +150,11 @@ def draw_legend(canvas: Canvas, x: int, y: int, walk: Walk, scale: int) -> int:
 
 
 def draw_map(
-    canvas: Canvas, box: Box, bounds: tuple[NDArray[np.float64], NDArray[np.float64]], walk: Walk, camera: Camera
+    canvas: Canvas,
+    box: Box,
+    bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
+    walk: Walk,
+    camera: Camera,
 ) -> None:
     """Draw the boxes of a walk from above, x to the right and z down, and the edges of the camera's view.
 

@@ -20,7 +20,20 @@ from renderer.frame.passes import NEARER
 from renderer.scene.arrays import Floats, Rows
 from renderer.shaders import View
 from rhi import BlendFunction, CullMode, DepthTest, DepthWrite, Device
-from rhi.shading import Shader, Storage, Struct, Uniform, cross, dot, length, max, vec2, vec3, vec4, vertex_index
+from rhi.shading import (
+    Shader,
+    Storage,
+    Struct,
+    Uniform,
+    cross,
+    dot,
+    length,
+    max,
+    vec2,
+    vec3,
+    vec4,
+    vertex_index,
+)
 
 __rhi_internal__ = True
 
@@ -40,7 +53,7 @@ class EmitsParticles(Protocol):
 
 
 class Particle(Struct):
-    """A particle: its place relative to the eye, and its way in the time of an exposure, both along the world's axes."""
+    """A particle along the axes of the world: its place relative to the eye, its way in the time of an exposure."""
 
     centre: vec3
     way: vec3
@@ -73,7 +86,9 @@ class ParticleShader(Shader):
         aside = cross(along, particle.centre)
         aside = aside / max(length(aside), 1e-6)
         offset = along * (self.radius * x) + particle.way * (0.5 * x) + aside * (self.radius * y)
-        offset -= particle.centre * (self.radius / max(length(particle.centre), 1e-6))  # in front of the drop itself
+        offset -= particle.centre * (
+            self.radius / max(length(particle.centre), 1e-6)
+        )  # in front of the drop itself
         return ParticleVarying(
             clip=self.view.relative_view_projection @ vec4(particle.centre + offset, 1.0), place=vec2(x, y)
         )
@@ -110,9 +125,7 @@ class Particles:
         with (
             device.event("particles"),
             device.render_pass(targets.color, targets.depth),
-            device.states(
-                CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED
-            ),
+            device.states(CullMode.NONE, DepthTest.ON, nearer, DepthWrite.OFF, BlendFunction.PREMULTIPLIED),
         ):
             device.draw(
                 self._program,
