@@ -27,7 +27,8 @@ class FrameStatistics:
         triangles: number of triangles of the objects drawn.
         draws: number of objects drawn; one call may draw many.
         queries: number of occlusion queries.
-        software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device.
+        software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device; with
+            layers these include setting back what the last frame's layers changed.
         upload_bytes: bytes written to the device.
         simulation_steps: steps taken by the simulations of drawn objects, counted for each object.
         skipped_simulations: number of simulated objects that weren't drawn, and took no step.
