@@ -34,7 +34,8 @@ _FRAMES: Final = 144  # of the graph
 _BAR: Final = 2  # width of a frame there
 _PAD: Final = 8  # around panels and in them
 _GRAPH: Final = 60  # height
-_NAMES: Final = 130  # width of the first column
+_NAMES: Final = 130  # width of the names of counters
+_EVENTS: Final = 90  # width of the names of events
 _MAP: Final = 280  # width and height
 _COUNTERS: Final = ("draws", "queries", "upload_bytes", "creations", "software_state_changes",
                     "hardware_state_changes")  # fmt: skip
@@ -99,15 +100,16 @@ class Overlay:
         draw_graph(canvas, graph, self._frames.values, self._own.values, _BAR * scale)
         y = graph.y + graph.height + pad
         y += draw_rows(canvas, inside.x, y, rows, _NAMES * scale, scale) + pad
-        draw_timers(canvas, Box(inside.x, y, width, height), timers, _NAMES * scale, scale)
+        draw_timers(canvas, Box(inside.x, y, width, height), timers, _EVENTS * scale, scale)
 
     def _describe_times(self) -> str:
         times = self._frames.values
         if not len(times):
             return "frame: -"
         ordered = sorted(times.tolist())
-        middle = ordered[len(ordered) // 2]
-        return f"frame {times[-1]:.1f} ms   median {middle:.1f}   worst {ordered[-1]:.1f}"
+        shown = times[-1], ordered[len(ordered) // 2], ordered[-1]
+        latest, middle, worst = (f"{time:.1f}" if time < 100.0 else f"{time:.0f}" for time in shown)
+        return f"frame {latest} ms   median {middle}   worst {worst}"
 
     def _add_right(self, frame: Frame) -> None:
         """Add the panel of the culling."""
