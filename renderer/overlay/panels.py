@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from renderer.canvas import Canvas, srgb
 from renderer.scene import Camera, Scene
-from renderer.visibility import Walk, WalkOutcome
+from renderer.visibility import CullingWalk, WalkOutcome
 from rhi import TimerNode
 
 __rhi_internal__ = True
@@ -132,7 +132,7 @@ def draw_timers(canvas: Canvas, box: Box, roots: Sequence[TimerNode], second: in
     return row * (len(shown) + bool(more))
 
 
-def draw_legend(canvas: Canvas, x: int, y: int, walk: Walk, scale: int) -> int:
+def draw_legend(canvas: Canvas, x: int, y: int, walk: CullingWalk, scale: int) -> int:
     """Draw how many boxes of each outcome there are, beside its colour; return the height."""
     counts = np.bincount(walk.outcome, minlength=len(WalkOutcome)).tolist()
     kinds = [kind for kind in WalkOutcome if counts[kind]]
@@ -153,7 +153,7 @@ def draw_map(
     canvas: Canvas,
     box: Box,
     bounds: tuple[NDArray[np.float64], NDArray[np.float64]],
-    walk: Walk,
+    walk: CullingWalk,
     camera: Camera,
 ) -> None:
     """Draw the boxes of a walk from above, x to the right and z down, and the edges of the camera's view.

@@ -26,7 +26,7 @@ from renderer.visibility.queries.stop_and_wait import StopAndWait
 from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
 from renderer.visibility.settings import Settings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
-from renderer.visibility.walk import Walk, WalkOutcome, find_walk
+from renderer.visibility.walk import CullingWalk, WalkOutcome, find_walk
 from rhi import Device
 
 __rhi_internal__ = True
@@ -41,6 +41,7 @@ __all__ = [
     "ConditionalCulling",
     "Culler",
     "CullingCounts",
+    "CullingWalk",
     "DepthPyramidCulling",
     "DeviceCulling",
     "DeviceList",
@@ -55,7 +56,6 @@ __all__ = [
     "TwoPassCulling",
     "VisibilityAlgorithm",
     "VisibilityStatistics",
-    "Walk",
     "WalkOutcome",
     "build_by_area",
     "build_by_median",

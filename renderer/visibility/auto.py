@@ -12,7 +12,7 @@ import numpy as np
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics
 from renderer.visibility.scene_pass import ScenePass
-from renderer.visibility.walk import Walk, WalksNodes
+from renderer.visibility.walk import CullingWalk, WalksNodes
 from rhi import Device
 
 __rhi_internal__ = True
@@ -99,7 +99,7 @@ class AutoCulling:
             self._begin_trial()
         return statistics
 
-    def walk(self) -> Walk | None:
+    def walk(self) -> CullingWalk | None:
         """Return the nodes that the last frame's algorithm reached, None if it walked no hierarchy."""
         return self.latest.walk() if isinstance(self.latest, WalksNodes) else None
 

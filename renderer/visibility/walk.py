@@ -37,7 +37,7 @@ class WalkOutcome(IntEnum):
     """It is inside the frustum; the device decides whether it is drawn."""
 
 
-class Walk(NamedTuple):
+class CullingWalk(NamedTuple):
     """The nodes or objects that an algorithm has dealt with in a frame.
 
     Attributes:
@@ -56,12 +56,12 @@ class Walk(NamedTuple):
 class WalksNodes(Protocol):
     """An algorithm that walks a hierarchy on the CPU."""
 
-    def walk(self) -> Walk | None:
+    def walk(self) -> CullingWalk | None:
         """Return the nodes that the last `render` reached; None if it walked no hierarchy."""
         ...
 
 
-def find_walk(algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, drawn: Rows | None) -> Walk:
+def find_walk(algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, drawn: Rows | None) -> CullingWalk:
     """Return what `algorithm` did in the frame that `camera` has just seen.
 
     `drawn` are the rows of the objects drawn, None if only the device knows them.
@@ -76,10 +76,10 @@ def find_walk(algorithm: VisibilityAlgorithm, scene: Scene, camera: Camera, draw
         seen[:] = WalkOutcome.HIDDEN
         seen[drawn] = WalkOutcome.VISIBLE
         inside[drawn] = True
-    return Walk(False, lower, upper, np.where(inside, seen, np.uint8(WalkOutcome.OUTSIDE)))
+    return CullingWalk(False, lower, upper, np.where(inside, seen, np.uint8(WalkOutcome.OUTSIDE)))
 
 
-def walk_forest(forest: Forest, visited: NDArray[np.bool_], visible: bytearray, asked: bytearray) -> Walk:
+def walk_forest(forest: Forest, visited: NDArray[np.bool_], visible: bytearray, asked: bytearray) -> CullingWalk:
     """Return the walk through a forest's nodes (m).
 
     Args:
@@ -98,4 +98,4 @@ def walk_forest(forest: Forest, visited: NDArray[np.bool_], visible: bytearray, 
     outcome = np.where(np.frombuffer(asked, np.uint8), WalkOutcome.QUERIED, WalkOutcome.VISIBLE)
     outcome = np.where(outside, WalkOutcome.OUTSIDE, np.where(found, outcome, WalkOutcome.HIDDEN))
     rows = np.flatnonzero(visited | outside)
-    return Walk(True, forest.lower[rows], forest.upper[rows], outcome[rows].astype(np.uint8))
+    return CullingWalk(True, forest.lower[rows], forest.upper[rows], outcome[rows].astype(np.uint8))

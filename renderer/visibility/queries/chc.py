@@ -21,7 +21,7 @@ from renderer.visibility.algorithm import VisibilityStatistics
 from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.scene_pass import ScenePass
-from renderer.visibility.walk import Walk, walk_forest
+from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery
 
 __rhi_internal__ = True
@@ -126,7 +126,7 @@ class Chc:
             self._stack.push(child + 1 - nearer)
             self._stack.push(child + nearer)
 
-    def walk(self) -> Walk:
+    def walk(self) -> CullingWalk:
         """Return the nodes that the last frame reached. Visible leaves that aren't near are queried by their own
         geometry."""
         forest, visited = self._forest, np.array(self._visited) == self._frame

@@ -31,7 +31,7 @@ from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
 from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import NEVER, pull_up
 from renderer.visibility.scene_pass import ScenePass
-from renderer.visibility.walk import Walk, walk_forest
+from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
 
 __rhi_internal__ = True
@@ -271,7 +271,7 @@ class ChcPlusPlus:
             self._batches += 1
             self._render_queue.clear()
 
-    def walk(self) -> Walk:
+    def walk(self) -> CullingWalk:
         """Return the nodes that the last frame reached."""
         visited = np.array(self._visited) == self._frame
         return walk_forest(self._forest, visited, self._visible, self._queries.asked)

@@ -19,7 +19,14 @@ from renderer.overlay.overlay import name_algorithm
 from renderer.overlay.panels import Box, draw_graph, draw_legend, draw_map, draw_timers, find_ground
 from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
-from renderer.visibility import AutoCulling, FrustumCulling, NoCulling, Walk, WalkOutcome, make_visibility
+from renderer.visibility import (
+    AutoCulling,
+    CullingWalk,
+    FrustumCulling,
+    NoCulling,
+    WalkOutcome,
+    make_visibility,
+)
 from rhi import Format, Op, TimerNode
 
 SIZE = (960, 540)
@@ -157,7 +164,7 @@ def draw_panels(device: rhi.Device, scale: int) -> np.ndarray:
     tree = [TimerNode("frame", 12.0, 3.0, [TimerNode("shadows", 4.5, 1.0), TimerNode("forward", 7.0, 2.0)]),
             TimerNode("overlay", 0.5, 2.5)]  # fmt: skip
     corners = rng.uniform(-50.0, 50.0, (60, 3))
-    walk = Walk(True, corners, corners + rng.uniform(1.0, 9.0, (60, 3)), rng.integers(0, 4, 60).astype(np.uint8))
+    walk = CullingWalk(True, corners, corners + rng.uniform(1.0, 9.0, (60, 3)), rng.integers(0, 4, 60).astype(np.uint8))
     camera = Camera.look_at((0, 2, 0), (10, 2, 4), projection=Perspective(1.0))
     size = (600 * scale, 260 * scale)
     canvas = Canvas(device, Font.load())
@@ -253,7 +260,7 @@ def test_auto_is_named_with_its_choice(null: rhi.Device, scene: Scene) -> None:
 @pytest.mark.parametrize("outcome", list(WalkOutcome))
 def test_every_outcome_has_its_color_on_the_map(gl: rhi.Device, outcome: WalkOutcome) -> None:
     corners = np.array([(10.0, 0.0, 10.0)])
-    walk = Walk(False, corners, corners + 20.0, np.array([outcome], np.uint8))
+    walk = CullingWalk(False, corners, corners + 20.0, np.array([outcome], np.uint8))
     canvas, camera = Canvas(gl, Font.load()), Camera.look_at((-900, 0, 900), (-1000, 0, 1000))
     with gl.texture((100, 100), Format.RGBA8) as image:
         draw_map(canvas, Box(0, 0, 100, 100), (np.zeros(2), np.full(2, 98.0)), walk, camera)

@@ -11,10 +11,10 @@ from renderer.renderer import Renderer
 from renderer.scene import Camera, Perspective, Scene
 from renderer.visibility import (
     AutoCulling,
+    CullingWalk,
     FrustumCulling,
     NoCulling,
     VisibilityAlgorithm,
-    Walk,
     WalkOutcome,
     find_walk,
     make_visibility,
@@ -35,7 +35,7 @@ def field_camera() -> Camera:
     return Camera.look_at((14, 1, 0), (14, 1, -40), projection=Perspective(1.2, near=0.1))
 
 
-def find_rows(scene: Scene, walk: Walk, outcome: WalkOutcome) -> set[int]:
+def find_rows(scene: Scene, walk: CullingWalk, outcome: WalkOutcome) -> set[int]:
     """Return the rows of the objects whose boxes are those of nodes of an outcome."""
     found = set()
     for lower, upper in zip(walk.lower[walk.outcome == outcome], walk.upper[walk.outcome == outcome], strict=True):
@@ -44,7 +44,7 @@ def find_rows(scene: Scene, walk: Walk, outcome: WalkOutcome) -> set[int]:
     return found
 
 
-def count_inside(walk: Walk, outcomes: tuple[WalkOutcome, ...], row: int, scene: Scene) -> int:
+def count_inside(walk: CullingWalk, outcomes: tuple[WalkOutcome, ...], row: int, scene: Scene) -> int:
     """Return how many nodes of these outcomes hold an object."""
     inside = (walk.lower <= scene.objects.lower[row]).all(axis=1)
     inside &= (walk.upper >= scene.objects.upper[row]).all(axis=1)
