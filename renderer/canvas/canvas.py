@@ -139,7 +139,7 @@ class Canvas:
 
     def rects(self, boxes: ArrayLike, color: ArrayLike) -> None:
         """Add filled rectangles (n, 4): x, y, width, height."""
-        boxes = np.asarray(boxes)
+        boxes = np.asarray(boxes).reshape(-1, 4)
         rows = self._take(len(boxes), color)
         rows[:, 0:2] = boxes[:, 0:2]
         rows[:, 2], rows[:, 3] = boxes[:, 2], 0.0
@@ -147,7 +147,7 @@ class Canvas:
 
     def outlines(self, boxes: ArrayLike, color: ArrayLike, line: float = 1.0) -> None:
         """Add the edges of rectangles (n, 4): four strips of the width `line` inside of each, which don't overlap."""
-        boxes = np.asarray(boxes, np.float32)
+        boxes = np.asarray(boxes, np.float32).reshape(-1, 4)
         x, y, wide, high = boxes.T
         across, down = np.minimum(line, wide), np.minimum(line, 0.5 * high)
         sides = np.empty((len(boxes), 4, 4), np.float32)
@@ -161,7 +161,7 @@ class Canvas:
 
     def lines(self, points: ArrayLike, color: ArrayLike, width: float = 1.0) -> None:
         """Add lines (n, 2, 2) between pairs of points; a line of no length draws nothing."""
-        points = np.asarray(points, np.float32)
+        points = np.asarray(points, np.float32).reshape(-1, 2, 2)
         rows = self._take(len(points), color)
         along = points[:, 1] - points[:, 0]
         length = np.hypot(along[:, 0], along[:, 1])

@@ -14,6 +14,7 @@ from renderer.canvas import Canvas, Font
 from renderer.frame import Frame
 from renderer.overlay.history import History
 from renderer.overlay.panels import (
+    MOST_EVENTS,
     PANEL,
     TEXT,
     Box,
@@ -89,7 +90,7 @@ class Overlay:
         rows = _list_counters(frame, counters)
         timers = device.timers
         line, pad = canvas.font.line_height * scale, _PAD * scale
-        events = min(sum(1 for _ in list_events(timers)), 13)
+        events = min(sum(1 for _ in list_events(timers)), MOST_EVENTS + 1)
         width = _FRAMES * _BAR * scale
         height = line + _GRAPH * scale + line * (len(rows) + events) + 3 * pad
         outside = Box(pad, pad, width + 2 * pad, height + 2 * pad)

@@ -113,8 +113,8 @@ def draw_timers(canvas: Canvas, box: Box, roots: Sequence[TimerNode], second: in
     row = canvas.font.line_height * scale
     longest = max((max(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in shown), default=0.0)
     names = "\n".join("  " * depth + node.name for depth, node in shown)
-    more = f"\n… {len(events) - len(shown)} more" if len(events) > len(shown) else ""
-    canvas.text(box.x, box.y, names + more.replace("…", "..."), TEXT, scale)
+    more = f"\n... {len(events) - len(shown)} more" if len(events) > len(shown) else ""
+    canvas.text(box.x, box.y, names + more, TEXT, scale)
     if shown:
         times = np.array([(node.gpu_milliseconds, node.cpu_milliseconds) for _, node in shown])
         left, column = box.x + second, canvas.measure("0000.00 ", scale)[0]
@@ -138,12 +138,8 @@ def draw_legend(canvas: Canvas, x: int, y: int, walk: CullingWalk, scale: int) -
     kinds = [kind for kind in WalkOutcome if counts[kind]]
     row = canvas.font.line_height * scale
     side = row - 8 * scale
-    canvas.rects(
-        np.array([(x, y + row * number + 4 * scale, side, side) for number in range(len(kinds))]).reshape(
-            -1, 4
-        ),
-        np.array([WALK_COLORS[kind] for kind in kinds]).reshape(-1, 4),
-    )
+    squares = [(x, y + row * number + 4 * scale, side, side) for number in range(len(kinds))]
+    canvas.rects(squares, np.array([WALK_COLORS[kind] for kind in kinds]).reshape(-1, 4))
     text = "\n".join(f"{counts[kind]:,} {WALK_NAMES[kind]}" for kind in kinds)
     canvas.text(x + row, y, text, TEXT, scale)
     return row * len(kinds)

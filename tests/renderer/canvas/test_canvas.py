@@ -202,6 +202,14 @@ def test_what_lies_outside_of_the_target_or_is_nothing_takes_no_draw(null: rhi.D
     assert record(null, add) == (0, 0)
 
 
+def test_arrays_of_nothing_add_nothing(null: rhi.Device) -> None:
+    canvas = Canvas(null, Font.load())
+    for add in (canvas.rects, canvas.outlines, canvas.lines):
+        add([], WHITE)
+    assert canvas.text(0, 0, "", WHITE) == (0, canvas.font.line_height)
+    assert len(canvas) == 0
+
+
 def test_a_canvas_begins_anew_after_each_draw(null: rhi.Device) -> None:
     canvas = Canvas(null, Font.load())
     with null.texture((8, 8), Format.RGBA8) as image:

@@ -197,6 +197,16 @@ def test_panels_are_the_same_on_gl_and_cl(scale: int) -> None:
     assert pictures[0].std() > 10
 
 
+@pytest.mark.parametrize(("count", "more"), [(12, ""), (13, "\n... 1 more"), (40, "\n... 28 more")])
+def test_a_large_timer_tree_is_cut_off(null: rhi.Device, shown: list[str], count: int, more: str) -> None:
+    leaves = [TimerNode(f"event {number}", 1.0, 2.0) for number in range(1, count)]
+    canvas = Canvas(null, Font.load())
+    height = draw_timers(canvas, Box(0, 0, 280, 0), [TimerNode("frame", 9.0, 9.0, leaves)], 90, 1)
+    names = "frame\n" + "\n".join(f"  event {number}" for number in range(1, 12))
+    assert shown[0] == names + more
+    assert height == canvas.font.line_height * (12 + bool(more))
+
+
 def test_the_graph_shows_each_frame_as_high_as_its_time(gl: rhi.Device) -> None:
     frames, own = np.array([10.0, 50.0, 200.0]), np.array([0.0, 25.0, 200.0])
     canvas = Canvas(gl, Font.load())

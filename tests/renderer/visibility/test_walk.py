@@ -111,6 +111,24 @@ def test_nodes_that_were_not_reached_are_not_part_of_the_walk(null: rhi.Device, 
     assert walk.outcome.tolist() == [WalkOutcome.HIDDEN]  # the root
 
 
+def test_what_is_outside_of_an_opened_node_shows_even_if_nothing_in_the_node_is_visible(
+    null: rhi.Device, scene: Scene
+) -> None:
+    oracle = Oracle(null, scene, "chc")
+    algorithm, view = make_visibility("chc", scene, null), field_camera().with_aspect(64 / 36)
+    boxes = []
+    with Renderer(null, scene, size=(64, 36)) as renderer:
+        for seen in (set(range(len(scene.objects))), set()):
+            oracle.seen = seen
+            for _ in range(3 if seen else 1):  # what was visible is opened, and then found to be hidden
+                draw_with(renderer, algorithm, field_camera())
+            walk = find_walk(algorithm, scene, view, None)
+            outside = np.concatenate([walk.lower, walk.upper], axis=1)[walk.outcome == WalkOutcome.OUTSIDE]
+            boxes.append({tuple(box) for box in outside.tolist()})
+    assert set(walk.outcome.tolist()) == {WalkOutcome.HIDDEN, WalkOutcome.OUTSIDE}
+    assert boxes[0] == boxes[1]
+
+
 def outcomes(algorithm: VisibilityAlgorithm, scene: Scene, drawn: np.ndarray | None) -> list[int]:
     walk = find_walk(algorithm, scene, field_camera().with_aspect(64 / 36), drawn)
     assert not walk.of_nodes
