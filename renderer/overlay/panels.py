@@ -154,7 +154,8 @@ def draw_map(
 ) -> None:
     """Draw the boxes of a walk from above, x to the right and z down, and the edges of the camera's view.
 
-    The rectangle shows the ground between the corners `bounds`. Nodes are outlines, objects are filled.
+    The rectangle shows the ground between the corners `bounds`. Small objects are filled; nodes are
+    outlines, and objects that cover much of the ground.
     """
     canvas.rects([box], FIELD)
     low, high = bounds
@@ -163,16 +164,15 @@ def draw_map(
     corner = np.floor(origin + scale * walk.lower[:, ::2])
     size = np.maximum(np.ceil(origin + scale * walk.upper[:, ::2]) - corner, 1.0)
     rows = np.argsort(walk.outcome, kind="stable")
+    area = size[:, 0] * size[:, 1]
     if len(rows) > MOST_BOXES:
-        area = size[:, 0] * size[:, 1]
         rows = rows[np.sort(np.argpartition(-area[rows], MOST_BOXES)[:MOST_BOXES])]
     boxes = np.concatenate([corner, size], axis=1)[rows]
     colors = np.stack([WALK_COLORS[kind] for kind in WalkOutcome])[walk.outcome[rows]]
     with canvas.clip(*box):
-        if walk.of_nodes:
-            canvas.outlines(boxes, 0.8 * colors)
-        else:
-            canvas.rects(boxes, 0.5 * colors)
+        is_filled = (area[rows] <= _SPREAD * box.width * box.height) & (not walk.of_nodes)
+        canvas.outlines(boxes[~is_filled], 0.8 * colors[~is_filled])
+        canvas.rects(boxes[is_filled], 0.5 * colors[is_filled])
         eye = origin + scale * camera.position[[0, 2]]
         edges = view_edges(camera)[:, [0, 2]]
         ends = eye + edges * (2.0 * sum(box[2:]) / np.maximum(np.linalg.norm(edges, axis=1), 1e-9))[:, None]
