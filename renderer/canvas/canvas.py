@@ -2,7 +2,7 @@
 
 Everything is a parallelogram with a piece of the font's atlas on it: a glyph has its own, a rectangle or a line the
 corner of full coverage. So whatever is drawn between two changes of the clip rectangle is one draw, in the order of
-the calls. A parallelogram is 48 bytes, which the vertex stage reads by its index: a quarter of what four vertices and
+the calls. A parallelogram is 48 bytes, which the vertex stage reads by its index: a third of what four vertices and
 their indices would take.
 
 The arrays are kept from frame to frame and grow by doubling; a frame is one upload to
