@@ -122,6 +122,10 @@ BAD_SETTINGS: Final = Rule(
     "python -m renderer tune writes one",
 )
 
+# The canvas
+FONT_FILE: Final = Rule("canvas-font-file", "the file can't be read as a font")
+FONT_SIZE: Final = Rule("canvas-font-size", "a font's size is out of its range")
+
 # Measurements
 
 NO_IMAGES: Final = Rule("measure-no-images", "the textured pass needs a scene with images")

@@ -73,6 +73,10 @@ class Fountains:
         """Return the vertices (12 * DROPS,) of `VERTEX`: a tetrahedron for each drop."""
         return _tetrahedra(self.position[member])
 
+    def particles(self, members: Rows) -> tuple[Floats, Floats]:
+        """Return the positions and velocities (j, DROPS, 3) of the drops of `members` (j,)."""
+        return self.position[members], self.velocity[members]
+
 
 def make_drops() -> MeshGeometry:
     """Make the mesh of a fountain before its first step: all drops are at the nozzle."""

@@ -18,8 +18,10 @@ from renderer.visibility import DeviceList, SceneArrays
 from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
 
-_DEPTH: Final = {Depth.REVERSED: (0.0, DepthFunction.GREATER), Depth.STANDARD: (1.0, DepthFunction.LESS)}
-"""The depth to clear to, and the depth function that nearer fragments pass."""
+FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
+"""The depth to clear to."""
+NEARER: Final = {Depth.REVERSED: DepthFunction.GREATER, Depth.STANDARD: DepthFunction.LESS}
+"""The depth function that nearer fragments pass."""
 
 _WINDINGS: Final = ((False, FrontFace.COUNTER_CLOCKWISE), (True, FrontFace.CLOCKWISE))
 
@@ -35,6 +37,11 @@ class Drawn:
         self._scene = scene
         self.batches: list[NDArray[np.int64]] = []
         self._lists: list[tuple[DeviceList, int]] = []
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the CPU knows all rows, without waiting for the device."""
+        return not self._lists
 
     def add_list(self, draws: DeviceList) -> None:
         """Record that a list was drawn."""
@@ -104,7 +111,8 @@ class TechniquePass:
         """Begin the pass unless it is open."""
         if self._scopes is not None:
             return
-        far, nearer = _DEPTH[self._camera.projection.depth]
+        direction = self._camera.projection.depth
+        far, nearer = FARTHEST[direction], NEARER[direction]
         begins = not self.was_opened
         with ExitStack() as scopes:
             scopes.enter_context(

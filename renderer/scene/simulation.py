@@ -130,6 +130,16 @@ class Simulator:
             advanced += [Advanced(row, number, simulation, member) for row, member, number in places]
         return advanced
 
+    def list_drawn(self) -> list[tuple[ObjectSimulation, Rows, Rows]]:
+        """Return for each simulation the rows (j,) of its objects that were drawn since `begin_frame`, and which
+        members (j,) they are."""
+        rows = self.objects[self._seen[self.objects]]
+        parts = [rows[self._which[rows] == which] for which in range(len(self._simulations))]
+        return [
+            (simulation, part, self._member[part])
+            for simulation, part in zip(self._simulations, parts, strict=True)
+        ]
+
     def _restart(self) -> None:
         self._simulations = [deepcopy(one.simulation) for one in self._begin]
         self._numbers: list[Rows] = [np.zeros(len(one.objects), np.int64) for one in self._begin]

@@ -30,6 +30,7 @@ from renderer.visibility.queries.box_queries import BoxQueries
 from renderer.visibility.queries.chc import pull_up
 from renderer.visibility.queries.memory import NodeMemory
 from renderer.visibility.scene_pass import ScenePass
+from renderer.visibility.walk import CullingWalk, walk_forest
 from rhi import Device, FixedQueue, OcclusionQuery, refuse
 
 __rhi_internal__ = True
@@ -270,6 +271,11 @@ class ChcPlusPlus:
             leaf, query = self._v_queries.pop()
             self._is_queried[leaf] = 0
             self._queries.release(query)
+
+    def walk(self) -> CullingWalk:
+        """Return the nodes that the last frame reached."""
+        visited = np.array(self._visited) == self._frame
+        return walk_forest(self._forest, visited, self._visible, self._queries.asked)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""
