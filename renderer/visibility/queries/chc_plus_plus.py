@@ -22,6 +22,8 @@ from math import exp
 from random import Random
 from typing import Final
 
+import numpy as np
+
 from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
