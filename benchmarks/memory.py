@@ -27,6 +27,7 @@ from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec
 
 os.environ.setdefault("RHI_KERNELS", "optimised")
 
+
 class Corner(Struct):
     position: vec2
 

@@ -14,7 +14,7 @@ from renderer.scene import Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics, find_visible_objects
 from renderer.visibility.auto import AutoCulling
 from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
-from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
+from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_middle
 from renderer.visibility.frustum import FrustumCulling, NoCulling
 from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling
 from renderer.visibility.gpu.device_culling import DeviceCulling
@@ -55,7 +55,7 @@ __all__ = [
     "VisibilityAlgorithm",
     "VisibilityStatistics",
     "build_by_area",
-    "build_by_median",
+    "build_by_middle",
     "check_algorithm",
     "find_obstacle",
     "find_visible",
@@ -72,10 +72,16 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
     "none": lambda scene, _device, _settings: NoCulling(scene),
     "frustum": lambda scene, _device, _settings: FrustumCulling(scene),
     "stop_and_wait": lambda scene, device, settings: StopAndWait(scene, device, threshold=settings.threshold),
-    "chc": lambda scene, device, settings: Chc(scene, device, threshold=settings.threshold),
+    "chc": lambda scene, device, settings: Chc(
+        scene, device, leaf_size=settings.leaf_size, threshold=settings.threshold
+    ),
     "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(scene, device, **asdict(settings)),
     "conditional": lambda scene, device, settings: ConditionalCulling(
-        scene, device, persistence=settings.persistence, threshold=settings.threshold
+        scene,
+        device,
+        persistence=settings.persistence,
+        leaf_size=settings.leaf_size,
+        threshold=settings.threshold,
     ),
     "software_depth": lambda scene, _device, _settings: SoftwareDepth(scene),
     "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),
