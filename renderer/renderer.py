@@ -29,8 +29,8 @@ class FrameStatistics:
         queries: number of occlusion queries.
         software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device.
         upload_bytes: bytes written to the device.
-        simulation_steps: steps taken by the simulations of drawn objects, counted for each object.
-        skipped_simulations: number of simulated objects that weren't drawn, and took no step.
+        simulation_steps: steps taken by the simulations of drawn objects, counted for each member.
+        skipped_simulations: number of simulated or animated objects that weren't drawn.
     """
 
     triangles: int
@@ -84,6 +84,7 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
 
@@ -91,6 +92,8 @@ class Renderer:
             technique: how the scene is drawn; forward shading by default.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
+                inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
@@ -103,6 +106,7 @@ class Renderer:
         self._targets = Targets(device, size)
         try:
             self._resources = SceneResources(device, scene)
+            self.simulator.validation = validation
         except BaseException:
             self._targets.destroy()
             raise
@@ -121,10 +125,10 @@ class Renderer:
 
     @property
     def simulator(self) -> Simulator:
-        """Steps the simulated objects that are drawn.
+        """Runs the simulations of what is drawn.
 
-        It may be exchanged for another one of the same scene, `Simulator(scene.simulated, len(scene.objects))`, whose
-        members may have taken other steps.
+        It may be exchanged for another one of the same scene (`Scene.make_simulator`), whose members may have taken
+        other steps.
         """
         return self._resources.simulator
 
@@ -139,9 +143,11 @@ class Renderer:
         width, height = self.size
         camera = camera.with_aspect(width / height)
         before = device.statistics
-        self.scene.update(seconds)
+        expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
+        self.scene.refresh()
         self._resources.update(camera)
+        self._resources.expect(camera, expected)
         frame = Frame(camera, self._resources, self._targets, self.visibility)
         self.technique.render(device, frame)
         device.present(self._targets.color)
