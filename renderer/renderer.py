@@ -143,6 +143,7 @@ class Renderer:
         width, height = self.size
         camera = camera.with_aspect(width / height)
         before = device.statistics
+        self.scene.seconds = seconds
         expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
         self.scene.refresh()

@@ -45,6 +45,7 @@ class Scene:
         background: linear colour of pixels that show nothing.
         haze: density of the air per metre: after a metre, e^-haze of the light is left; the rest is the background.
         simulated: the simulations in their initial state, and what they change; a renderer's `Simulator` runs copies.
+        seconds: the time of the last update or frame.
         views: named cameras, the first of which is the default. paths: named camera paths.
     """
 
@@ -75,6 +76,7 @@ class Scene:
         self.lights = lights
         self.views = dict(views)
         self.paths = dict(paths)
+        self.seconds = 0.0
         self._simulator = self.make_simulator()
         self.update()
         if not self.views:
@@ -86,6 +88,7 @@ class Scene:
         Return the rows of the objects whose transform was computed again. A renderer applies only the animations of
         what it draws.
         """
+        self.seconds = seconds
         self._simulator.begin_frame(seconds)
         self._simulator.pose_all()
         return self.refresh()

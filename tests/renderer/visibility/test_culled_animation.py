@@ -94,6 +94,17 @@ def test_with_nothing_drawn_nothing_is_called_and_nothing_written(null: rhi.Devi
         assert count_writes(null) == 0
 
 
+def test_what_leaves_the_view_is_left_alone_at_once(null: rhi.Device) -> None:
+    scene = make_bobbing()
+    with Renderer(null, scene, visibility=FrustumCulling(scene), size=(64, 64)) as renderer:
+        assert len(renderer.render(look_at_first(40), 0.1).visible) == 40
+        Bobbing.calls = 0
+        assert renderer.render(AWAY, 0.2).statistics.skipped_simulations == 40
+        assert Bobbing.calls == 0
+        assert len(renderer.render(look_at_first(40), 0.2).visible) == 40
+        assert Bobbing.calls == 2
+
+
 @pytest.mark.parametrize(("count", "bounded"), [(20, True), (40, True), (20, False)])
 def test_what_is_drawn_is_animated_in_one_go_and_its_rows_are_written(
     null: rhi.Device, count: int, bounded: bool
