@@ -106,7 +106,7 @@ class Renderer:
         self._targets = Targets(device, size)
         try:
             self._resources = SceneResources(device, scene)
-            self.simulator.validation = validation
+            self._validation = self.simulator.validation = validation
         except BaseException:
             self._targets.destroy()
             raise
@@ -134,6 +134,7 @@ class Renderer:
 
     @simulator.setter
     def simulator(self, simulator: Simulator) -> None:
+        simulator.validation = self._validation
         self._resources.simulator = simulator
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:

@@ -38,9 +38,9 @@ T = TypeVar("T")
 LARGEST_IMAGE = 2048
 """The largest width and height of images in texels; larger ones are scaled down."""
 
-_GAP: Final = 512
+_GAP: Final = 128
 """Rows to upload that are at most this many bytes apart are uploaded together with those between them: a write takes as
-long as copying 16 KB (llvmpipe, PoCL), but on other devices bytes are scarcer."""
+long as copying 16 KB (llvmpipe, PoCL), but where bytes cross a bus they are scarcer."""
 
 
 class MirroredArray(Generic[T]):
@@ -183,10 +183,6 @@ class SceneResources:
         self._rows["material"] = objects.material
         self._places: NDArray[Any] = np.zeros(len(objects), shaders.ObjectPosition.dtype)
         self._places["mesh"] = objects.mesh
-        # Simulated objects move by themselves before they are drawn, unless they are on something that moves.
-        anchor = objects.boxes.node
-        carried = (anchor >= 0) & scene.nodes.dynamic[anchor]
-        self._following: NDArray[np.int64] = np.flatnonzero(objects.dynamic & (carried | ~objects.simulated))
         self.mirrored: NDArray[np.bool_] = np.zeros(len(objects), bool)
         self._windings = (False, False)  # whether some object isn't mirrored, and whether some is
         self._transform(np.arange(len(objects)))
@@ -266,9 +262,10 @@ class SceneResources:
     def update(self, camera: Camera) -> None:
         """Update the buffers to the scene as `camera` sees it."""
         scene, eye = self.scene, camera.position
-        self._transform(self._following)
-        self.objects.write(self._rows, None if self._list_lights() else self._following)
-        self.places.write(self._places, self._following)
+        following = scene.objects.following_rows  # others that move are simulated before they are drawn
+        self._transform(following)
+        self.objects.write(self._rows, None if self._list_lights() else following)
+        self.places.write(self._places, following)
         self.materials.write(scene.materials)
         lights = scene.lights.relative_to(eye)
         self.directional.write(lights.directional)
@@ -301,17 +298,17 @@ class SceneResources:
     def _list_lights(self) -> bool:
         """List the lights that reach each object, and return whether the lists may have changed.
 
-        The lists of static objects come first, so that lists of moving objects don't shift them.
+        The lists of objects with fixed bounds come first, so that those of others don't shift them.
         """
         objects, lights = self.scene.objects, self.scene.lights
         positions = np.concatenate([lights.point["position"], lights.spot["position"]])
         ranges = np.concatenate([lights.point["range"], lights.spot["range"]]).astype(np.float64)
-        rows, points = objects.dynamic_rows, len(lights.point)
+        rows, points = objects.following_rows, len(lights.point)
         state = (np.array([points]), positions, ranges, objects.lower[rows], objects.upper[rows])
         if self._lit and all(map(np.array_equal, self._lit, state)):
             return False
         self._lit = state
-        order = np.concatenate([objects.static_rows, rows])
+        order = np.concatenate([objects.fixed_rows, rows])
         ends, listed = list_lights(objects.lower[order], objects.upper[order], positions, ranges)
         is_spot = listed >= points
         spots = np.concatenate([[0], np.cumsum(is_spot)])[ends]

@@ -50,6 +50,8 @@ class Objects:
             transform may be those of an earlier time; its bounds hold at all times.
         boxes: what `lower` and `upper` are computed from.
         static_rows, dynamic_rows, simulated_rows: int64, the rows of such objects, ascending.
+        fixed_rows, following_rows: int64, the rows of the objects whose world bounds never change, and of those whose
+            bounds may follow a node, ascending. What is simulated in one place is dynamic and has fixed bounds.
     """
 
     node: NDArray[np.int32]
@@ -63,6 +65,8 @@ class Objects:
     static_rows: Rows
     dynamic_rows: Rows
     simulated_rows: Rows
+    fixed_rows: Rows
+    following_rows: Rows
 
     def __len__(self) -> int:
         return len(self.node)
@@ -114,6 +118,7 @@ def make_objects(
 
     dynamic, simulated = nodes.dynamic[node], np.zeros(len(node), bool)
     simulated[deformed] = simulated[declared] = True
+    follows = (boxes.node >= 0) & nodes.dynamic[boxes.node]
     objects = Objects(
         node=node.astype(np.int32),
         mesh=mesh.astype(np.int32),
@@ -126,6 +131,8 @@ def make_objects(
         static_rows=np.flatnonzero(~dynamic),
         dynamic_rows=np.flatnonzero(dynamic),
         simulated_rows=np.flatnonzero(simulated),
+        fixed_rows=np.flatnonzero(~follows),
+        following_rows=np.flatnonzero(follows),
     )
     objects.refresh_bounds(nodes, np.arange(len(node)))
     return objects

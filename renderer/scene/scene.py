@@ -256,10 +256,11 @@ class SceneBuilder:
         rows = np.atleast_1d(np.asarray(nodes, np.int64))
         if rows.size and (rows.min() < 0 or rows.max() >= len(self._node_names)):
             refuse(rules.BAD_INDEX, "animate(nodes=...)", rows, f"0 to {len(self._node_names) - 1}")
-        is_plain = callable(motion) and not hasattr(motion, "catch_up")
-        simulation = FunctionOfTime(motion) if is_plain else motion
-        check_simulation("animate(motion=...)", simulation, "transforms")
-        self._animated.append((rows, simulation, None if bounds is None else _check_boxes(bounds, len(rows))))
+        simulation: object = motion
+        if callable(motion) and not hasattr(motion, "catch_up"):
+            simulation = FunctionOfTime(motion)
+        checked = check_simulation("animate(motion=...)", simulation, "transforms")
+        self._animated.append((rows, checked, None if bounds is None else _check_boxes(bounds, len(rows))))
 
     def simulate(self, objects: ArrayLike, simulation: ObjectSimulation) -> None:
         """Let `simulation` compute the vertices of `objects` (k,), which are its members in this order.

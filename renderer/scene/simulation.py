@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
 from itertools import count
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,8 +88,8 @@ class FunctionOfTime:
         return found if found.ndim != 3 or len(found) == len(members) else found[members]
 
 
-def check_simulation(call: str, simulation: object, output: str) -> None:
-    """Refuse what isn't a simulation that computes `output`."""
+def check_simulation(call: str, simulation: object, output: str) -> ObjectSimulation:
+    """Return `simulation`; refuse what isn't a simulation that computes `output`."""
     policy = getattr(simulation, "catch_up", None)
     if not isinstance(policy, CatchUp):
         refuse(rules.BAD_SIMULATION, call, f"catch_up = {policy!r}", "Recompute, Replay or Leap")
@@ -100,6 +100,7 @@ def check_simulation(call: str, simulation: object, output: str) -> None:
     if "step" in needed and not (hasattr(simulation, "interval") and 0.0 < interval < np.inf):
         given = getattr(simulation, "interval", None)
         refuse(rules.BAD_SIMULATION, call, f"interval = {given!r}", "seconds, above 0, finite")
+    return cast("ObjectSimulation", simulation)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -294,8 +295,8 @@ class Simulator:
         first = self._starts[rows]
         sizes = self._starts[rows + 1] - first
         ends = np.cumsum(sizes)
-        places = np.arange(int(ends[-1])) + np.repeat(first - ends + sizes, sizes)
-        return self._slots.take(places)
+        listed: Rows = self._slots[np.arange(int(ends[-1])) + np.repeat(first - ends + sizes, sizes)]
+        return listed
 
     def _run(self, slots: Rows) -> bool:
         """Bring the members in `slots` to the frame's time, those that aren't there yet in this frame. Return whether

@@ -36,15 +36,15 @@ class NoCulling:
 class FrustumCulling:
     """Draws the objects whose bounds are not outside the frustum.
 
-    Static objects are in a hierarchy built once by surface area, dynamic ones in a hierarchy built each frame by
-    median splits. The result is the set that `boxes.culling.find_visible` gives for all objects.
+    Objects with fixed bounds are in a hierarchy built once by surface area, others in one built each frame by median
+    splits. The result is the set that `boxes.culling.find_visible` gives for all objects.
     """
 
     opens_pass: Final = False
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        rows = scene.objects.static_rows
+        rows = scene.objects.fixed_rows
         lower, upper = scene.objects.lower[rows], scene.objects.upper[rows]
         self.hierarchy = build_by_area(lower, upper)
         self._static = Culler(self.hierarchy, lower, upper)
@@ -54,10 +54,10 @@ class FrustumCulling:
         objects = self._scene.objects
         planes = camera.frustum.planes
         static, counts = self._static.find_visible(planes)
-        visible = objects.static_rows.take(static)
-        if len(objects.dynamic_rows):
+        visible = objects.fixed_rows.take(static)
+        if len(objects.following_rows):
             moving, more = self._find_moving(planes)
-            visible = np.sort(np.concatenate([visible, objects.dynamic_rows.take(moving)]))
+            visible = np.sort(np.concatenate([visible, objects.following_rows.take(moving)]))
             counts = counts + more
         if len(visible):
             scene_pass.draw(visible)
@@ -74,6 +74,6 @@ class FrustumCulling:
         """Do nothing: there are no resources on the device."""
 
     def _find_moving(self, planes: Floats) -> tuple[Rows, CullingCounts]:
-        rows = self._scene.objects.dynamic_rows
+        rows = self._scene.objects.following_rows
         lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
         return Culler(build_by_median(lower, upper, leaf_size=16), lower, upper).find_visible(planes)

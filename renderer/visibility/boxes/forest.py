@@ -1,7 +1,8 @@
 """The hierarchy that occlusion culling traverses, as one camera sees it.
 
-Static objects are in a tree that is built once by surface area. Moving objects are in a second one, whose shape is
-kept while its bounds follow the objects, so that a node stays the same from frame to frame and its visibility can be
+Objects with fixed bounds are in a tree that is built once by surface area; these are the static ones, and those that
+are animated within bounds. The others are in a second one, whose shape is kept while its bounds follow the objects, so
+that a node stays the same from frame to frame and its visibility can be
 remembered. Every leaf is one object: culling is then as exact as querying each object.
 
 All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself is
@@ -49,7 +50,7 @@ class Forest:
     def __init__(self, scene: Scene) -> None:
         objects = scene.objects
         self._objects = objects
-        kinds = ((objects.static_rows, build_by_area), (objects.dynamic_rows, build_by_median))
+        kinds = ((objects.fixed_rows, build_by_area), (objects.following_rows, build_by_median))
         self._trees = [
             (rows, build(objects.lower[rows], objects.upper[rows], leaf_size=1))
             for rows, build in kinds
@@ -90,7 +91,7 @@ class Forest:
     def update(self, camera: Camera) -> QueryBoxes:
         """Update bounds, status and order of all nodes for `camera`, and return the boxes to query each node by: for
         a leaf, the tightest box of its object."""
-        if len(self._objects.dynamic_rows):
+        if len(self._objects.following_rows):
             self._fit(len(self._trees) - 1)
         lower, upper, eye = self.lower, self.upper, camera.position
         rotated = self._tightest.find()

@@ -151,15 +151,15 @@ class RotatedBoxes:
 
 
 class TightestBoxes:
-    """Finds the objects of a scene whose tightest box is a rotated one. Static objects are examined once."""
+    """Finds the objects of a scene whose tightest box is a rotated one. Those with fixed bounds are examined once."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
-        self._static = find_rotated(scene, scene.objects.static_rows)
+        self._static = find_rotated(scene, scene.objects.fixed_rows)
 
     def find(self) -> RotatedBoxes:
         """Return the rotated boxes of all such objects, of moving ones as they are now."""
-        moving = self._scene.objects.dynamic_rows
+        moving = self._scene.objects.following_rows
         if not len(moving):
             return self._static
         both = (self._static, find_rotated(self._scene, moving))
