@@ -205,6 +205,17 @@ class Simulator:
         """Those of `objects` that were drawn since `begin_frame`: when read before it, those of the last frame."""
         return self.objects[self._seen[self.objects]]
 
+    def list_drawn(self) -> list[tuple[ObjectSimulation, Rows, Rows]]:
+        """Return for each simulation of vertices the rows (j,) of its objects that were drawn since `begin_frame`, and
+        which members (j,) they are."""
+        rows = self.drawn
+        slots = self._slot_of[rows]
+        rows, slots = rows[slots >= 0], slots[slots >= 0]
+        parts = [(number, self._which[slots] == number) for number in np.unique(self._which[slots]).tolist()]
+        return [
+            (self.simulations[number], rows[part], slots[part] - self._first[number]) for number, part in parts
+        ]
+
     def begin_frame(self, seconds: float) -> None:
         """Begin a frame at the time `seconds`, and run what has no bounds. If that is before the last frame's time, all
         simulations start again."""

@@ -70,6 +70,16 @@ def test_what_is_drawn_is_stepped_and_what_is_not_is_not() -> None:
     assert (simulator.steps, simulator.seen, len(simulator)) == (4, 2, 3)
 
 
+def test_what_was_drawn_is_listed_with_its_members() -> None:
+    simulator, clock = make_simulator(make_scene())
+    show(simulator, 1.0, [0, 1, 3])
+    ((simulation, rows, members),) = simulator.list_drawn()
+    assert simulation is clock
+    assert (rows.tolist(), members.tolist()) == ([1, 3], [0, 2])
+    simulator.begin_frame(2.0)
+    assert simulator.list_drawn() == []
+
+
 def test_what_returns_catches_up() -> None:
     simulator, clock = make_simulator(make_scene())
     show(simulator, 0.5, [1, 2])

@@ -268,11 +268,11 @@ def test_bounds_below_an_animated_node_are_those_of_the_nearest_animated_one() -
     load = builder.add_node(translation((0.0, -1.0, 0.0)), parent=hook)
     box = builder.add_mesh(BUILT_IN["box"]())
     builder.add_objects([arm, load, base], box, builder.add_material())
-    still = lambda seconds: np.eye(4)[None]  # noqa: E731
-    builder.animate(arm, still, ((-1, -1, -1), (1, 1, 1)))
-    builder.animate(hook, still, ((-5, -5, -5), (5, 5, 5)))
+    builder.animate(arm, lambda seconds: translation([(0.0, 3.0, 0.0)]), ((-1, 2, -1), (1, 4, 1)))
+    builder.animate(hook, lambda seconds: np.eye(4)[None], ((-5, -5, -5), (5, 5, 5)))
     objects = builder.build().objects
     assert objects.lower[:, 0] == pytest.approx((9.0, 5.0, 9.5))
+    assert objects.lower[:, 1] == pytest.approx((2.0, -5.0, -0.5))  # in the space of the base
     assert objects.simulated.tolist() == [True, True, False]
 
 
