@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from renderer.scene.arrays import Floats, Rows
-from renderer.scene.catching_up import Replay
+from renderer.scene.catching_up import Stepwise
 from renderer.scene.meshes import VERTEX, MeshGeometry
 
 __rhi_internal__ = True
@@ -49,7 +49,7 @@ class Fountains:
     interval = _STEP
 
     def __init__(self, count: int, seed: int) -> None:
-        self.catch_up = Replay(max(_STEPS_PER_FRAME, count), memory=DROPS)
+        self.catch_up = Stepwise(max(_STEPS_PER_FRAME, count), memory=DROPS)
         self._seed = seed
         self.position: Floats = np.zeros((count, DROPS, 3))
         self.velocity: Floats = np.zeros((count, DROPS, 3))

@@ -6,7 +6,7 @@ moved = scene.update(seconds=10.0)
 """
 
 from renderer.scene.camera import Camera, Depth, Frustum, FrustumPlane, Orthographic, Perspective, Projection
-from renderer.scene.catching_up import CatchUp, Leap, Leaping, Recompute, Replay, Stepped, Timed
+from renderer.scene.catching_up import CatchUp, Leap, Leaping, Recompute, Stepped, Stepwise, Timed
 from renderer.scene.lights import (
     DIRECTIONAL,
     POINT,
@@ -73,12 +73,12 @@ __all__ = [
     "Projection",
     "Recompute",
     "RelativeLights",
-    "Replay",
     "Scene",
     "SceneBuilder",
     "Simulated",
     "Simulator",
     "Stepped",
+    "Stepwise",
     "Timed",
     "make_geometry",
     "make_material",

@@ -1,8 +1,8 @@
 """How a simulation makes up for the time in which it wasn't drawn: three policies, each with a bound on its cost.
 
 - `Recompute`: the state is a function of the time. Nothing is missed.
-- `Replay`: the state depends on its history, and missed steps are taken one by one. Steps beyond the bound wait for the
-  next frames, so a member may be late, but each of its states is exact.
+- `Stepwise`: the state depends on its history, and missed steps are taken one by one. Steps beyond the bound wait for
+  the next frames, so a member may be late, but each of its states is exact.
 - `Leap`: missed steps beyond the bound are taken in one, of bounded error. A member is never late, but may be inexact.
 
 The bound is on the steps that all members of a simulation take in a frame. If it isn't enough for all, the members
@@ -82,7 +82,7 @@ class Recompute:
 
 
 @dataclass(frozen=True, slots=True)
-class Replay:
+class Stepwise:
     """The state depends on its history: missed steps of a `Stepped` simulation are taken one by one.
 
     A member that needs more steps than it gets shows an earlier state until the next frames have brought the rest.
@@ -99,9 +99,9 @@ class Replay:
     methods = ("step",)
 
     def __post_init__(self) -> None:
-        _check("Replay(steps_per_frame=...)", self.steps_per_frame)
+        _check("Stepwise(steps_per_frame=...)", self.steps_per_frame)
         if self.memory is not None:
-            _check("Replay(memory=...)", self.memory)
+            _check("Stepwise(memory=...)", self.memory)
 
     def begin(self) -> float:
         """Return what a member has reached before its first frame: step 0."""
@@ -169,7 +169,7 @@ class Leap:
         return _step(simulation, members, numbers, share), int(share.sum()) + len(far)
 
 
-CatchUp = Recompute | Replay | Leap
+CatchUp = Recompute | Stepwise | Leap
 """The policies."""
 
 

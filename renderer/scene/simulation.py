@@ -49,7 +49,9 @@ class ObjectSimulation(Protocol):
     """
 
     @property
-    def catch_up(self) -> CatchUp: ...
+    def catch_up(self) -> CatchUp:
+        """The policy; it never changes."""
+        ...
 
 
 class Deforming(Protocol):
@@ -92,7 +94,7 @@ def check_simulation(call: str, simulation: object, output: str) -> ObjectSimula
     """Return `simulation`; refuse what isn't a simulation that computes `output`."""
     policy = getattr(simulation, "catch_up", None)
     if not isinstance(policy, CatchUp):
-        refuse(rules.BAD_SIMULATION, call, f"catch_up = {policy!r}", "Recompute, Replay or Leap")
+        refuse(rules.BAD_SIMULATION, call, f"catch_up = {policy!r}", "Recompute, Stepwise or Leap")
     needed = (*policy.methods, output)
     if missing := [name for name in needed if not callable(getattr(simulation, name, None))]:
         refuse(rules.BAD_SIMULATION, call, f"no {', '.join(missing)}", f"methods {', '.join(needed)}")

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN
-from renderer.scene import Leap, Recompute, Replay, Scene, SceneBuilder, Simulator, translation
+from renderer.scene import Leap, Recompute, Scene, SceneBuilder, Simulator, Stepwise, translation
 from renderer.scene.catching_up import spread
 from rhi.errors import ValidationError
 
@@ -30,7 +30,7 @@ class Sliders:
     SPEED = 1.3
     ERROR = SPEED * interval * (1.0 - PULL) / PULL
 
-    def __init__(self, catch_up: Replay | Leap, count: int) -> None:
+    def __init__(self, catch_up: Stepwise | Leap, count: int) -> None:
         self.catch_up = catch_up
         self.place = np.zeros(count)
         self.taken = np.zeros(count, np.int64)
@@ -89,7 +89,7 @@ def start(simulation: Sliders | Swings) -> tuple[Simulator, Sliders, Scene]:
 
 def run_always(steps: int) -> float:
     """Return the place of a slider that has taken all `steps`."""
-    always = Sliders(Replay(1), 1)
+    always = Sliders(Stepwise(1), 1)
     for number in range(1, steps + 1):
         always.step(np.zeros(1, np.int64), np.array([number]))
     return float(always.place[0])
@@ -117,7 +117,7 @@ def test_of_two_who_can_not_both_go_on_the_one_further_behind_does() -> None:
 
 
 def test_missed_steps_are_taken_and_give_the_state_of_having_taken_them_in_time() -> None:
-    simulator, sliders, scene = start(Sliders(Replay(1000), 2))
+    simulator, sliders, scene = start(Sliders(Stepwise(1000), 2))
     frame(simulator, 0.1, [0, 1])
     frame(simulator, 0.7, [0])
     assert sliders.place.tolist() == [run_always(42), run_always(6)]
@@ -129,7 +129,7 @@ def test_missed_steps_are_taken_and_give_the_state_of_having_taken_them_in_time(
 
 
 def test_after_hours_a_frame_takes_at_most_its_steps_and_the_rest_follow() -> None:
-    simulator, sliders, _ = start(Sliders(Replay(BUDGET), 1))
+    simulator, sliders, _ = start(Sliders(Stepwise(BUDGET), 1))
     most = int(HOUR * 60 / 200)  # 18 s, to keep the test short
     seconds, frames = most / 60, 0
     while True:
@@ -144,14 +144,14 @@ def test_after_hours_a_frame_takes_at_most_its_steps_and_the_rest_follow() -> No
 
 
 def test_memory_bounds_the_steps_of_a_member() -> None:
-    simulator, sliders, _ = start(Sliders(Replay(10 * BUDGET, memory=20), 3))
+    simulator, sliders, _ = start(Sliders(Stepwise(10 * BUDGET, memory=20), 3))
     frame(simulator, 5 * HOUR, [0, 1, 2])
     assert sliders.taken.tolist() == [20] * 3
     assert simulator.late == 0
 
 
-@pytest.mark.parametrize("policy", [Replay(BUDGET), Leap(BUDGET, Sliders.ERROR)])
-def test_many_that_show_at_once_share_the_steps_of_a_frame_evenly(policy: Replay | Leap) -> None:
+@pytest.mark.parametrize("policy", [Stepwise(BUDGET), Leap(BUDGET, Sliders.ERROR)])
+def test_many_that_show_at_once_share_the_steps_of_a_frame_evenly(policy: Stepwise | Leap) -> None:
     simulator, sliders, _ = start(Sliders(policy, 20))
     frame(simulator, 10 * HOUR, range(20))
     leaps = 20 if isinstance(policy, Leap) else 0
@@ -161,7 +161,7 @@ def test_many_that_show_at_once_share_the_steps_of_a_frame_evenly(policy: Replay
 
 
 def test_of_many_that_show_at_once_all_catch_up() -> None:
-    simulator, sliders, _ = start(Sliders(Replay(BUDGET), 20))
+    simulator, sliders, _ = start(Sliders(Stepwise(BUDGET), 20))
     for _ in range(20 * 60 // BUDGET + 1):
         frame(simulator, 1.0, range(20))
         assert simulator.steps <= BUDGET
@@ -170,7 +170,7 @@ def test_of_many_that_show_at_once_all_catch_up() -> None:
 
 
 def test_a_budget_below_one_step_for_each_serves_all_in_turn() -> None:
-    simulator, sliders, _ = start(Sliders(Replay(3), 7))
+    simulator, sliders, _ = start(Sliders(Stepwise(3), 7))
     for number in range(1, 50):
         frame(simulator, number / 60, range(7))
     assert sliders.taken.sum() == 49 * 3
@@ -231,8 +231,8 @@ def test_a_leap_gives_another_state_than_steps_of_the_same_number() -> None:
 
 
 @pytest.mark.parametrize("make", [
-    lambda: Replay(0),
-    lambda: Replay(5, memory=0),
+    lambda: Stepwise(0),
+    lambda: Stepwise(5, memory=0),
     lambda: Leap(0, 1.0),
     lambda: Leap(5, -1.0),
     lambda: Leap(5, np.inf),

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from renderer.content import BUILT_IN, load_scene
 from renderer.content.fountains import BOUNDS, DROPS, Fountains, make_drops
-from renderer.scene import VERTEX, Replay, Scene, SceneBuilder, Simulator
+from renderer.scene import VERTEX, Scene, SceneBuilder, Simulator, Stepwise
 from rhi.errors import ValidationError
 
 
@@ -19,7 +19,7 @@ class Clock:
     interval = 0.5
 
     def __init__(self, count: int, memory: int | None = None, steps_per_frame: int = 10_000) -> None:
-        self.catch_up = Replay(steps_per_frame, memory)
+        self.catch_up = Stepwise(steps_per_frame, memory)
         self.taken: list[list[int]] = [[] for _ in range(count)]
 
     def step(self, members, numbers):
