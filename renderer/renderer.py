@@ -30,8 +30,8 @@ class FrameStatistics:
         software_state_changes, hardware_state_changes: states set by scopes, and values sent to the device; with
             layers these include setting back what the last frame's layers changed.
         upload_bytes: bytes written to the device.
-        simulation_steps: steps taken by the simulations of drawn objects, counted for each object.
-        skipped_simulations: number of simulated objects that weren't drawn, and took no step.
+        simulation_steps: steps taken by the simulations of drawn objects, counted for each member.
+        skipped_simulations: number of simulated or animated objects that weren't drawn.
     """
 
     triangles: int
@@ -86,6 +86,7 @@ class Renderer:
         technique: Technique | None = None,
         visibility: VisibilityAlgorithm | None = None,
         size: tuple[int, int] = (960, 540),
+        validation: bool = False,
     ) -> None:
         """Create the targets and upload the scene.
 
@@ -93,6 +94,8 @@ class Renderer:
             technique: how the scene is drawn; forward shading by default.
             visibility: an algorithm made for `scene`; by default `auto`, which measures which one is the fastest.
             size: (width, height) of the image in pixels.
+            validation: whether to check samples of what is simulated: each batch has one object whose vertices must be
+                inside its bounds (`scene-left-bounds`).
         """
         self.device = device
         self.scene = scene
@@ -106,6 +109,7 @@ class Renderer:
         self._targets = Targets(device, size)
         try:
             self._resources = SceneResources(device, scene)
+            self._validation = self.simulator.validation = validation
         except BaseException:
             self._targets.destroy()
             raise
@@ -124,15 +128,16 @@ class Renderer:
 
     @property
     def simulator(self) -> Simulator:
-        """Steps the simulated objects that are drawn.
+        """Runs the simulations of what is drawn.
 
-        It may be exchanged for another one of the same scene, `Simulator(scene.simulated, len(scene.objects))`, whose
-        members may have taken other steps.
+        It may be exchanged for another one of the same scene (`Scene.make_simulator`), whose members may have taken
+        other steps.
         """
         return self._resources.simulator
 
     @simulator.setter
     def simulator(self, simulator: Simulator) -> None:
+        simulator.validation = self._validation
         self._resources.simulator = simulator
 
     def render(self, camera: Camera, seconds: float = 0.0) -> FrameResult:
@@ -142,9 +147,12 @@ class Renderer:
         width, height = self.size
         camera = camera.with_aspect(width / height)
         before = device.statistics
-        self.scene.update(seconds)
+        self.scene.seconds = seconds
+        expected = self.simulator.drawn
         self.simulator.begin_frame(seconds)
+        self.scene.refresh()
         self._resources.update(camera)
+        self._resources.expect(camera, expected)
         frame = Frame(camera, self._resources, self._targets, self.visibility)
         self.technique.render(device, frame)
         after = device.statistics

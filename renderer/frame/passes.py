@@ -15,7 +15,6 @@ from renderer import rules
 from renderer.frame.resources import SceneResources
 from renderer.scene import Camera, Depth, Scene
 from renderer.visibility import DeviceList, SceneArrays
-from renderer.visibility.boxes.volumes import Containment, classify, fit_aligned
 from rhi import CullMode, DepthFunction, DepthTest, DepthWrite, Device, FrontFace, Program, Texture, refuse
 
 FARTHEST: Final = {Depth.REVERSED: 0.0, Depth.STANDARD: 1.0}
@@ -100,11 +99,14 @@ class TechniquePass:
         self._color = color
         self._clear = clear
         self.was_opened = False
+        self._has_all_in_view = False
         self._scopes: ExitStack | None = None
 
     @property
     def arrays(self) -> SceneArrays:
-        """The scene's buffers, up to date."""
+        """The scene's buffers, up to date for every object that may be in view: of what reads them, the CPU learns too
+        late which objects it draws."""
+        self._simulate_in_view()
         return self._resources.arrays
 
     def open(self) -> None:
@@ -150,13 +152,10 @@ class TechniquePass:
                     )
 
     def draw_list(self, draws: DeviceList) -> None:
-        """Draw the objects that the device has listed. Simulated objects that are not outside the view are stepped,
-        since any of them may be on the list."""
+        """Draw the objects that the device has listed. Simulated objects that are not outside the view are run, since
+        any of them may be on the list."""
         self.open()
-        simulated = self._resources.simulator.objects
-        if len(simulated):
-            side = classify(self._camera.frustum.planes, fit_aligned(self._resources.scene, simulated))
-            self._resources.simulate(simulated[side != Containment.OUTSIDE])
+        self._simulate_in_view()
         self.drawn.add_list(draws)
         for mirrored, winding in _WINDINGS:
             if self._resources.has_winding(mirrored=mirrored):
@@ -167,6 +166,12 @@ class TechniquePass:
                         draws.arguments(mirrored=mirrored),
                         **self._bindings,
                     )
+
+    def _simulate_in_view(self) -> None:
+        if not self._has_all_in_view:
+            self._has_all_in_view = True
+            simulated = self._resources.simulator.objects
+            self._resources.simulate(self._resources.find_in_view(self._camera, simulated))
 
     def __enter__(self) -> Self:
         return self
