@@ -5,7 +5,7 @@
 // - A texel is covered if A x + B y + C >= 0 for the three edges, in subtexels. At texel centres (multiples of 256) that
 //   is equivalent with C / 256 rounded down, which keeps small triangles in 32 bits: SMALL. Larger ones are BIG: their
 //   record has a corner instead of C, and each tile computes its own C in 64 bits. Triangles that the view cuts are CLIPPED:
-//   see triangles.cl; lines and points are POLYGON: see polygon.cl.
+//   see triangles.cl; lines, and points of several samples, are POLYGON: see polygon.cl. Points of one sample are SMALL, without edges.
 // - A record's box is clamped to the target and not to the viewport and scissor. Its planes begin there, so a primitive
 //   that is drawn twice has the same depth each time, wherever the scissor lies. A flag says whether the view cuts the box.
 // - An edge that is neither top nor left doesn't own the points on it: its C is decreased by one before the division.
