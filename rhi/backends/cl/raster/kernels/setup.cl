@@ -499,11 +499,12 @@ SINGLE set_up(ulong address) {
         }
         int to_slot = vertex_group * GROUP - draw->lowest;
         global const uint4 *vertices = positions + to_slot;
-        for (; part < parts; ++part, ++group) {
-            if (primitive == POINTS && !all_big) {
+        if (primitive == POINTS && !all_big) {
+            for (; part < parts; ++part, ++group)
                 place = set_up_points(batch, draw, found, part * GROUP, to_slot, counts, place);
-                continue;
-            }
+            continue;
+        }
+        for (; part < parts; ++part, ++group) {
             int last = draw->primitives - 1 - part * GROUP;
             global const uint *corners = find_corners(draw, part * GROUP, last, scratch);
             if (last >= 2 * GROUP - 1 && draw->index_bytes == 4 && corners != scratch)
@@ -655,7 +656,7 @@ SINGLE set_up(ulong address) {
                 next = primitive == EDGES && edge < 2 ? edge + 1 : 0;
                 if (!next) todo &= todo - 1;
                 global uint16 *record = AT(uint16, batch->records) + place;
-                if (polygons >> lane & 1) {
+                if (SELDOM(polygons >> lane & 1)) {
                     int made[16];
                     float plane[16];
                     uint slots[3];
@@ -675,7 +676,7 @@ SINGLE set_up(ulong address) {
                         continue;
                     *record = records[lane];
                     if (shades) AT(uint16, batch->planes)[place] = planes[lane];
-                    if (recomputed) {
+                    if (SELDOM(recomputed)) {
                         int made[16];
                         float plane[16];
                         uint slots[3];
