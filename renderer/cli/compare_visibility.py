@@ -33,6 +33,7 @@ from renderer.visibility import (
     ALGORITHMS,
     NoCulling,
     VisibilityAlgorithm,
+    check_algorithm,
     list_algorithms,
     make_visibility,
 )
@@ -142,6 +143,8 @@ def _run(given: argparse.Namespace) -> None:
     frames = list_frames(first, given.frames, len(path), given.teleport)
     with rhi.create_device(given.backend) as device, Renderer(device, scene, size=given.size) as renderer:
         names = given.algorithms or list_algorithms(device)
+        for name in names:
+            check_algorithm(name, device, "compare visibility")
         algorithms = {name: make_visibility(name, scene, device, settings) for name in names}
         rows = compare_algorithms(renderer, algorithms, path, frames)
         report = {

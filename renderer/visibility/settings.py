@@ -25,15 +25,17 @@ class Settings:
     Attributes:
         batch: number of hidden nodes that are gathered before they are queried, the thesis's b; 1 or more.
         persistence: number of frames for which a visible leaf isn't queried again, the thesis's n; 1 or more.
+        leaf_size: largest number of objects in a leaf; they are queried and drawn together. 1 or more.
         threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
     """
 
     batch: int = 50
     persistence: int = 20
+    leaf_size: int = 1
     threshold: int = 0
 
     def __post_init__(self) -> None:
-        for field, least in zip(fields(self), (1, 1, 0), strict=True):
+        for field, least in zip(fields(self), (1, 1, 1, 0), strict=True):
             value = getattr(self, field.name)
             if type(value) is not int or value < least:
                 refuse(
