@@ -36,9 +36,9 @@ class NoCulling:
 class FrustumCulling:
     """Draws the objects whose bounds are not outside the frustum.
 
-    Objects with fixed bounds are in a hierarchy that is built once by surface area. Others are tested one by one: it takes
-    less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible` gives for all
-    objects.
+    Objects with fixed bounds are in a hierarchy that is built once by surface area. Others are tested one by one: that
+    takes less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible` gives
+    for all objects.
     """
 
     opens_pass: Final = False
