@@ -28,7 +28,7 @@ from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table, measure_frame
 from renderer.renderer import FrameResult, Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Simulator
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath
 from renderer.visibility import (
     ALGORITHMS,
     NoCulling,
@@ -188,7 +188,7 @@ def compare_algorithms(
     names = list(algorithms)
     rows: dict[str, list[AlgorithmRow]] = {name: [] for name in names}
     # Each algorithm has its own simulator, so that none draws what another one has stepped.
-    simulators = {name: Simulator(scene.simulated, len(scene.objects)) for name in ("", *names)}
+    simulators = {name: scene.make_simulator() for name in ("", *names)}
     for turn, frame in enumerate(show_progress(frames, len(frames), "compare")):
         camera, seconds = path.camera(frame), frame / FRAMES_PER_SECOND
         renderer.visibility, renderer.simulator = reference, simulators[""]
