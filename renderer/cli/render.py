@@ -14,6 +14,7 @@ from renderer.cli.arguments import (
     CAMERA_HELP,
     DECIDES,
     add_backend,
+    add_queries,
     add_scene,
     add_settings,
     add_size,
@@ -36,6 +37,7 @@ _NOTES: Final = """\
   python -m renderer render city:blocks=12,seed=3 --camera sky --frame 600
   python -m renderer render model.glb --camera 2,1.5,3 --size 1280x720
   python -m renderer render hall --camera ground --frames 120 --visibility frustum --json
+  python -m renderer render city --visibility chc_plus_plus --queries emulated --json
   python -m renderer render city --backend null --json
   python -m renderer render city --backend null --frames 10 --trace city.zip
   python -m renderer render city --camera ground --frame 600 --frames 120 --record walk.json
@@ -61,6 +63,7 @@ def _add_arguments(parser: Parser) -> None:
         help=DECIDES,
     )
     add_settings(parser)
+    add_queries(parser, "the settings', native")
     parser.add_argument(
         "--camera",
         metavar="CAMERA",
@@ -100,6 +103,8 @@ def _run(given: argparse.Namespace) -> None:
     if given.output is not None:
         prepare_image(given.output)
     settings = load_settings(given)
+    if given.queries is not None:
+        settings = replace(settings, emulated=given.queries == "emulated")
     scene = load_scene(given.scene)
     cameras = [
         with_depth(parse_camera(given.camera or next(iter(scene.views)), scene, frame), Depth(given.depth))

@@ -8,14 +8,14 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final, ParamSpec, TypeVar
 
 import rhi
-from renderer.cli.arguments import add_backend, add_scene, add_size, add_walk, parse_count
+from renderer.cli.arguments import add_backend, add_queries, add_scene, add_size, add_walk, parse_count
 from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
@@ -75,6 +75,7 @@ def _add_arguments(parser: Parser) -> None:
         metavar="E",
         help="where trials run: serial, processes, processes:N, or dask:ADDRESS of a scheduler (default: %(default)s)",
     )
+    add_queries(parser, "native")
     add_backend(parser)
     add_size(parser)
     parser.add_argument(
@@ -97,6 +98,7 @@ def _run(given: argparse.Namespace) -> None:
         first,
         given.backend,
         given.size,
+        given.queries == "emulated",
     )
     with rhi.create_device(given.backend) as device:
         backend, name = device.backend_name, device.capabilities.device
@@ -112,7 +114,9 @@ def _run(given: argparse.Namespace) -> None:
         finals = executor.submit(try_pairs, walk, pairs).result()
     best = find_best(finals, 1)[0]
     is_better = best.ratio < 1.0  # than the default pair
-    settings = Settings(batch=best.batch, persistence=best.persistence) if is_better else Settings()
+    settings = Settings(emulated=walk.emulated)
+    if is_better:
+        settings = replace(settings, batch=best.batch, persistence=best.persistence)
     report = {
         "backend": backend,
         "device": name,

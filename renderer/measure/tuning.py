@@ -46,6 +46,7 @@ class Walk:
         path: the frames to render, and one before them. first: the number of that frame.
         backend: the backend's name; None for the machine's own choice.
         size: (width, height) of the image in pixels.
+        emulated: whether queries are two counters and a fence, even if the device has its own.
     """
 
     scene: str
@@ -53,6 +54,7 @@ class Walk:
     first: int = 0
     backend: str | None = None
     size: tuple[int, int] = (960, 540)
+    emulated: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,13 +73,13 @@ class Trial:
     hardware_state_changes: int
 
 
-def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], threshold: int = 0) -> list[Trial]:
+def try_pairs(walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
     """Return a trial of each pair, on a device of its own. The frames of all pairs and of the default pair alternate.
 
     A process executes one call at a time; other calls wait.
     """
     scene = load_scene(walk.scene)
-    default = Settings(threshold=threshold)
+    default = Settings(emulated=walk.emulated)
     with (
         _LOCK,
         rhi.create_device(walk.backend) as device,

@@ -69,11 +69,19 @@ is."""
 ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgorithm]]] = {
     "none": lambda scene, _device, _settings: NoCulling(scene),
     "frustum": lambda scene, _device, _settings: FrustumCulling(scene),
-    "stop_and_wait": lambda scene, device, settings: StopAndWait(scene, device, threshold=settings.threshold),
-    "chc": lambda scene, device, settings: Chc(scene, device, threshold=settings.threshold),
+    "stop_and_wait": lambda scene, device, settings: StopAndWait(
+        scene, device, threshold=settings.threshold, emulated=settings.emulated
+    ),
+    "chc": lambda scene, device, settings: Chc(
+        scene, device, threshold=settings.threshold, emulated=settings.emulated
+    ),
     "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(scene, device, **asdict(settings)),
     "conditional": lambda scene, device, settings: ConditionalCulling(
-        scene, device, persistence=settings.persistence, threshold=settings.threshold
+        scene,
+        device,
+        persistence=settings.persistence,
+        threshold=settings.threshold,
+        emulated=settings.emulated,
     ),
     "software_depth": lambda scene, _device, _settings: SoftwareDepth(scene),
     "depth_pyramid": lambda scene, device, _settings: DepthPyramidCulling(scene, device),

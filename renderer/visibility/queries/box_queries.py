@@ -62,14 +62,18 @@ class BoxQueries:
 
     Attributes:
         threshold: a query with at most this many samples counts as hidden; above 0, images may differ.
+        emulated: whether the queries are emulated by two counters and a fence, even if the device has its own.
         issued: queries since `begin_frame`. draws, boxes: draws of boxes in them, and the boxes drawn.
         stalled: seconds for which the CPU waited for results since `begin_frame`.
     """
 
-    def __init__(self, device: Device, sizes: Rows, members: Rows, threshold: int = 0) -> None:
+    def __init__(
+        self, device: Device, sizes: Rows, members: Rows, threshold: int = 0, emulated: bool = False
+    ) -> None:
         """`sizes` (n,) is the number of boxes of each node, 1 or more; `members` are their rows, node after node."""
         self.device = device
         self.threshold = threshold
+        self.emulated = emulated
         self.issued = self.draws = self.boxes = 0
         self.stalled = 0.0
         self._program = device.program(QueryBoxShader)
@@ -132,7 +136,7 @@ class BoxQueries:
     def acquire(self) -> OcclusionQuery:
         """Return an unused query for draws of the caller's own, and count it as issued."""
         self.issued += 1
-        return self._free.pop() if self._free else self.device.occlusion_query()
+        return self._free.pop() if self._free else self.device.occlusion_query(emulated=self.emulated)
 
     def resolve(self, query: OcclusionQuery) -> bool:
         """Return whether more samples than the threshold passed, and release the query. Waits for the result if it is

@@ -34,12 +34,13 @@ class Chc:
 
     opens_pass: Final = False
 
-    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0) -> None:
-        """A node that passes at most `threshold` samples counts as hidden."""
+    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0, emulated: bool = False) -> None:
+        """A node that passes at most `threshold` samples counts as hidden; `emulated` queries are two counters and a
+        fence."""
         self._objects = scene.objects
         self._forest = Forest(scene)
         count = len(self._forest)
-        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold)
+        self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold, emulated)
         self._visible = bytearray(count)
         self._visited = [NEVER] * count
         self._frame = 0

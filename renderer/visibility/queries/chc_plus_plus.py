@@ -69,6 +69,7 @@ class ChcPlusPlus:
         batch: int = 50,
         persistence: int = 20,
         threshold: int = 0,
+        emulated: bool = False,
         seed: int = 0,
     ) -> None:
         """The thesis tunes `batch`, its b, and `persistence`, its n (6.5.1).
@@ -77,6 +78,7 @@ class ChcPlusPlus:
             batch: number of hidden nodes that are gathered before they are queried, 1 or more.
             persistence: number of frames for which a visible leaf isn't queried again, 1 or more.
             threshold: a node that passes at most this many samples counts as hidden.
+            emulated: whether queries are two counters and a fence, even if the device has its own.
             seed: the seed of the random numbers.
         """
         if batch < 1 or persistence < 1:
@@ -88,7 +90,7 @@ class ChcPlusPlus:
         self._persistence = persistence
         self._random = Random(seed)
         count = len(self._forest)
-        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold)
+        self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold, emulated)
         self._visible = bytearray(count)
         self._visited = [NEVER] * count
         self._hidden_since = [0] * count

@@ -27,17 +27,27 @@ class ConditionalCulling(ChcPlusPlus):
     """Draws what was visible, and the rest on conditions that the GPU evaluates."""
 
     def __init__(
-        self, scene: Scene, device: Device, *, persistence: int = 20, threshold: int = 0, seed: int = 0
+        self,
+        scene: Scene,
+        device: Device,
+        *,
+        persistence: int = 20,
+        threshold: int = 0,
+        emulated: bool = False,
+        seed: int = 0,
     ) -> None:
         """The parameters are those of `ChcPlusPlus`. `threshold` only affects what counts as visible in the next
-        frame:
-        for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`."""
+        frame: for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`.
+        A condition needs a native query: `emulated` is refused.
+        """
         if not device.capabilities.conditional_rendering:
             refuse(
                 rules.NO_CONDITIONS,
                 "ConditionalCulling(...)",
                 f"a {device.backend_name} device without conditional rendering",
             )
+        if emulated:
+            refuse(rules.NO_CONDITIONS, "ConditionalCulling(...)", "emulated queries", "native ones")
         super().__init__(scene, device, persistence=persistence, threshold=threshold, seed=seed)
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:

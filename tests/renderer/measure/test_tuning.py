@@ -7,6 +7,7 @@ import json
 import subprocess
 import sys
 from concurrent.futures import Executor, Future
+from dataclasses import asdict
 from math import log
 from pathlib import Path
 
@@ -95,7 +96,10 @@ def test_tune_writes_what_render_and_compare_read(here: Path, capsys: pytest.Cap
     assert {final["batch"] for final in report["finals"]} <= {int(row["batch"]) for row in rows}
     shared = ["city:blocks=4,detail=2", "--size", "64x36", "--settings", "new/tuned/settings.json", "--json"]
     assert main(["compare", "visibility", *shared, "--frames", "1", "--algorithms", "chc_plus_plus"]) == 0
-    assert json.loads(capsys.readouterr().out)["settings"] == report["visibility"]
+    compared = json.loads(capsys.readouterr().out)
+    assert compared["settings"] == asdict(Settings())
+    assert compared["optimized"] == report["visibility"]
+    assert [row["algorithm"] for row in compared["rows"]] == ["chc_plus_plus", "optimized_chc_plus_plus"]
     assert main(["render", *shared, "--visibility", "chc_plus_plus"]) == 0
 
 
