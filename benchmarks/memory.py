@@ -2,6 +2,8 @@
 
 Each row repeats one thing, after a tenth as many repetitions to warm up, and shows by how much the resident memory of
 the process has grown. Each row runs in a process of its own, so that no row reuses memory that another has freed.
+Kernels are optimised from the beginning: quick ones are replaced after thousands of draws, which costs some megabytes
+once and isn't growth.
 
     python benchmarks/memory.py [--json] [--backend gl --backend cl] [--only programs] [--scale 0.1]
 """
@@ -11,6 +13,7 @@ from __future__ import annotations
 import argparse
 import gc
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -22,6 +25,8 @@ import rhi
 from rhi import Format, Primitive, Scissor
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec4
 
+
+os.environ.setdefault("RHI_KERNELS", "optimised")
 
 class Corner(Struct):
     position: vec2

@@ -6,6 +6,8 @@ a test broke it and how often one came to the same check and passed it.
 - A check is a call that names a rule (`refuse(PASS_NESTED, …)`) and the condition it stands under. It is passed
   by a call of its function that gets to the condition and returns without getting to the refusal. A call of a
   helper that does nothing but refuse (`-> NoReturn`) counts as naming its rules.
+- A call that is given a rule to refuse by (`Arguments(call, rule=DRAW_COUNT)`) is a check of what follows it: broken
+  if an error of that rule leaves its function, passed if the function gets to it and returns.
 - Only functions with a check in them are traced, so the tests take about twice their time.
 """
 
@@ -28,7 +30,7 @@ import pytest
 from hypothesis import settings
 
 import rhi
-from rhi.errors import RULES, Rule
+from rhi.errors import RULES, RhiError, Rule
 
 PACKAGE = Path(rhi.__file__).parent
 RULE_MODULES = ("rhi.errors.rules", "rhi.shading.language.rules", "rhi.trace.rules")
@@ -38,7 +40,9 @@ LEFT_OUT = ("conformance", "testing")
 @dataclass(frozen=True)
 class Check:
     """A refusal: the lines of the call, and those of the condition it stands under, none if it has none. A loop
-    around it is part of the condition: one that isn't entered has nothing to refuse."""
+    around it is part of the condition: one that isn't entered has nothing to refuse.
+
+    Of a call that is given a rule, the condition is the call, and there is no refusal."""
 
     rule: str
     refusal: frozenset[int]
@@ -80,6 +84,9 @@ def find_checks(tree: ast.Module, rules: dict[str, Rule]) -> Iterator[tuple[int,
         if isinstance(node, ast.Call) and function:
             for rule in named_rules(node):
                 yield function, Check(rule, statement, condition)
+            for given in [*node.args[1:], *(keyword.value for keyword in node.keywords)]:
+                if isinstance(given, ast.Name) and given.id in rules:
+                    yield function, Check(rules[given.id].id, frozenset(), lines(node))
         for field, value in ast.iter_fields(node):
             around, under = loop, condition
             if isinstance(node, (ast.If, ast.While)) and field == "body":
@@ -120,13 +127,23 @@ class Coverage:
 
     def _follow(self, checks: list[Check]) -> Any:
         seen: set[int] = set()
+        raised = ""  # the rule of the error that is leaving the function
 
-        def local(frame: FrameType, event: str, argument: object) -> Any:
+        def local(frame: FrameType, event: str, argument: Any) -> Any:
+            nonlocal raised
             if event == "line":
                 seen.add(frame.f_lineno)
+                raised = ""
+            elif event == "exception":
+                raised = argument[1].rule.id if isinstance(argument[1], RhiError) else "another"
             elif event == "return":
                 for check in checks:
-                    if not seen.isdisjoint(check.refusal):
+                    if not check.refusal:
+                        if raised == check.rule:
+                            self.broken[check.rule] += 1
+                        elif not raised and not seen.isdisjoint(check.condition):
+                            self.passed[check.rule] += 1
+                    elif not seen.isdisjoint(check.refusal):
                         self.broken[check.rule] += 1
                     elif not check.condition or not seen.isdisjoint(check.condition):
                         self.passed[check.rule] += 1

@@ -128,7 +128,7 @@ def test_draws_write_inside_their_targets(size: tuple[int, int], samples: int, p
     [
         ("setup", "AT(uint, batch->survivors)[chunk] =", "AT(uint, batch->counts)[-1] = 7;"),
         ("bin", "starts[tiles] = sum;", "starts[tiles + 1] = 7;"),
-        ("raster", "const Targets targets =", "*(color0 - 3) = 7;"),
+        ("raster", "const Targets *targets =", "*((global uint *)opened.color[0].first - 3) = 7;"),
     ],
 )
 def test_a_stray_write_of_a_draw_is_found(

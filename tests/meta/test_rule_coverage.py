@@ -7,12 +7,14 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 import rule_coverage
 from rule_coverage import Check, find_checks
 
-from rhi.errors.rules import DEVICE_LOST, PASS_NESTED, PASS_OPEN, SHADER_DRIVER
+from rhi.errors import Rule, ValidationError, refuse
+from rhi.errors.rules import DEVICE_LOST, DRAW_COUNT, PASS_NESTED, PASS_OPEN, SHADER_DRIVER
 from rhi.shading.language.rules import DEVICE_ONLY
 
 TESTS = Path(__file__).parents[1] / "rhi"
@@ -74,6 +76,44 @@ def test_a_loop_is_part_of_the_condition() -> None:
     source = "def wait(self):\n    while self.late:\n        if self.gone:\n            refuse(PASS_OPEN)"
     (found,) = find_checks(ast.parse(source), {"PASS_OPEN": PASS_OPEN})
     assert found == (1, Check("pass-open", frozenset({4}), frozenset({2, 3})))
+
+
+class Checked:
+    """Checks a value by a rule that it is given."""
+
+    def __init__(self, rule: Rule) -> None:
+        self._rule = rule
+
+    def whole(self, value: int) -> None:
+        if value < 0:
+            refuse(self._rule, "here")
+
+
+GIVEN = """
+def draw(count):
+    checked = Checked(rule=DRAW_COUNT)
+    checked.whole(count)
+"""
+
+
+@pytest.mark.parametrize(("count", "broken", "passed"), [(-1, {"draw-count": 1}, {}), (1, {}, {"draw-count": 1})])
+def test_a_call_breaks_or_passes_what_is_checked_by_a_rule_that_it_gives(
+    tmp_path: Path, count: int, broken: dict[str, int], passed: dict[str, int]
+) -> None:
+    coverage = rule_coverage.Coverage(tmp_path)
+    for first, check in find_checks(ast.parse(GIVEN), {"DRAW_COUNT": DRAW_COUNT}):
+        coverage.checks["<given>", first].append(check)
+    scope: dict[str, Any] = {"Checked": Checked, "DRAW_COUNT": DRAW_COUNT}
+    exec(compile(GIVEN, "<given>", "exec"), scope)
+    before = sys.gettrace()
+    sys.settrace(coverage.trace)
+    try:
+        scope["draw"](count)
+    except ValidationError:
+        pass
+    finally:
+        sys.settrace(before)
+    assert (dict(coverage.broken), dict(coverage.passed)) == (broken, passed)
 
 
 @pytest.mark.parametrize(

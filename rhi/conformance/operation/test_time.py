@@ -249,6 +249,23 @@ def test_times_of_parts_fit_into_those_of_the_whole(device: Device) -> None:
 
 
 @pytest.mark.needs("timestamps")
+def test_work_takes_time(device: Device) -> None:
+    """As much work as a coarse clock needs to see it."""
+    repetitions, measured = 1, 0.0
+    with device.buffer(1 << 22) as buffer:
+        while not measured and repetitions < 1 << 12:
+            device.present()
+            with device.event("work"):
+                for value in range(repetitions):
+                    buffer.clear(value)
+            device.present()
+            device.finish()
+            measured = device.timers[0].gpu_milliseconds
+            repetitions *= 4
+    assert measured > 0
+
+
+@pytest.mark.needs("timestamps")
 def test_each_frame_has_a_tree_of_its_own(device: Device) -> None:
     for name in ("one", "two", "three"):
         with device.event(name):

@@ -109,7 +109,7 @@ def blocks(draw, depth=3, in_loop=False, result="", names=NAMES, discards=False)
         elif kind in (8, 9):
             inner = draw(blocks(depth - 1, in_loop, result, names, discards))
             lines += [f"if {draw(conditions(1, names, not is_helper))}:", *indent(inner)]
-            if draw(st.booleans()):
+            if draw(st.integers(0, 3)):
                 lines += ["else:", *indent(draw(blocks(depth - 1, in_loop, result, names, discards)))]
         elif kind == 10:
             counter = f"k{next(numbers)}"
