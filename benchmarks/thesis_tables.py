@@ -12,7 +12,6 @@ thesis's. `--save` keeps the results, from which `--load` prints the same again.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
 from dataclasses import asdict, replace
@@ -22,7 +21,9 @@ from typing import Any, Final
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import rhi
+from renderer.cli.arguments import add_size, parse_count, parse_frame
 from renderer.cli.output import draw_chart, show_progress
+from renderer.cli.subcommand import Parser
 from renderer.content import load_scene
 from renderer.measure import format_table
 from renderer.measure.visibility import compare_algorithms, list_contenders, list_frames
@@ -160,12 +161,16 @@ def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser = Parser(prog="thesis_tables.py", description=__doc__)
     parser.add_argument("path", choices=TIMES)
     parser.add_argument("--backends", default="gl,cl", help="our platforms (default: %(default)s)")
-    parser.add_argument("--frames", type=int, default=60, help="counted frames (default: %(default)s)")
-    parser.add_argument("--warm-up", type=int, default=4, help="frames before each (default: %(default)s)")
-    parser.add_argument("--size", default="640x360", help="size of the image (default: %(default)s)")
+    parser.add_argument(
+        "--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)"
+    )
+    parser.add_argument(
+        "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
+    )
+    add_size(parser, (640, 360))
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
     parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
     parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
@@ -173,9 +178,8 @@ def main() -> None:
     if given.load is not None:
         reports = [report for file in given.load for report in json.loads(file.read_text())]
     else:
-        width, height = map(int, given.size.split("x"))
         reports = [
-            measure(backend, given.path, given.frames, given.warm_up, (width, height))
+            measure(backend, given.path, given.frames, given.warm_up, given.size)
             for backend in given.backends.split(",")
         ]
     if given.save is not None:
