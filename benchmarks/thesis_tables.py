@@ -4,10 +4,11 @@ The frames are 60, 30 apart, of the path's 1,800: the same ones on all our platf
 counted. On each platform all algorithms draw each frame in turn, with native and with emulated queries, and CHC++ also
 with the platform's own parameters (`benchmarks/settings`, written by `python -m renderer tune`).
 
-    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--save F.json]
+    python benchmarks/thesis_tables.py ground|sky [--backends gl,cl] [--figure F.png] [--into docs/visibility.md]
 
-It prints Markdown: times as ratios to no culling on all platforms, and for each platform its counts, each beside the
-thesis's. `--save` keeps the results, from which `--load` prints the same again.
+It prints Markdown: times as ratios to no culling on all platforms, shares of what other algorithms draw and query, and
+for each platform its counts, each beside the thesis's. `--into` also replaces the page's section between the path's two
+markers, and writes the figure beside the page. `--save` keeps the results; `--load` prints kept ones.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ import json
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
+from textwrap import fill
 from typing import Any, Final
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
@@ -31,6 +33,9 @@ from renderer.renderer import Renderer
 from renderer.visibility import Settings, list_algorithms
 
 SETTINGS: Final = Path(__file__).parent / "settings"
+
+MARKS: Final = ("", " (emulated)")
+"""What follows an algorithm's name, by kind of queries."""
 
 PLATFORMS: Final = ("PC", "Xbox 360", "PlayStation 3", "Wii")
 
@@ -94,9 +99,41 @@ def measure(backend: str, path_name: str, frames: int, warm_up: int, size: tuple
             "device": device.capabilities.device,
             "first_frame": first + warm_up,
             "stride": stride,
+            "frames": frames,
+            "warm_up": warm_up,
+            "size": list(size),
             "optimized": asdict(replace(tuned, emulated=False)),
             "rows": {row.algorithm: asdict(row) for row in rows},
         }
+
+
+SHARES: Final = (
+    ("triangles", "chc", "frustum"),
+    ("triangles", "chc_plus_plus", "frustum"),
+    ("triangles", "optimized_chc_plus_plus", "frustum"),
+    ("queries", "chc", "stop_and_wait"),
+    ("queries", "chc_plus_plus", "stop_and_wait"),
+    ("queries", "optimized_chc_plus_plus", "stop_and_wait"),
+    ("hardware_state_changes", "chc_plus_plus", "chc"),
+)
+"""(counter, algorithm, the algorithm that it is compared with)"""
+
+
+def show_shares(path: str, reports: list[dict[str, Any]]) -> str:
+    """Return the table of an algorithm's counts as shares of another's, on our platforms and in the thesis."""
+    header = ["share", *(report["backend"] + mark for report in reports for mark in MARKS), "thesis"]
+    cells = []
+    for counter, name, other in SHARES:
+        label = f"{counter.replace('_', ' ')}: {name} of {other}"
+        line = [label]
+        for rows in (report["rows"] for report in reports):
+            for mark in MARKS:
+                base = rows[other + mark if other + mark in rows else other]
+                line.append(f"{rows[name + mark][counter] / base[counter]:.2f}")
+        place = COUNTED.index(counter)
+        line.append(f"{COUNTS[path][name][place] / COUNTS[path][other][place]:.2f}")
+        cells.append(line)
+    return format_table(header, cells, markdown=True)
 
 
 def show_times(path: str, reports: list[dict[str, Any]]) -> str:
@@ -104,7 +141,7 @@ def show_times(path: str, reports: list[dict[str, Any]]) -> str:
     names = list(dict.fromkeys(name.partition(" ")[0] for report in reports for name in report["rows"]))
     header, cells = ["algorithm"], [[name] for name in names]
     for report in reports:
-        for mark in ("", " (emulated)"):
+        for mark in MARKS:
             header.append(report["backend"] + mark)
             for name, line in zip(names, cells, strict=True):
                 row = report["rows"].get(name + mark)
@@ -138,7 +175,7 @@ def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
     groups: list[tuple[str, list[float]]] = []
     shown = ("frustum", "chc_plus_plus", "optimized_chc_plus_plus")
     for report in reports:
-        for mark in ("", " (emulated)"):
+        for mark in MARKS:
             rows = report["rows"]
             found = [rows["frustum"], *(rows[name + mark] for name in shown[1:])]
             groups.append((f"{report['backend']}{mark}", [row["ratio"] for row in found]))
@@ -160,6 +197,39 @@ def plot(path: str, reports: list[dict[str, Any]], file: Path) -> None:
         axes.legend(fontsize="small")
 
 
+def describe(path: str, reports: list[dict[str, Any]]) -> str:
+    """Return all tables as Markdown."""
+    first = reports[0]
+    width, height = first["size"]
+    intro = (
+        f"City, {width} × {height}, {first['frames']} frames of the path, {first['stride']} apart from frame "
+        f"{first['first_frame']} on, each after {first['warm_up']} that aren't counted. Times are ratios to no culling:"
+    )
+    parts = [
+        fill(intro, 118),
+        show_times(path, reports),
+        "Shares of what another algorithm draws or queries:",
+        show_shares(path, reports),
+    ]
+    for report in reports:
+        b, n = report["optimized"]["batch"], report["optimized"]["persistence"]
+        parts += [
+            f"{report['backend']} ({report['device']}; optimized: b = {b}, n = {n}):",
+            show_counts(path, report),
+        ]
+    return "\n\n".join(parts)
+
+
+def insert(page: Path, path: str, text: str) -> None:
+    """Replace the page's section between the path's two markers."""
+    begin, end = f"<!-- thesis_tables.py {path} -->\n", "\n<!-- end of thesis_tables.py -->"
+    before, found, rest = page.read_text().partition(begin)
+    if not found:
+        raise SystemExit(f"error: {page} has no line {begin.strip()}")
+    after = rest.partition(end)[2]
+    page.write_text(f"{before}{begin}\n{text}\n{end}{after}")
+
+
 def main() -> None:
     parser = Parser(prog="thesis_tables.py", description=__doc__)
     parser.add_argument("path", choices=TIMES)
@@ -168,10 +238,13 @@ def main() -> None:
         "--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)"
     )
     parser.add_argument(
-        "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
+        "--warm-up", type=parse_frame, default=8, help="frames before each (default: %(default)s)"
     )
-    add_size(parser, (640, 360))
+    add_size(parser)
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")
+    parser.add_argument(
+        "--into", type=Path, metavar="PAGE.md", help="replace the tables and the figure of this page"
+    )
     parser.add_argument("--save", type=Path, metavar="F.json", help="keep the results")
     parser.add_argument("--load", type=Path, nargs="+", metavar="F.json", help="print these results")
     given = parser.parse_args()
@@ -184,13 +257,15 @@ def main() -> None:
         ]
     if given.save is not None:
         given.save.write_text(json.dumps(reports, indent=1) + "\n")
-    print(show_times(given.path, reports))
-    for report in reports:
-        b, n = report["optimized"]["batch"], report["optimized"]["persistence"]
-        print(f"\n{report['backend']}: {report['device']}; optimized: b = {b}, n = {n}\n")
-        print(show_counts(given.path, report))
+    text = describe(given.path, reports)
+    print(text)
     if given.figure is not None:
         plot(given.path, reports, given.figure)
+    if given.into is not None:
+        image = f"images/{given.path}-level.png"
+        plot(given.path, reports, given.into.parent / image)
+        caption = f"Frustum culling and CHC++ at {given.path} level on all platforms"
+        insert(given.into, given.path, f"![{caption}]({image})\n\n{text}")
 
 
 if __name__ == "__main__":
