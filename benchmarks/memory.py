@@ -25,8 +25,8 @@ import rhi
 from rhi import Format, Primitive, Scissor
 from rhi.shading import Shader, StorageRW, Struct, Uniform, global_id, vec2, vec4
 
-
 os.environ.setdefault("RHI_KERNELS", "optimised")
+
 
 class Corner(Struct):
     position: vec2
