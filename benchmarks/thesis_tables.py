@@ -238,7 +238,7 @@ def main() -> None:
         "--frames", type=parse_count, default=60, help="counted frames (default: %(default)s)"
     )
     parser.add_argument(
-        "--warm-up", type=parse_frame, default=8, help="frames before each (default: %(default)s)"
+        "--warm-up", type=parse_frame, default=4, help="frames before each (default: %(default)s)"
     )
     add_size(parser)
     parser.add_argument("--figure", type=Path, metavar="F.png", help="write the figure")

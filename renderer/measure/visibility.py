@@ -3,8 +3,8 @@
 - A *contender* is an algorithm with its settings, and has a row in the table. All contenders draw the same frames of
   the path, in turn in one process, so disturbances of the machine affect all alike.
 - Most algorithms use what earlier frames have shown. So each counted frame follows others of the path that are drawn
-  and not counted. Without them a frame far from the last one costs CHC++ twice the triangles and three times the
-  queries that it costs on a path that is drawn frame by frame.
+  and not counted. Without them a frame far from the last one costs CHC++ three times the queries that it costs on a
+  path that is drawn frame by frame.
 - Every counted image is compared, pixel by pixel, with the one drawn without culling.
 """
 
