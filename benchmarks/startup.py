@@ -1,6 +1,7 @@
 """The time that `import rhi` takes in a new process, and that a program takes to its first pictures.
 
-Each run is a new interpreter, and the interpreter's own start isn't counted.
+Each run is a new interpreter, and the interpreter's own start isn't counted. Modules are loaded from cached bytecode,
+as those of an installed package are: a first run writes it and isn't counted.
 
 - import: `import numpy` is timed for comparison, because `import rhi` includes it.
 - triangle: from `import rhi` until the pixels of a lit and textured triangle are read.
@@ -126,7 +127,14 @@ SCENES: Final[dict[str, tuple[str, tuple[str, ...]]]] = {
 def time_import(statement: str) -> float:
     """Return the seconds that a statement takes in a new interpreter, without the interpreter's start."""
     code = f"import time; start = time.perf_counter(); {statement}; print(time.perf_counter() - start)"
-    return float(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout)
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=environment())
+    return float(run.stdout)
+
+
+def environment() -> dict[str, str]:
+    """Return the environment of a run."""
+    left_out = ("POCL_CACHE_DIR", "PYTHONDONTWRITEBYTECODE")
+    return {name: value for name, value in os.environ.items() if name not in left_out} | {"PYTHONPATH": str(ROOT)}
 
 
 def time_scene(name: str, backend: str, folder: Path, cold: bool) -> dict[str, float]:
@@ -134,12 +142,10 @@ def time_scene(name: str, backend: str, folder: Path, cold: bool) -> dict[str, f
     shaders, arguments = SCENES[name]
     script = folder / f"{name}.py"  # shaders are read from files
     script.write_text(HEAD + shaders + TAIL)
-    environment = {name: value for name, value in os.environ.items() if name != "POCL_CACHE_DIR"}
-    environment |= {"RHI_CACHE": str(folder / "cache"), "PYTHONPATH": str(ROOT)}
-    environment["MESA_SHADER_CACHE_DISABLE"] = "true" if cold else "false"
+    variables = {"RHI_CACHE": str(folder / "cache"), "MESA_SHADER_CACHE_DISABLE": "true" if cold else "false"}
     done = subprocess.run(
         [sys.executable, str(script), backend, *arguments], capture_output=True, text=True, check=True,
-        env=environment,
+        env=environment() | variables,
     )  # fmt: skip
     figures: dict[str, float] = json.loads(done.stdout)
     return figures
@@ -148,6 +154,9 @@ def time_scene(name: str, backend: str, folder: Path, cold: bool) -> dict[str, f
 def measure_scene(name: str, runs: int) -> list[dict[str, Any]]:
     """Return the medians of a scene: on gl and on cl, cold and warm, in turns."""
     rows: dict[tuple[str, str], list[dict[str, float]]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for backend in ("gl", "cl"):
+            time_scene("triangle", backend, Path(folder), True)
     for _ in range(runs):
         for backend in ("gl", "cl"):
             with tempfile.TemporaryDirectory() as folder:
@@ -172,9 +181,10 @@ def main() -> None:
     options = parser.parse_args()
     wanted = options.only.split(",")
     times: dict[str, list[float]] = {name: [] for name in IMPORTS if "import" in wanted}
-    for _ in range(options.runs):
+    for number in range(options.runs + 1):
         for name in times:
-            times[name].append(time_import(IMPORTS[name]))
+            seconds = time_import(IMPORTS[name])
+            times[name] += [seconds] * (number > 0)
     imports = {name: {"milliseconds": statistics.median(values) * 1e3} for name, values in times.items()}
     scenes = [row for name in SCENES if name in wanted for row in measure_scene(name, options.cold_runs)]
     if options.json:

@@ -88,9 +88,14 @@ BAD_BOUNDS: Final = Rule(
     "visibility-bad-bounds", "bounds are finite arrays of shape (n, 3), with lower at most upper"
 )
 UNKNOWN_ALGORITHM: Final = Rule("visibility-unknown-name", "no visibility algorithm has this name")
+CANNOT_RUN: Final = Rule(
+    "visibility-cannot-run",
+    "the device can't run this visibility algorithm",
+    "choose another algorithm, or another device: --backend gl or cl",
+)
 NO_CONDITIONS: Final = Rule(
     "visibility-no-conditions",
-    "conditional culling needs a device with conditional rendering",
+    "conditional culling needs a device with conditional rendering and native occlusion queries",
     "chc_plus_plus needs only occlusion queries",
 )
 NO_COMPUTE: Final = Rule(

@@ -25,7 +25,7 @@ from renderer.content import find_path, load_scene
 from renderer.measure import format_table
 from renderer.measure.visibility import AlgorithmRow, compare_algorithms, list_contenders, list_frames
 from renderer.renderer import Renderer
-from renderer.visibility import ALGORITHMS, Settings, list_algorithms
+from renderer.visibility import ALGORITHMS, Settings, check_algorithm, list_algorithms
 
 _NOTES: Final = """\
   python -m renderer compare visibility city --camera-path ground --frames 60
@@ -128,6 +128,8 @@ def _run(given: argparse.Namespace) -> None:
         names = given.algorithms or [
             name for name in list_algorithms(device) if name != "conditional" or not emulated[0]
         ]
+        for name in names:
+            check_algorithm(name, device, "compare visibility")
         contenders = list_contenders(names, settings, tuned, emulated)
         rows = compare_algorithms(renderer, contenders, path, show_progress(frames, len(frames), "compare"))
         report = {

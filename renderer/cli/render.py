@@ -27,9 +27,16 @@ from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import load_scene, parse_camera
 from renderer.measure import FrameCost, measure_frame
 from renderer.renderer import Renderer
-from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective
+from renderer.scene import FRAMES_PER_SECOND, Camera, CameraPath, Depth, Orthographic, Perspective, Scene
 from renderer.techniques import TECHNIQUES
-from renderer.visibility import ALGORITHMS, AutoCulling, make_visibility
+from renderer.visibility import (
+    ALGORITHMS,
+    AutoCulling,
+    Settings,
+    VisibilityAlgorithm,
+    check_algorithm,
+    make_visibility,
+)
 from rhi.trace import save
 
 _NOTES: Final = """\
@@ -120,7 +127,7 @@ def _run(given: argparse.Namespace) -> None:
             device,
             scene,
             technique=TECHNIQUES[given.technique](),
-            visibility=make_visibility(given.visibility, scene, device, settings),
+            visibility=_make_visibility(given.visibility, scene, device, settings),
             size=given.size,
         ) as renderer,
     ):
@@ -143,6 +150,11 @@ def _run(given: argparse.Namespace) -> None:
             note(f"the {device.backend_name} device records and draws nothing: there is no image")
         report = describe_run(renderer, costs, image)
     print(json.dumps(report) if given.json else show_report(report))
+
+
+def _make_visibility(name: str, scene: Scene, device: rhi.Device, settings: Settings) -> VisibilityAlgorithm:
+    check_algorithm(name, device, "render")
+    return make_visibility(name, scene, device, settings)
 
 
 def warm_up(renderer: Renderer) -> Iterator[None]:

@@ -8,7 +8,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, fields
 from importlib import import_module
 from multiprocessing import get_context
 from pathlib import Path
@@ -20,9 +20,12 @@ from renderer.cli.output import OutputError, draw_chart, note, show_progress
 from renderer.cli.subcommand import Parser, Subcommand
 from renderer.content import find_path, load_scene
 from renderer.measure import format_table
-from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, try_pairs
+from renderer.measure.tuning import ParameterPair, Trial, Walk, find_best, search, space_evenly, try_pairs
 from renderer.scene import CameraPath
 from renderer.visibility import Settings, list_algorithms
+
+_LEAF_SIZES: Final = 5
+"""How many sizes of leaves are tried at most."""
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -36,8 +39,9 @@ _NOTES: Final = """\
 b is the number of hidden nodes that are queried as one batch, n the number of frames for which a visible object isn't
 queried again. Each trial renders the path with one pair of values and, in turn, with the default pair (b=50, n=20);
 pairs are judged by the ratio of the two times, so trials may run at the same time and on different machines. The best
-three are then compared in one process. `trials.csv`, `trials.png` and `settings.json` are written to DIR; `render`,
-`compare visibility` and `debug visibility` read the last with --settings."""
+three are then compared in one process. --leaf-size 1:16 then tries the best pair with leaves of 1, 2, 4, 8 and 16
+objects, which are queried and drawn together. `trials.csv`, `trials.png` and `settings.json` are written to DIR;
+`render`, `compare visibility` and `debug visibility` read the last with --settings."""
 
 
 class SerialExecutor(Executor):
@@ -61,6 +65,13 @@ def _add_arguments(parser: Parser) -> None:
     )
     parser.add_argument(
         "--n", type=_parse_range, default=(1, 40), metavar="LOW:HIGH", help="range of n (default: 1:40)"
+    )
+    parser.add_argument(
+        "--leaf-size",
+        type=_parse_range,
+        default=(1, 1),
+        metavar="LOW:HIGH",
+        help="range of the leaf size to try with the best pair (default: 1)",
     )
     parser.add_argument(
         "--rounds",
@@ -112,11 +123,17 @@ def _run(given: argparse.Namespace) -> None:
         finalists = find_best(trials)
         pairs = [(trial.batch, trial.persistence) for trial in finalists]
         finals = executor.submit(try_pairs, walk, pairs).result()
+        best = find_best(finals, 1)[0]
+        least, most = given.leaf_size
+        for size in space_evenly(least, most, _LEAF_SIZES):
+            if size != best.leaf_size:
+                pair = (best.batch, best.persistence)
+                finals += executor.submit(try_pairs, walk, [pair], leaf_size=size).result()
     best = find_best(finals, 1)[0]
-    is_better = best.ratio < 1.0  # than the default pair
+    is_better = best.ratio < 1.0  # than the default settings
     settings = Settings(emulated=walk.emulated)
     if is_better:
-        settings = replace(settings, batch=best.batch, persistence=best.persistence)
+        settings = Settings(best.batch, best.persistence, best.leaf_size, emulated=walk.emulated)
     report = {
         "backend": backend,
         "device": name,
@@ -141,7 +158,8 @@ def _run(given: argparse.Namespace) -> None:
     print(
         format_table([_title(name) for name in names], [[getattr(t, name) for name in names] for t in shown])
     )
-    print(f"b={settings.batch}, n={settings.persistence}: {report['ratio']:.2f} of the default's time")
+    found = f"b={settings.batch}, n={settings.persistence}, leaf size {settings.leaf_size}"
+    print(f"{found}: {report['ratio']:.2f} of the default's time")
 
 
 def _try_all(executor: Executor, walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:

@@ -7,7 +7,8 @@ Counters don't depend on the time, except through query results that arrive earl
 
 The search begins with a grid over both ranges, evenly spaced by ratio, and refines it around the best pair (the
 thesis's binary search, on both axes at once). All trials of a round may run at the same time. Finally, a trial
-compares the best few pairs with each other, in one process with nothing beside it.
+compares the best few pairs with each other, in one process with nothing beside it; the best is then tried with leaves
+of several objects.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ class Walk:
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """The result for a pair: medians of the times, the `ratio` to the default pair's time, and means of the
-    counters."""
+    """The result for a pair with one size of leaves: medians of the times, the `ratio` to the time of the default
+    settings, and means of the counters."""
 
     batch: int
     persistence: int
@@ -71,10 +72,12 @@ class Trial:
     draws: int
     queries: int
     hardware_state_changes: int
+    leaf_size: int = 1
 
 
-def try_pairs(walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
-    """Return a trial of each pair, on a device of its own. The frames of all pairs and of the default pair alternate.
+def try_pairs(walk: Walk, pairs: Sequence[ParameterPair], leaf_size: int = 1) -> list[Trial]:
+    """Return a trial of each pair, on a device of its own. The frames of all pairs and of the default settings
+    alternate.
 
     A process executes one call at a time; other calls wait.
     """
@@ -85,7 +88,10 @@ def try_pairs(walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
         rhi.create_device(walk.backend) as device,
         Renderer(device, scene, size=walk.size) as renderer,
     ):
-        tried = [replace(default, batch=batch, persistence=persistence) for batch, persistence in pairs]
+        tried = [
+            replace(default, batch=batch, persistence=persistence, leaf_size=leaf_size)
+            for batch, persistence in pairs
+        ]
         algorithms = [make_visibility("chc_plus_plus", scene, device, one) for one in (default, *tried)]
         costs: list[list[FrameStatistics]] = [[] for _ in algorithms]
 
@@ -113,6 +119,7 @@ def try_pairs(walk: Walk, pairs: Sequence[ParameterPair]) -> list[Trial]:
                     name: round(sum(getattr(one, name) for one in counted[1:]) / len(counted[1:]))
                     for name in ("triangles", "draws", "queries", "hardware_state_changes")
                 },
+                leaf_size=leaf_size,
             )
         )
     return trials
@@ -133,7 +140,7 @@ def search(
     default = Settings()
     spans = [high / low for low, high in (batches, persistences)]
     wanted = {
-        (b, n) for b in _spaced(*batches, _FIRST) for n in _spaced(*persistences, _FIRST)
+        (b, n) for b in space_evenly(*batches, _FIRST) for n in space_evenly(*persistences, _FIRST)
     } | {(min(max(default.batch, batches[0]), batches[1]),
           min(max(default.persistence, persistences[0]), persistences[1]))}  # fmt: skip
     for turn in range(rounds):
@@ -156,7 +163,8 @@ def find_best(trials: Sequence[Trial], count: int = _FINALISTS) -> list[Trial]:
     return sorted(trials, key=lambda trial: (trial.ratio, trial.queries))[:count]
 
 
-def _spaced(low: int, high: int, count: int) -> list[int]:
+def space_evenly(low: int, high: int, count: int) -> list[int]:
+    """Return at most `count` whole numbers from `low` to `high`, both included, evenly spaced by ratio."""
     return sorted({round(value) for value in np.geomspace(low, high, count).tolist()})
 
 

@@ -14,7 +14,7 @@ from renderer.scene import Scene
 from renderer.visibility.algorithm import VisibilityAlgorithm, VisibilityStatistics, find_visible_objects
 from renderer.visibility.auto import AutoCulling
 from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
-from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
+from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_middle
 from renderer.visibility.frustum import FrustumCulling, NoCulling
 from renderer.visibility.gpu.depth_pyramid import DepthPyramidCulling
 from renderer.visibility.gpu.device_culling import DeviceCulling
@@ -26,7 +26,7 @@ from renderer.visibility.queries.stop_and_wait import StopAndWait
 from renderer.visibility.scene_pass import CallbackPass, DeviceList, SceneArrays, ScenePass
 from renderer.visibility.settings import Settings
 from renderer.visibility.software_depth import SoftwareDepth, can_rasterise
-from rhi import Device
+from rhi import Device, refuse
 
 __rhi_internal__ = True
 
@@ -55,7 +55,9 @@ __all__ = [
     "VisibilityAlgorithm",
     "VisibilityStatistics",
     "build_by_area",
-    "build_by_median",
+    "build_by_middle",
+    "check_algorithm",
+    "find_obstacle",
     "find_visible",
     "find_visible_objects",
     "list_algorithms",
@@ -73,13 +75,18 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         scene, device, threshold=settings.threshold, emulated=settings.emulated
     ),
     "chc": lambda scene, device, settings: Chc(
-        scene, device, threshold=settings.threshold, emulated=settings.emulated
+        scene,
+        device,
+        leaf_size=settings.leaf_size,
+        threshold=settings.threshold,
+        emulated=settings.emulated,
     ),
     "chc_plus_plus": lambda scene, device, settings: ChcPlusPlus(scene, device, **asdict(settings)),
     "conditional": lambda scene, device, settings: ConditionalCulling(
         scene,
         device,
         persistence=settings.persistence,
+        leaf_size=settings.leaf_size,
         threshold=settings.threshold,
         emulated=settings.emulated,
     ),
@@ -92,7 +99,7 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
         {
             name: partial(make_visibility, name, scene, device, settings)
             for name in (CANDIDATES if device.capabilities.renders else ("frustum",))
-            if _can_run(name, device)
+            if find_obstacle(name, device) is None
         },
     ),
 }
@@ -102,23 +109,34 @@ ALGORITHMS: Final[dict[str, Callable[[Scene, Device, Settings], VisibilityAlgori
 def list_algorithms(device: Device) -> list[str]:
     """Return the names of the algorithms that `device` can run. The null device answers no queries and runs no
     shaders, unless it is told how (see `count_samples` and `run_shaders`)."""
-    return [name for name in ALGORITHMS if _can_run(name, device)]
+    return [name for name in ALGORITHMS if find_obstacle(name, device) is None]
 
 
-def _can_run(name: str, device: Device) -> bool:
+def find_obstacle(name: str, device: Device) -> str | None:
+    """Return what a device lacks for an algorithm, in a few words, or None if it can run it."""
     can = device.capabilities
-    queries = can.shading and (can.occlusion_queries or can.sample_counter)
     match name:
         case "none" | "frustum" | "auto":
-            return True
-        case "conditional":
-            return queries and can.conditional_rendering
+            return None
         case "software_depth":
-            return can_rasterise()
+            return None if can_rasterise() else "a device on the CPU that draws and computes"
         case "depth_pyramid" | "two_pass":
-            return can.renders and can.compute
-        case _:
-            return queries
+            return None if can.renders and can.compute else "compute shaders and draws that run"
+    if not can.shading:
+        return "draws that run, to answer its occlusion queries"
+    if not (can.occlusion_queries or can.sample_counter):
+        return "occlusion queries or a sample counter"
+    if name == "conditional" and not (can.conditional_rendering and can.occlusion_queries):
+        return "conditional rendering with native occlusion queries"
+    return None
+
+
+def check_algorithm(name: str, device: Device, call: str) -> None:
+    """Refuse an algorithm that a device can't run: `visibility-cannot-run`."""
+    obstacle = find_obstacle(name, device)
+    if obstacle is not None:
+        given = f"{name!r} on a {device.backend_name} device, which lacks {obstacle}"
+        refuse(rules.CANNOT_RUN, call, given, f"one of {', '.join(list_algorithms(device))}")
 
 
 def make_visibility(

@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from renderer.scene import Camera, Scene
-from renderer.scene.arrays import Floats, Rows
+from renderer.scene.arrays import Rows
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.culling import Culler, CullingCounts
-from renderer.visibility.boxes.hierarchy import build_by_area, build_by_median
+from renderer.visibility.boxes.culling import Culler, CullingCounts, find_visible
+from renderer.visibility.boxes.hierarchy import build_by_area
 from renderer.visibility.scene_pass import ScenePass
 
 __rhi_internal__ = True
@@ -36,8 +36,9 @@ class NoCulling:
 class FrustumCulling:
     """Draws the objects whose bounds are not outside the frustum.
 
-    Static objects are in a hierarchy built once by surface area, dynamic ones in a hierarchy built each frame by
-    median splits. The result is the set that `boxes.culling.find_visible` gives for all objects.
+    Static objects are in a hierarchy that is built once by surface area. Dynamic ones are tested one by one: that takes
+    less time than building a hierarchy over them. The result is the set that `boxes.culling.find_visible` gives for all
+    objects.
     """
 
     opens_pass: Final = False
@@ -55,10 +56,11 @@ class FrustumCulling:
         planes = camera.frustum.planes
         static, counts = self._static.find_visible(planes)
         visible = objects.static_rows.take(static)
-        if len(objects.dynamic_rows):
-            moving, more = self._find_moving(planes)
-            visible = np.sort(np.concatenate([visible, objects.dynamic_rows.take(moving)]))
-            counts = counts + more
+        moving = objects.dynamic_rows
+        if len(moving):
+            shown = find_visible(planes, objects.lower[moving], objects.upper[moving])
+            visible = np.sort(np.concatenate([visible, moving[shown]]))
+            counts = counts + CullingCounts(0, len(moving), len(moving) * len(planes))
         if len(visible):
             scene_pass.draw(visible)
         return VisibilityStatistics(
@@ -72,8 +74,3 @@ class FrustumCulling:
 
     def destroy(self) -> None:
         """Do nothing: there are no resources on the device."""
-
-    def _find_moving(self, planes: Floats) -> tuple[Rows, CullingCounts]:
-        rows = self._scene.objects.dynamic_rows
-        lower, upper = self._scene.objects.lower[rows], self._scene.objects.upper[rows]
-        return Culler(build_by_median(lower, upper, leaf_size=16), lower, upper).find_visible(planes)

@@ -25,6 +25,7 @@ class Settings:
     Attributes:
         batch: number of hidden nodes that are gathered before they are queried, the thesis's b; 1 or more.
         persistence: number of frames for which a visible leaf isn't queried again, the thesis's n; 1 or more.
+        leaf_size: largest number of objects in a leaf; they are queried and drawn together. 1 or more.
         threshold: a box that passes at most this many samples counts as hidden; 0 or more. Above 0 images may differ.
         emulated: whether occlusion queries are emulated by two counters and a fence (thesis 4.4.2), as they are in any
             case on a device without its own. Conditional culling can't use emulated ones.
@@ -32,11 +33,12 @@ class Settings:
 
     batch: int = 50
     persistence: int = 20
+    leaf_size: int = 1
     threshold: int = 0
     emulated: bool = False
 
     def __post_init__(self) -> None:
-        for name, least in (("batch", 1), ("persistence", 1), ("threshold", 0)):
+        for name, least in (("batch", 1), ("persistence", 1), ("leaf_size", 1), ("threshold", 0)):
             value = getattr(self, name)
             if type(value) is not int or value < least:
                 refuse(

@@ -6,7 +6,6 @@ The names, order and types of a command's arguments come from the method's signa
 from __future__ import annotations
 
 import enum
-import inspect
 from typing import Final, TypeAlias
 
 from rhi.contract.backend import Backend
@@ -82,8 +81,8 @@ class Op(enum.IntEnum):
 
 
 def _read_parameters(op: Op) -> dict[str, str]:
-    parameters = inspect.signature(getattr(Backend, op.method)).parameters
-    return {name: parameter.annotation for name, parameter in parameters.items() if name != "self"}
+    annotations: dict[str, str] = getattr(Backend, op.method).__annotations__
+    return {name: annotation for name, annotation in annotations.items() if name != "return"}
 
 
 _PARAMETERS: Final = {op: _read_parameters(op) for op in Op}

@@ -50,9 +50,8 @@ class CommandMethods:
         namespace = {"__name__": cls.__module__, **cls.GLOBALS}
         if hasattr(sys.modules[cls.__module__], MARK):
             namespace[MARK] = True  # else the generated frames would pass for the user's
-        for op in Op:
-            if op.method not in vars(cls):
-                setattr(cls, op.method, _make_method(cls, op, namespace))
+        for name, method in _make_methods(cls, namespace).items():
+            setattr(cls, name, method)
 
     if TYPE_CHECKING:  # the methods that __init_subclass__ generates
         create_buffer = Backend.create_buffer
@@ -97,24 +96,29 @@ class CommandMethods:
         present = Backend.present
 
 
-def _make_method(cls: type[CommandMethods], op: Op, namespace: dict[str, object]) -> Callable[..., Any]:
-    lines = [f"def {op.method}({', '.join(('self', *op.parameters))}):"]
-    for name, annotation in op.parameters.items():
-        if annotation == "BytesLike":
-            lines.append(f"    {name} = bytes({name})")
-        elif annotation.startswith("Sequence["):
-            lines.append(f"    {name} = tuple({name})")
-    arguments = "".join(f"{name}, " for name in op.parameters)
-    body = cls.METHOD.format(op=int(op), method=op.method, arguments=arguments)
-    source = "\n".join((*lines, body))
-    file = f"<{cls.__module__}.{cls.__qualname__}.{op.method}>"
+def _make_methods(cls: type[CommandMethods], namespace: dict[str, object]) -> dict[str, Callable[..., Any]]:
+    """Return the methods that a class doesn't define itself. They are compiled together, in half the time."""
+    lines: list[str] = []
+    for op in Op:
+        if op.method in vars(cls):
+            continue
+        lines.append(f"def {op.method}({', '.join(('self', *op.parameters))}):")
+        for name, annotation in op.parameters.items():
+            if annotation == "BytesLike":
+                lines.append(f"    {name} = bytes({name})")
+            elif annotation.startswith("Sequence["):
+                lines.append(f"    {name} = tuple({name})")
+        arguments = "".join(f"{name}, " for name in op.parameters)
+        lines.append(cls.METHOD.format(op=int(op), method=op.method, arguments=arguments))
+    source = "\n".join(lines)
+    file = f"<{cls.__module__}.{cls.__qualname__}>"
     linecache.cache[file] = (len(source), None, source.splitlines(keepends=True), file)  # for tracebacks
     made: dict[str, Any] = {}
     exec(compile(source, file, "exec"), namespace, made)
-    method: Callable[..., Any] = made[op.method]
-    method.__qualname__ = f"{cls.__qualname__}.{op.method}"
-    method.__doc__ = getattr(Backend, op.method).__doc__
-    return method
+    for name, method in made.items():
+        method.__qualname__ = f"{cls.__qualname__}.{name}"
+        method.__doc__ = getattr(Backend, name).__doc__
+    return made
 
 
 class _NoFrame:

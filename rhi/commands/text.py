@@ -10,7 +10,7 @@ import dataclasses
 import enum
 from collections.abc import Mapping
 
-from rhi.contract.states import StateChange
+from rhi.contract.states import PlatformState, StateChange
 
 __rhi_internal__ = True
 
@@ -38,6 +38,8 @@ def describe(value: object) -> str:
 def _describe_change(change: StateChange) -> str:
     if not isinstance(change.value, tuple):
         return describe(change.value)
+    if change.type is PlatformState:
+        return ", ".join(map(describe, change.value)) or "no PlatformState"
     first = change.value[0]
     if all(value == first for value in change.value):  # the same for all targets
         return describe(first)

@@ -77,7 +77,7 @@ STEPS: Final = (
         "all together",
         (),
         ("operation · interplay", "operation · command buffers", "validation · refusals", "validation · capabilities",
-         "validation · threads"),
+         "validation · threads", "validation · scopes", "validation · platform states"),
     ),
 )  # fmt: skip
 

@@ -38,7 +38,7 @@ from rhi.contract.descriptors import (
     VertexArrayDescriptor,
 )
 from rhi.contract.formats import Format
-from rhi.contract.states import StateChange
+from rhi.contract.states import PlatformState, StateChange
 
 __rhi_internal__ = True
 
@@ -116,6 +116,8 @@ class Capabilities:
     blend_per_target: bool = True
     wireframe: bool = False
     """Whether triangles can be drawn as their edges: `PolygonMode.LINE`."""
+    platform_states: frozenset[type[PlatformState]] = frozenset()
+    """The types of states that only this platform has."""
     border_colors: bool = True
     """Whether samplers can have `Wrap.BORDER`, with any border color."""
     texture_buffer_copies: bool = False

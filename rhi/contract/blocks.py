@@ -392,7 +392,7 @@ _FLOAT_MODES: Final = {
     )),
 }
 _PARTITION_START: Final = 77
-_FIELD: Final = re.compile(r"([rgb])([wxyz])(\d+)(?::(\d+))?")
+_FIELD: Final = r"([rgb])([wxyz])(\d+)(?::(\d+))?"
 
 
 def _decode_floats(blocks: NDArray[np.uint8], signed: bool) -> NDArray[np.float16]:
@@ -416,7 +416,7 @@ def _decode_float_mode(
     bits: NDArray[np.uint8], mode: _FloatMode, start: int, signed: bool
 ) -> NDArray[np.uint16]:
     ends = np.zeros((len(bits), 4, 3), np.int32)
-    for channel, end, first, last in _FIELD.findall(mode.fields):
+    for channel, end, first, last in re.findall(_FIELD, mode.fields):
         step = 1 if int(first) <= int(last or first) else -1
         for bit in range(int(first), int(last or first) + step, step):
             ends[:, "wxyz".index(end), "rgb".index(channel)] |= bits[:, start].astype(np.int32) << bit

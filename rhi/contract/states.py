@@ -505,6 +505,32 @@ class LineWidth(_Value):
         Fields(self, STATE_VALUE).numbers("width", least=1)
 
 
+class PlatformState(enum.Enum):
+    """Base class of states that only one platform has (thesis 3.3). Its first member is the default.
+
+    A backend derives an enum from it and names it in `Capabilities.platform_states`. Scopes accept its members on
+    devices that name it, and refuse it elsewhere (`platform-state`). The state vector has one entry for all of them:
+    the members that differ from their defaults, sorted by name.
+    """
+
+    __hash__ = object.__hash__
+
+    @property
+    def full_name(self) -> str:
+        """The name of this value in traces: backend, state and value."""
+        return f"{type(self).platform()}.{type(self).__name__}.{self.name}"
+
+    @classmethod
+    def platform(cls) -> str:
+        """Return the name of the backend that has this state."""
+        raise NotImplementedError
+
+    @classmethod
+    def default(cls) -> PlatformState:
+        """Return the value outside all scopes."""
+        return next(iter(cls))
+
+
 State: TypeAlias = (
     CullMode
     | FrontFace
@@ -530,6 +556,7 @@ State: TypeAlias = (
     | AlphaToCoverage
     | LineWidth
     | PolygonMode
+    | PlatformState
 )
 """Any render state value."""
 
@@ -559,15 +586,15 @@ DEFAULTS: Final[dict[type, State]] = {
     LineWidth: LineWidth(),
     PolygonMode: PolygonMode.FILL,
 }
-"""The value of each state outside all scopes."""
+"""The value of each state outside all scopes, except those of single platforms, each of which has its own default."""
 
-STATE_TYPES: Final = tuple(DEFAULTS)
+STATE_TYPES: Final[tuple[type, ...]] = (*DEFAULTS, PlatformState)
 PER_TARGET: Final = (ColorWrite, BlendFunction)
 
 
 class StateChange(NamedTuple):
     """A new value of one state type. For `ColorWrite` and `BlendFunction`, `value` is a tuple of 8, one per target; for
-    the other types it is the state itself."""
+    `PlatformState` a tuple of all that differ from their defaults; for the other types it is the state itself."""
 
     type: type
     value: object
@@ -575,4 +602,4 @@ class StateChange(NamedTuple):
 
 def default_values() -> tuple[object, ...]:
     """Return the default value of each state type, in the order of `STATE_TYPES`."""
-    return tuple((v,) * MAX_TARGETS if t in PER_TARGET else v for t, v in DEFAULTS.items())
+    return (*((v,) * MAX_TARGETS if t in PER_TARGET else v for t, v in DEFAULTS.items()), ())

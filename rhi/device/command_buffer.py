@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import partial
 from operator import length_hint
+from threading import get_ident
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -38,7 +39,7 @@ from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.state_cache import StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.device.encoder import Encoder, check_drawable
-from rhi.device.queries.occlusion import Conditional, OcclusionQuery
+from rhi.device.queries.occlusion import Conditional, OcclusionQuery, OpenQuery
 from rhi.device.queries.sets import QuerySet
 from rhi.device.queries.timers import Timers
 from rhi.device.recording import RecordedProgram, RecordingCore
@@ -119,6 +120,7 @@ class CommandBuffer(Encoder):
                 RECORD_STATE, "device.record", f"a command buffer that is {self._state}", "a new one"
             )
         self._state = _RECORDING
+        self._recorder.thread = get_ident()
         self._recorder.recording = True
         if self.label:
             self._writer.push_label(self.label)
@@ -128,9 +130,14 @@ class CommandBuffer(Encoder):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         core = self._recorder
+        if self._state is not _RECORDING:
+            core.scopes.refuse_unopened("device.record()", error)
+            return
+        core.check_thread("the end of device.record()")
         core.recording = False
         self._state = _INVALID
         left = self._find_open()
+        core.scopes.close()
         self._programs.clear()  # with the draws that they have prepared
         if kind is not None:
             return
@@ -144,16 +151,8 @@ class CommandBuffer(Encoder):
         self._state = _READY
 
     def _find_open(self) -> list[str]:
-        """Return the names of everything that is still open."""
-        core = self._recorder
-        depth = core.states.depth
-        return [
-            *(["a query"] if core.open_query is not None else []),
-            *(["a render pass"] if core.render_pass is not None else []),
-            *([f"{depth} scopes of states"] if depth else []),
-            *([f"{self._timers.depth} events"] if self._timers.depth else []),
-            *(["a condition"] if core.condition_open else []),
-        ]
+        """Return the texts of everything that is still open."""
+        return [scope.describe() for scope in self._recorder.scopes]
 
     def _draw(self, program: Program[Any], mesh: Drawable, instances: int = 1, /, **bindings: Any) -> None:
         """Draw `mesh` with `program`; see `Encoder.draw`."""
@@ -382,7 +381,7 @@ class CommandBuffer(Encoder):
 class RecordedQuery:
     """A `with commands.query(query):` block."""
 
-    __slots__ = ("_core", "_query")
+    __slots__ = ("_core", "_query", "_scope")
 
     def __init__(self, core: RecordingCore, query: OcclusionQuery) -> None:
         call = "commands.query"
@@ -392,6 +391,7 @@ class RecordedQuery:
         query.check_usable(core.device, call)
         self._core = core
         self._query = query
+        self._scope = OpenQuery(core)
 
     def __enter__(self) -> None:
         core, query, call = self._core, self._query, "commands.query"
@@ -404,18 +404,22 @@ class RecordedQuery:
             core.refuse(QUERY_STATE, call, "the same query twice in a command buffer", "each query once")
         for resource in query.ids:
             core.note_use(resource, query)
+        self._scope.owner = self
+        core.scopes.push(self._scope)
         query.write_begin(core)
-        core.open_query = self
+        core.open_query = self._scope
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        self._core.scopes.leave(self._scope, error)
+
+    def complete(self) -> None:
+        """End the query."""
         core = self._core
-        if core.open_query is self:
-            core.open_query = None
-            self._query.write_end(core)
-            core.counters.queries += 1
-            core.queries[self._query.id] = self._query.mark_submitted
+        self._query.write_end(core)
+        core.counters.queries += 1
+        core.queries[self._query.id] = self._query.mark_submitted
 
     def abandon(self) -> None:
         """End the query, as its pass ends."""

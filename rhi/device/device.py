@@ -9,6 +9,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Callable, Sequence
 from functools import wraps
@@ -49,7 +50,7 @@ from rhi.contract.states import (
 from rhi.device.command_buffer import CommandBuffer, check_submissions
 from rhi.device.core.core import NO_THREAD, Core, Statistics, ValidatingCore
 from rhi.device.core.refusals import RefusalLog
-from rhi.device.core.state_cache import StateCache, StateScope
+from rhi.device.core.state_cache import StateCache
 from rhi.device.encoder import Encoder
 from rhi.device.preparation import DrawPlan, Preparation, prepare
 from rhi.device.queries.occlusion import OcclusionQuery
@@ -75,6 +76,7 @@ from rhi.errors.rules import (
     DEVICE_NOT_RECORDING,
     LOCK_OPEN,
     PASS_OPEN,
+    SCOPE_OPEN,
     TEXTURE_DATA,
     TEXTURE_SIZE,
 )
@@ -113,14 +115,18 @@ class Device(Encoder):
         capabilities = backend.capabilities
         self._backend = backend
         refusals = RefusalLog(backend)
-        states = StateCache(_unsupported_states(capabilities), capabilities.max_line_width, refusals=refusals)
+        states = StateCache(
+            _unsupported_states(capabilities),
+            capabilities.max_line_width,
+            refusals=refusals,
+            platform_states=capabilities.platform_states,
+        )
         core = (ValidatingCore if validation else Core)(backend, states, refusals)
         super().__init__(core, Timers(core, timing and capabilities.timestamps), TransientMemory(core))
         self._programs = ProgramTable(core.timeline)
         self._frames: deque[int] = deque()
         self._frames_in_flight = frames_in_flight
-        if validation:
-            self._scope = self._validated_scope
+        core.scopes.keeps_lines = validation
 
     # -- life --------------------------------------------------------------------------------------------
 
@@ -138,8 +144,9 @@ class Device(Encoder):
         """Release the device and all of its resources; a second call does nothing.
 
         Raises:
-            ValidationError: `lock-open` if a lock was never released (unless `quiet`); the device is
-                closed nevertheless. `device-thread` on another thread; the device stays open.
+            ValidationError: `scope-open` inside a scope, `lock-open` if a lock was never released; the device is
+                closed nevertheless. Neither is raised if `quiet`, nor while an exception is being handled, which it
+                would hide. `device-thread` on another thread; the device stays open.
         """
         core = self._core
         quiet = Arguments("device.close", core.refuse).flag("quiet", quiet)
@@ -151,8 +158,15 @@ class Device(Encoder):
         core.resume()
         core.closed = True
         core.program = None
+        core.scopes.end_unheld()
+        surrounding = core.scopes.describe_open()
+        core.scopes.close()
         self._backend.close()
-        if core.locked and not quiet:
+        if quiet or sys.exc_info()[0] is not None:
+            return
+        if surrounding:
+            core.refuse(SCOPE_OPEN, "device.close", f"a call inside {surrounding}", "no open scope")
+        if core.locked:
             shown = ", ".join(repr(owner) for owner in core.locked)
             core.refuse(LOCK_OPEN, "device.close", f"open locks of {shown}", "none", "lock in a `with` block")
 
@@ -203,10 +217,12 @@ class Device(Encoder):
     @property
     def statistics(self) -> Statistics:
         """A snapshot of the counters since creation or the last `reset_statistics`."""
+        self._core.check_thread("device.statistics")
         return self._core.statistics()
 
     def reset_statistics(self) -> None:
         """Set all counters to zero."""
+        self._core.check_thread("device.reset_statistics")
         self._core.reset_statistics()
 
     @property
@@ -512,6 +528,8 @@ class Device(Encoder):
         Buffers and textures are read as they are at that time. The device's state scopes don't apply to the commands
         inside, nor the other way round.
 
+        It may lie inside events and conditions, which then apply to the commands, but not inside a pass.
+
         Raises:
             ValidationError: `record-state` for an incomplete command buffer, `resource-destroyed` for one that uses a
                 destroyed resource, `lock-open`, `query-state`, `pass-open` inside a render pass, `condition-nested`
@@ -524,11 +542,6 @@ class Device(Encoder):
         check_submissions(buffers, core)
         for buffer in buffers:
             buffer.execute()
-
-    def _validated_scope(self, states: tuple[State, ...]) -> StateScope:
-        """Create a scope of states, with validation."""
-        self._core.check_ready()
-        return self._core.states.scope(states)
 
     # -- time --------------------------------------------------------------------------------------------
 
@@ -578,6 +591,7 @@ class Device(Encoder):
 
     @timing.setter
     def timing(self, on: bool) -> None:
+        self._core.check_thread("device.timing")
         on = Arguments("device.timing", self._core.refuse).flag("on", on)
         if on and not self._core.capabilities.timestamps:
             self._core.refuse(DEVICE_CAPABILITY, "device.timing", "True", "needs capabilities.timestamps")
@@ -596,11 +610,16 @@ class Device(Encoder):
 
         Blocks only if the CPU is more than `frames_in_flight` frames ahead. Transient memory of the frame
         is reused once the GPU has executed the frame.
+
+        Raises:
+            ValidationError: `pass-open` inside a render pass, `scope-open` inside any other scope, whose end would
+                belong to another frame.
         """
         core = self._core
         core.check_ready()
         if core.has_open_pass():
             core.refuse(PASS_OPEN, "device.present", "an open render pass")
+        core.scopes.refuse_open("device.present")
         if image is not None:
             check = Arguments("device.present", core.refuse)
             check.instance("image", image, Texture, "a Texture, or None")

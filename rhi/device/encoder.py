@@ -17,7 +17,7 @@ from typing_extensions import ParamSpec
 from rhi.contract.descriptors import DRAW, Primitive
 from rhi.contract.states import State
 from rhi.device.core.core import Core
-from rhi.device.core.state_cache import StateScope
+from rhi.device.core.state_cache import StateScope, ValidatedScope
 from rhi.device.immediate import Immediate
 from rhi.device.passes import Clear, RenderPass, RenderTarget
 from rhi.device.queries.occlusion import Conditional, OcclusionQuery
@@ -76,7 +76,8 @@ class Encoder:
 
     def __init__(self, core: Core, timers: Timers, transient: TransientMemory) -> None:
         self._core = core
-        self._scope = core.states.scope
+        self._states = core.states
+        self._scope_type = ValidatedScope if core.validates else StateScope
         self._timers = timers
         self._transient = transient
 
@@ -105,7 +106,9 @@ class Encoder:
 
     def states(self, *states: State) -> StateScope:
         """Create a scope of states: `with device.states(CullMode.NONE, DepthWrite.OFF):`; restored at its end."""
-        return self._scope(states)
+        scope = self._scope_type()  # as `StateCache.scope`, without its call
+        scope.cache, scope.states, scope.before = self._states, states, None
+        return scope
 
     def event(self, label: str) -> EventScope:
         """Create an event: `with device.event("shadows"):` labels and, with timing on, times the commands inside."""

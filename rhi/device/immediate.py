@@ -17,7 +17,7 @@ from rhi.device.resources.meshes import as_structured, check_finite
 from rhi.device.resources.programs import Program
 from rhi.device.transient import EMPTY_MESH, TransientMemory, VertexArrays, pack_vertices, vertex_dtype
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import IMMEDIATE_VERTEX
+from rhi.errors.rules import IMMEDIATE_VERTEX, SCOPE_ORDER
 
 if TYPE_CHECKING:
     from rhi.shading import Struct
@@ -103,13 +103,18 @@ class Immediate(Generic[S]):
         self._dtype = vertex_dtype(self._attributes)
 
     def __enter__(self) -> Self:
-        self._program.core.check_command()
+        core = self._program.core
+        core.check_command()
+        if self._open:
+            core.refuse(SCOPE_ORDER, "device.immediate", "a block that is open already", "one begin for each end")
         self._open = True
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        if not self._open:
+            self._program.core.scopes.refuse_unopened("device.immediate", error)
         self._open = False
         try:
             if kind is not None:

@@ -6,16 +6,17 @@ also after an exception.
 
 from __future__ import annotations
 
-import weakref
 from collections.abc import Sequence
 from types import TracebackType
 from typing import Any, Final, TypeAlias, TypeVar, cast
+from weakref import ref
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rhi.contract.descriptors import Attachment, DepthAttachment, PassDescriptor, TextureKind, Vec4
-from rhi.device.core.core import Core, describe_object, lost_pass
+from rhi.device.core.core import NO_TARGETS, Core, describe_object, lost_pass
+from rhi.device.core.scopes import Bracket
 from rhi.device.resources.programs import shader_kind
 from rhi.device.resources.textures import Texture, TextureTarget
 from rhi.errors import DeviceError
@@ -41,10 +42,40 @@ Clear: TypeAlias = Color | Sequence[Color | None] | None
 _CLEAR: Final = "4 finite numbers: red, green, blue, alpha"
 
 
+class OpenPass(Bracket):
+    """The scope of a render pass.
+
+    Attributes:
+        lost: whether another context was current at the end of the pass.
+    """
+
+    __slots__ = ("_core", "_label", "lost")
+
+    def __init__(self, core: Core, block: RenderPass, label: str) -> None:
+        self.scopes = core.scopes
+        self.block = ref(block)
+        self._core = core
+        self._label = label
+        self.lost = False
+
+    def describe(self) -> str:
+        return f"render pass {self._label!r}" if self._label else "a render pass"
+
+    def finish(self, failed: bool) -> None:
+        core, scopes = self._core, self.scopes
+        index = scopes._index - 1  # from here on nothing may be interrupted before `end_pass`, so it calls nothing
+        scopes._data[index] = None
+        scopes._index = index
+        core.render_pass, core.targets, core.target_kinds, core.program = None, NO_TARGETS, (), None
+        core.backend.end_pass()
+        if self.lost and not failed:
+            core.refusals.fail(lost_pass())
+
+
 class RenderPass:
     """A `with device.render_pass(...)` block."""
 
-    __slots__ = ("__weakref__", "_conditional", "_core", "_depth", "_descriptor", "_kinds", "_resolves", "_textures")
+    __slots__ = ("__weakref__", "_core", "_descriptor", "_kinds", "_open", "_resolves", "_textures")
 
     def __init__(
         self,
@@ -58,6 +89,7 @@ class RenderPass:
         label: str,
     ) -> None:
         self._core = core
+        self._open = OpenPass(core, self, label)
         check = Arguments("device.render_pass", core.refuse)
         check.text("label", label)
         if clear_depth is not None:
@@ -95,7 +127,8 @@ class RenderPass:
     def __enter__(self) -> None:
         core = self._core
         core.check_ready()
-        if core.has_open_pass():
+        core.scopes.end_unheld()
+        if core.render_pass is not None:
             core.refuse(PASS_NESTED, "device.render_pass", "a second pass")
         for texture in (*self._textures, *self._resolves):
             core.check_usable(texture, "device.render_pass")
@@ -104,11 +137,11 @@ class RenderPass:
         core.target_kinds = self._kinds
         core.render_pass = self._descriptor
         try:
-            core.pass_block = weakref.ref(self)
-            self._depth, self._conditional = core.states.depth, core.condition_open
+            core.scopes.push(self._open)
             core.backend.begin_pass(self._descriptor)
         except BaseException:
             core.leave_pass()
+            core.scopes.withdraw(self._open)
             raise
 
     def __exit__(
@@ -116,33 +149,24 @@ class RenderPass:
     ) -> None:
         core = self._core
         core.check_thread("the end of a render pass")
-        core.leave_pass()
+        if core.closed:
+            core.leave_pass()
+            return
         try:
-            lost = core.resume_pass()
-            if kind is not None and not core.closed:
-                self._unwind()
-        except DeviceError:
+            self._open.lost = core.resume()
+        except DeviceError:  # nothing can end it any more, and the device may be made current later
+            core.leave_pass()
+            core.open_query = None
+            core.scopes.withdraw(self._open)
             raise
-        except BaseException:  # an interrupt
-            core.end_pass()
-            raise
-        abandoned = core.end_pass()
-        if lost and kind is None:
-            core.refusals.fail(lost_pass())
-        if abandoned and kind is None:
-            core.refuse(
-                QUERY_STATE,
-                "end of the render pass",
-                "an open occlusion query",
-                "a query that ends in its pass",
-            )
-
-    def _unwind(self) -> None:
-        """Leave the scopes and the condition inside, whose own ends an interrupt may have cut off."""
-        self._core.states.unwind(self._depth)
-        if self._core.condition_open and not self._conditional:
-            self._core.condition_open = False
-            self._core.backend.end_conditional()
+        query = core.open_query
+        abandoned = query is not None and core.scopes.top is query
+        if query is not None and abandoned:
+            query.cut_off()
+        core.scopes.leave(self._open, error)
+        if abandoned and error is None:
+            given, allowed = "an open occlusion query", "a query that ends in its pass"
+            core.refuse(QUERY_STATE, "the end of a render pass", given, allowed)
 
     def _check(
         self,

@@ -3,7 +3,7 @@
 - A `RecordingCore` has its own states, bindings and open pass, and uses the device's resources. It keeps which of
   them are used, and where.
 - A `RecordedProgram` is a program of the device with draw functions of its own (`draw_code`).
-- Nothing here calls the device's backend, so recording may run on any thread.
+- Nothing here calls the device's backend, so recording may run on any thread: the one that enters its block.
 """
 
 from __future__ import annotations
@@ -81,7 +81,11 @@ class RecordingCore(Core):
             )
 
     check_command = check_open
-    check_ready = check_open
+
+    def check_ready(self) -> None:
+        """Refuse what `check_open` does, and calls on another thread than the one that records."""
+        self.check_open()
+        self.check_thread("commands")
 
     def check_usable(self, owner: Owner, call: str) -> None:
         """Refuse a resource that is destroyed, locked, or of another device; otherwise note its use."""

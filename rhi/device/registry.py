@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import os
 from collections.abc import Callable, Mapping
@@ -112,8 +111,10 @@ def find_function(name: str) -> Callable[..., Backend]:
     if ":" in name:
         point = EntryPoint(name, name, GROUP)
     if point is None:
+        from difflib import get_close_matches  # which only errors need
+
         names = backend_names()
-        close = difflib.get_close_matches(name, names, 1)
+        close = get_close_matches(name, names, 1)
         tip = f"did you mean {close[0]!r}?" if close else ""
         raise DeviceError(DEVICE_UNKNOWN, f"rhi.create_device({name!r})", repr(name), ", ".join(names), tip)
     try:

@@ -32,6 +32,11 @@ STATE_DUPLICATE: Final = Rule(
 STATE_CAPABILITY: Final = Rule(
     "state-capability", "the device doesn't support this state", "check device.capabilities first"
 )
+PLATFORM_STATE: Final = Rule(
+    "platform-state",
+    "the device's platform doesn't have this state",
+    "use it only where capabilities.platform_states names its type",
+)
 
 # -- device ----------------------------------------------------------------------------------------------
 
@@ -197,6 +202,9 @@ CONDITION_NESTED: Final = Rule(
 )
 QUERY_ROWS: Final = Rule("query-rows", "the rows don't match the draws or the query set")
 SCOPE_ORDER: Final = Rule("scope-order", "scopes must be left in the reverse order of entry", "use `with`")
+SCOPE_OPEN: Final = Rule(
+    "scope-open", "this can't be done while a scope is open", "leave the scope's `with` block first"
+)
 BINDING_NAME: Final = Rule("binding-name", "a binding can't have this name", "rename the shader's field")
 
 # -- commands and the null device ------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from rhi.commands.ops import DRAWS, Op
 from rhi.commands.stream import Command
 from rhi.commands.text import describe
 from rhi.contract.descriptors import Id, ProgramDescriptor
-from rhi.contract.states import MAX_TARGETS, PER_TARGET
+from rhi.contract.states import MAX_TARGETS, PER_TARGET, PlatformState
 from rhi.testing.contents import BufferTracker, UnknownContentsError, bindings_of, describe_differences
 
 
@@ -119,6 +119,9 @@ class HasStates:
     @staticmethod
     def _current(current: Mapping[type, object], state: object) -> Iterable[object]:
         """Return the current values to compare with `state`: one, or one for each target that it applies to."""
+        if isinstance(state, PlatformState):
+            own: Any = current.get(PlatformState)
+            return (next((each for each in own if type(each) is type(state)), state.default()),)
         value: Any = current.get(type(state))
         if type(state) not in PER_TARGET:
             return (value,)

@@ -13,13 +13,15 @@ import dataclasses
 import enum
 import types
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from typing import Any, Final, Union, get_args, get_origin, get_type_hints
 
 from rhi.commands.ops import Op
 from rhi.contract.backend import Backend
 from rhi.contract.descriptors import Attribute, Binding, ProgramDescriptor, Stage, StageText
-from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, StateChange
+from rhi.contract.states import MAX_TARGETS, PER_TARGET, STATE_TYPES, PlatformState, StateChange
+from rhi.device.registry import find_function
 from rhi.errors import RhiError, ShaderError
 from rhi.trace.rules import TRACE_SOURCE
 
@@ -56,6 +58,8 @@ def encode(value: Any) -> Any:
     """Return a value of the contract as JSON. Memory and program sources are stored separately."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return value
+    if isinstance(value, PlatformState):
+        return value.full_name
     if isinstance(value, enum.Enum):
         return value.name
     if isinstance(value, StateChange):
@@ -150,11 +154,26 @@ def _decode_change(given: Any, where: str) -> StateChange:
     if not isinstance(given, dict) or given.keys() != {"type", "value"} or given["type"] not in _STATES:
         raise MismatchError(f"{where}: {_show(given)} is no change of a state")
     state_type = _STATES[given["type"]]
+    if state_type is PlatformState:
+        names = decode(tuple[str, ...], given["value"], f"{where}.value")
+        return StateChange(state_type, tuple(_find_platform_state(name, where) for name in names))
     if state_type in PER_TARGET:
         wanted: Any = tuple.__class_getitem__((state_type,) * MAX_TARGETS)
     else:
         wanted = state_type
     return StateChange(state_type, decode(wanted, given["value"], f"{where}.value"))
+
+
+def _find_platform_state(name: str, where: str) -> PlatformState:
+    """Return a platform's state by its full name; its backend's package is imported."""
+    platform, _, _ = name.partition(".")
+    with suppress(RhiError):
+        find_function(platform)
+    for state_type in PlatformState.__subclasses__():
+        for state in state_type:
+            if state.full_name == name:
+                return state
+    raise MismatchError(f"{where}: no backend has the state {_show(name)}")
 
 
 def _decode_program(given: Any, where: str) -> ProgramDescriptor:

@@ -34,7 +34,7 @@ from rhi.contract.descriptors import (
     TextureKind,
     VertexArrayDescriptor,
 )
-from rhi.contract.states import AlphaTest, AlphaToCoverage, LineWidth, PolygonMode, StencilTest
+from rhi.contract.states import AlphaTest, AlphaToCoverage, LineWidth, PlatformState, PolygonMode, StencilTest
 from rhi.errors import refuse
 from rhi.trace.archive import ArchiveReader
 from rhi.trace.rules import TRACE_CAPABILITY, TRACE_REFERENCE, TRACE_SIZE
@@ -503,6 +503,9 @@ def _limit_pass(limits: Capabilities, values: Any) -> Iterator[str]:
 def _limit_states(limits: Capabilities, values: Any) -> Iterator[str]:
     for change in values[0]:
         value = change.value
+        for state in value if change.type is PlatformState else ():
+            if type(state) not in limits.platform_states:
+                yield f"needs capabilities.platform_states with {state.full_name}"
         if isinstance(value, AlphaTest | StencilTest | AlphaToCoverage | PolygonMode) and value in _STATE_CAPABILITIES:
             name = _STATE_CAPABILITIES[value]
             if not getattr(limits, name):

@@ -170,8 +170,9 @@ class House:
         core.unlock()
         assert core.locked == []
         assert core.created is None
-        assert core.render_pass is None or core.pass_block() is None
-        assert core.states.depth == 0
+        core.scopes.end_unheld()  # as the next pass does
+        assert list(core.scopes) == []
+        assert core.render_pass is None
         assert core.states.wanted[Scissor] == Scissor.OFF
         assert core.open_query is None
         assert not core.condition_open

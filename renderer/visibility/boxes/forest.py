@@ -1,15 +1,17 @@
 """The hierarchy that occlusion culling traverses, as one camera sees it.
 
-Static objects are in a tree that is built once by surface area. Moving objects are in a second one, whose shape is
-kept while its bounds follow the objects, so that a node stays the same from frame to frame and its visibility can be
-remembered. Every leaf is one object: culling is then as exact as querying each object.
+Static objects are in a tree that is built once by surface area. Moving objects are in a second one (thesis 5.2.1),
+split in the middle, whose bounds follow the objects. It is kept as long as it is about as good as when it was built, so
+that a node stays the same from frame to frame and its visibility can be remembered; then it is rebuilt. Below the
+leaves of the traversal the trees go on to single objects, whose boxes say what is in view, and fit leaves closely.
 
 All that depends on the camera is computed for all nodes at once, before the traversal. The traversal itself is
-Python, node by node, and reads bytes and lists.
+Python, node by node, and reads bytes and lists. Its `Frontier` walks all trees together, front to back.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -18,7 +20,7 @@ from renderer.scene import Camera, Scene
 from renderer.scene.arrays import Floats, Rows
 from renderer.visibility.boxes.bounds import QueryBoxes, see_boxes, squared_distances
 from renderer.visibility.boxes.culling import find_visible
-from renderer.visibility.boxes.hierarchy import Hierarchy, build_by_area, build_by_median
+from renderer.visibility.boxes.hierarchy import build_by_area, build_by_middle
 from renderer.visibility.boxes.volumes import TightestBoxes
 
 __rhi_internal__ = True
@@ -27,6 +29,9 @@ OUTSIDE: Final = 0
 INSIDE: Final = 1
 NEAR: Final = 2
 """The status of a node: outside the frustum, inside (to be queried), or so near that it counts as visible."""
+
+WORN: Final = 1.2
+"""The factor by which the cost of the moving objects' tree may grow before it is rebuilt."""
 
 _DEPTH: Final = 3
 _GROWTH: Final = 1.4
@@ -38,129 +43,216 @@ class Forest:
     Attributes:
         roots: the roots of the trees that are not empty.
         parent: for each node its parent, -1 for roots. child: the first child, whose sibling is the next node; -1 for
-            leaves. object: the row of a leaf's object, -1 for other nodes.
-        lower, upper: (m, 3) bounds, as of the last `update`.
-        status: OUTSIDE, INSIDE or NEAR for each node. second_first: 1 where the second child is the nearer one.
-        runs: for each node the begin and end of its objects in `order`, which holds the rows of all objects.
+            nodes of at most `leaf_size` objects, the leaves of the traversal. object: the row of the object of a node
+            that has only one, -1 for other nodes.
+        moving: the nodes of the moving objects' tree, as a slice.
+        lower, upper: (m, 3) bounds, as of the last `follow`.
+        status: OUTSIDE, INSIDE or NEAR for each node.
+        front_to_back: the nodes that aren't outside, by the distance of their boxes from the eye, of equally near boxes
+            by that of their centres. place: the index of each of these nodes in it.
+        first, count: (m,) for each node its run of `order`, which holds the rows of all objects.
         tight: node after node, the nodes whose boxes fit it more closely: nodes below it, or the node itself.
         tight_sizes: (m,) the number of these for each node.
     """
 
-    def __init__(self, scene: Scene) -> None:
-        objects = scene.objects
-        self._objects = objects
-        kinds = ((objects.static_rows, build_by_area), (objects.dynamic_rows, build_by_median))
+    def __init__(self, scene: Scene, leaf_size: int = 1) -> None:
+        self._objects = objects = scene.objects
+        self._leaf_size = leaf_size
+        self._tightest = TightestBoxes(scene)
+        self._in_view = np.ones(len(objects), bool)
+        kinds = ((objects.static_rows, build_by_area), (objects.dynamic_rows, build_by_middle))
         self._trees = [
             (rows, build(objects.lower[rows], objects.upper[rows], leaf_size=1))
             for rows, build in kinds
             if len(rows)
         ]
-        starts = np.cumsum([0, *(len(tree) for _, tree in self._trees)]).tolist()
-        self._starts: list[int] = starts
-        self.roots: list[int] = starts[:-1]
-        parts = [_number(rows, tree, start) for (rows, tree), start in zip(self._trees, starts, strict=False)]
-        parent, child, row = (
-            np.concatenate([np.zeros(0, np.int64), *(part[column] for part in parts)]) for column in range(3)
-        )
-        self.parent: list[int] = parent.tolist()
-        self.child: list[int] = child.tolist()
-        self.object: list[int] = row.tolist()
-        self.order, self.runs = self._find_runs()
-        self._inner: Rows = np.flatnonzero(child >= 0)
-        self._first: Rows = child[self._inner]
-        self._leaves: Rows = np.flatnonzero(child < 0)
-        self._leaf_objects: Rows = row[self._leaves]
-        self._in_view = np.ones(len(objects), bool)
-        self._leaf_of: Rows = np.zeros(len(objects), np.int64)
-        self._leaf_of[self._leaf_objects] = self._leaves
-        self._tightest = TightestBoxes(scene)
-        self.lower: Floats = np.zeros((3, len(child))).T  # columns are contiguous
-        self.upper: Floats = np.zeros((3, len(child))).T
-        for tree in range(len(self._trees)):
-            self._fit(tree)
-        self.status = bytes(len(child))
-        self.second_first = bytes(len(child))
-        tight = self._find_tight()
-        self.tight: Rows = np.array([one for chosen in tight for one in chosen], np.int64)
-        self.tight_sizes: Rows = np.array([len(chosen) for chosen in tight], np.int64)
+        *roots, count = np.cumsum([0, *(len(tree) for _, tree in self._trees)]).tolist()
+        self.roots: list[int] = roots
+        self.moving = slice(roots[-1] if len(objects.dynamic_rows) else count, count)
+        self.lower: Floats = np.zeros((3, count)).T  # columns are contiguous
+        self.upper: Floats = np.zeros((3, count)).T
+        self._number()
+        for (_, tree), root in zip(self._trees, roots, strict=True):
+            self.lower[root : root + len(tree)], self.upper[root : root + len(tree)] = tree.lower, tree.upper
+        self._built_cost = self._find_cost()
+        self._find_tight()
+        self.status = bytes(count)
+        self._front_to_back, self._place = np.zeros((2, count), np.int64)
+        self.front_to_back, self.place = self._front_to_back.data, self._place.data
 
     def __len__(self) -> int:
         return len(self.parent)
 
+    def follow(self) -> bool:
+        """Update the bounds of the moving objects' nodes. Return whether a `rebuild` is worth its time: whether the
+        tree's cost, the sum of its nodes' surfaces over its root's, has grown by a factor of WORN."""
+        if self.moving.start == self.moving.stop:
+            return False
+        rows, tree = self._trees[-1]
+        self.lower[self.moving], self.upper[self.moving] = tree.fit(
+            self._objects.lower[rows], self._objects.upper[rows]
+        )
+        return self._find_cost() > WORN * self._built_cost
+
+    def rebuild(self) -> None:
+        """Build the tree of the moving objects anew, as they are now. Its nodes get other objects; their number stays
+        the same."""
+        rows, _ = self._trees[-1]
+        tree = build_by_middle(self._objects.lower[rows], self._objects.upper[rows], leaf_size=1)
+        self._trees[-1] = (rows, tree)
+        self.lower[self.moving], self.upper[self.moving] = tree.lower, tree.upper
+        self._number()
+        self._built_cost = self._find_cost()
+        self._find_tight()
+
     def update(self, camera: Camera) -> QueryBoxes:
-        """Update bounds, status and order of all nodes for `camera`, and return the boxes to query each node by: for
-        a leaf, the tightest box of its object."""
-        if len(self._objects.dynamic_rows):
-            self._fit(len(self._trees) - 1)
+        """Update status and order of all nodes for `camera`, and return the boxes to query each node by: for a node of
+        one object, the tightest box of that object."""
         lower, upper, eye = self.lower, self.upper, camera.position
         rotated = self._tightest.find()
         boxes = see_boxes(camera, lower, upper, rotated, self._leaf_of[rotated.rows])
         status = find_visible(camera.frustum.planes, lower, upper).astype(np.uint8)
         status[boxes.near & (status == INSIDE)] = NEAR
         self.status = status.tobytes()
-        self._in_view[self._leaf_objects] = status[self._leaves] != OUTSIDE
+        self._in_view[:] = status[self._leaf_of] != OUTSIDE
 
+        seen = np.flatnonzero(status)
+        lower, upper = lower[seen], upper[seen]
         middle = 0.5 * (lower + upper)
-        distance = squared_distances(eye, lower, upper)
-        centre = squared_distances(eye, middle, middle)
-        first, second = self._first, self._first + 1
-        swap = (distance[second] < distance[first]) | (
-            (distance[second] == distance[first]) & (centre[second] < centre[first])
-        )
-        flags = np.zeros(len(self), np.uint8)
-        flags[self._inner] = swap
-        self.second_first = flags.tobytes()
+        distance, centre = squared_distances(eye, lower, upper), squared_distances(eye, middle, middle)
+        nearest_first = seen[np.lexsort((centre, distance))]
+        self._front_to_back[: len(seen)] = nearest_first
+        self._place[nearest_first] = np.arange(len(seen))
         return boxes
 
-    def _fit(self, tree: int) -> None:
-        """Update the bounds of a tree to those of its objects."""
-        rows, hierarchy = self._trees[tree]
-        run = slice(self._starts[tree], self._starts[tree + 1])
-        self.lower[run], self.upper[run] = hierarchy.fit(self._objects.lower[rows], self._objects.upper[rows])
+    def objects(self, nodes: Sequence[int]) -> Rows:
+        """Return the rows, ascending, of the objects below `nodes` that are not outside the frustum."""
+        runs = self._runs
+        rows: Rows = np.concatenate([self.order[runs[node]] for node in nodes])
+        rows = rows[self._in_view[rows]]
+        rows.sort()
+        return rows
 
-    def objects(self, node: int) -> Rows:
-        """Return the rows, ascending, of the objects below a node that are not outside the frustum."""
-        first, end = self.runs[node]
-        rows = self.order[first:end]
-        return np.sort(rows[self._in_view[rows]])
-
-    def _find_runs(self) -> tuple[Rows, list[tuple[int, int]]]:
-        order, runs, start = [np.zeros(0, np.int64)], [], 0
+    def _number(self) -> None:
+        """Number the nodes of all trees, and find the run and the leaf of each object."""
+        parents, children, firsts, counts, orders = [], [], [], [], []
+        start = objects = 0
         for rows, tree in self._trees:
-            order.append(rows[tree.order])
-            first = start + tree.first
-            runs += list(zip(first.tolist(), (first + tree.count).tolist(), strict=True))
-            start += len(rows)
-        return np.concatenate(order), runs
+            parents.append(np.where(tree.parent < 0, -1, tree.parent + start))
+            children.append(np.where(tree.child < 0, -1, tree.child + start))
+            firsts.append(tree.first + objects)
+            counts.append(tree.count)
+            orders.append(rows[tree.order])
+            start, objects = start + len(tree), objects + len(rows)
+        none = np.zeros(0, np.int64)
+        parent, child, self.first, self.count, self.order = (
+            np.concatenate([none, *parts]) for parts in (parents, children, firsts, counts, orders)
+        )
+        self._below: Rows = child  # of all inner nodes, also below the leaves of the traversal
+        single = np.flatnonzero(child < 0)
+        row = np.full(len(child), -1)
+        row[single] = self.order[self.first[single]]
+        self._leaf_of: Rows = np.zeros(objects, np.int64)
+        self._leaf_of[row[single]] = single
+        self.parent: list[int] = parent.tolist()
+        self.child: list[int] = np.where(self.count <= self._leaf_size, -1, child).tolist()
+        self.object: list[int] = row.tolist()
+        self._runs = [
+            slice(*run) for run in zip(self.first.tolist(), (self.first + self.count).tolist(), strict=True)
+        ]
 
-    def _find_tight(self) -> list[tuple[int, ...]]:
+    def _find_cost(self) -> float:
+        """Find the sum of the surfaces of the moving objects' nodes over that of their root."""
+        areas = _areas(self.lower[self.moving], self.upper[self.moving])
+        return float(areas.sum() / areas[0]) if len(areas) and areas[0] > 0.0 else 1.0
+
+    def _find_tight(self) -> None:
         """Find each node's tight bounds (CHC++, section 6).
 
         These are the nodes up to 3 levels below it, as long as the sum of the surfaces of their boxes is at most 1.4
-        times the node's own. They are chosen once: any nodes that together cover a node give correct results.
+        times the node's own. They are chosen when a tree is built: any nodes that together cover a node give correct
+        results.
         """
-        size = np.minimum(self.upper - self.lower, 1e100)
-        areas = (size * np.roll(size, 1, axis=1)).sum(axis=1).tolist()
-        tight = []
-        for node in range(len(self)):
-            chosen: tuple[int, ...] = (node,)
-            level = chosen
-            for _ in range(_DEPTH):
-                level = tuple(
-                    below
-                    for one in level
-                    for below in ((self.child[one], self.child[one] + 1) if self.child[one] >= 0 else (one,))
-                )
-                if level == chosen or sum(areas[one] for one in level) > _GROWTH * areas[node]:
-                    break
-                chosen = level
-            tight.append(chosen)
-        return tight
+        child = self._below
+        inner = np.flatnonzero(child >= 0)
+        areas = _areas(self.lower, self.upper)
+        levels, fits, below = np.zeros(len(areas), np.int64), np.ones(len(areas), bool), areas
+        for _ in range(_DEPTH):
+            deeper = below.copy()
+            deeper[inner] = below[child[inner]] + below[child[inner] + 1]
+            fits &= deeper <= _GROWTH * areas
+            levels += fits
+            below = deeper
+        nodes = np.arange(len(areas))
+        owners = nodes
+        for level in range(_DEPTH):
+            opened = (levels[owners] > level) & (child[nodes] >= 0)
+            copies = np.where(opened, 2, 1)
+            second = np.concatenate([nodes[:0], np.cumsum(copies)])[np.flatnonzero(opened)] - 1
+            nodes = np.repeat(np.where(opened, child[nodes], nodes), copies)
+            nodes[second] += 1
+            owners = np.repeat(owners, copies)
+        self.tight: Rows = nodes
+        self.tight_sizes: Rows = np.bincount(owners, minlength=len(areas))
 
 
-def _number(rows: Rows, tree: Hierarchy, start: int) -> tuple[Rows, Rows, Rows]:
-    """Return parents, children and objects of a tree whose first node gets the number `start`."""
-    leaf = tree.child < 0
-    parent = np.where(tree.parent < 0, -1, tree.parent + start)
-    child = np.where(leaf, -1, tree.child + start)
-    return parent, child, np.where(leaf, rows[tree.order[tree.first]], -1)
+class Frontier:
+    """The nodes that a traversal still has to visit, of all trees of a forest together; `pop` returns the nearest one.
+
+    Whatever hides the nearest point of a box is nearer itself. So when a node is popped, all that may hide it entirely
+    has been popped before, in whichever tree it is. Only what has become visible since then comes later.
+
+    A node is a flag at its place in the forest's order from front to back: the memory is of fixed size, and the next
+    node is found by one search through bytes.
+    """
+
+    __slots__ = ("_count", "_first", "_flags", "_forest")
+
+    def __init__(self, forest: Forest) -> None:
+        self._forest = forest
+        self._flags = bytearray(len(forest))
+        self._first = self._count = 0  # no flag is set before `_first`
+
+    def begin(self) -> None:
+        """Remove all nodes and add the roots, after an update of the forest."""
+        forest, flags = self._forest, self._flags
+        if self._count:  # left by a frame that raised
+            flags[:] = bytes(len(flags))
+        self._first, self._count = len(flags), 0
+        for root in forest.roots:
+            if forest.status[root]:
+                self._add(root)
+
+    def open(self, node: int) -> None:
+        """Add those children of an inner node that aren't outside the frustum."""
+        forest = self._forest
+        child, status = forest.child[node], forest.status
+        if status[child]:
+            self._add(child)
+        if status[child + 1]:
+            self._add(child + 1)
+
+    def pop(self) -> int:
+        """Remove the nearest node and return it. There must be one."""
+        place = self._flags.index(1, self._first)
+        self._flags[place] = 0
+        self._first = place
+        self._count -= 1
+        node: int = self._forest.front_to_back[place]
+        return node
+
+    def _add(self, node: int) -> None:
+        place = self._forest.place[node]
+        self._flags[place] = 1
+        self._count += 1
+        if place < self._first:
+            self._first = place
+
+    def __len__(self) -> int:
+        return self._count
+
+
+def _areas(lower: Floats, upper: Floats) -> Floats:
+    """Return half the surfaces (n,) of boxes (n, 3)."""
+    size = np.minimum(upper - lower, 1e100)
+    return np.asarray((size * np.roll(size, 1, axis=1)).sum(axis=1))

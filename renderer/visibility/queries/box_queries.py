@@ -78,18 +78,28 @@ class BoxQueries:
         self.stalled = 0.0
         self._program = device.program(QueryBoxShader)
         self._mesh = make_cube(device)
-        count = len(members)
+        self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
+        self._make_buffers(max(len(members), 1))
+        self.arrange(sizes, members)
+        self._free: list[OcclusionQuery] = []
+
+    def arrange(self, sizes: Rows, members: Rows) -> None:
+        """Give the nodes other boxes; the arguments are those of the constructor."""
+        if len(members) > len(self._buffer):
+            self._buffer.destroy()
+            self._turns.destroy()
+            self._make_buffers(len(members) + len(members) // 2)
         self._members = members
         self._draws = self._mesh.draws(instances=sizes, base_instance=np.cumsum(sizes) - sizes)
-        self._buffer = device.storage(QueryBox, max(count, 1), label="boxes")
-        self._camera = device.uniform(BoxCamera(relative_view_projection=np.eye(4)))
-        self._turns = device.storage(QueryBoxAxes, max(count, 1), label="turns of boxes")
         # Rows of `QueryBox` as plain floats: gathering whole rows is ten times as fast as gathering each field.
-        self._rows = np.zeros((count, 8), np.float32)
+        self._rows = np.zeros((len(members), 8), np.float32)
         self._directions: tuple[NDArray[np.float32], ...] = (
             np.zeros((0, 3), np.float32),
         ) * 2  # those on the device
-        self._free: list[OcclusionQuery] = []
+
+    def _make_buffers(self, room: int) -> None:
+        self._buffer = self.device.storage(QueryBox, room, label="boxes")
+        self._turns = self.device.storage(QueryBoxAxes, room, label="turns of boxes")
 
     def begin_frame(self, camera: Camera, boxes: QueryBoxes) -> None:
         """Upload the boxes of all nodes, gathered from `boxes`, and reset the counters."""
@@ -107,7 +117,7 @@ class BoxQueries:
         self._buffer.write(rows.view(self._buffer.dtype)[:, 0])
         directions = (boxes.x, boxes.y)
         if not all(map(np.array_equal, self._directions, directions)):
-            turns = np.zeros(len(rows), self._turns.dtype)
+            turns = np.zeros(len(members), self._turns.dtype)
             turns["x"], turns["y"] = boxes.x[members], boxes.y[members]
             self._turns.write(turns)
             self._directions = directions

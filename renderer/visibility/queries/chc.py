@@ -18,15 +18,13 @@ import numpy as np
 
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
+from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
 from renderer.visibility.queries.box_queries import BoxQueries
+from renderer.visibility.queries.memory import NodeMemory
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, FixedQueue, FixedStack, OcclusionQuery
+from rhi import Device, FixedQueue, OcclusionQuery
 
 __rhi_internal__ = True
-
-NEVER = -2
-"""A frame number for "not visited yet": it is less than that of any last frame."""
 
 
 class Chc:
@@ -34,44 +32,52 @@ class Chc:
 
     opens_pass: Final = False
 
-    def __init__(self, scene: Scene, device: Device, *, threshold: int = 0, emulated: bool = False) -> None:
-        """A node that passes at most `threshold` samples counts as hidden; `emulated` queries are two counters and a
-        fence."""
+    def __init__(
+        self,
+        scene: Scene,
+        device: Device,
+        *,
+        leaf_size: int = 1,
+        threshold: int = 0,
+        emulated: bool = False,
+    ) -> None:
+        """A leaf has at most `leaf_size` objects. A node that passes at most `threshold` samples counts as hidden.
+        `emulated` queries are two counters and a fence."""
         self._objects = scene.objects
-        self._forest = Forest(scene)
+        self._forest = Forest(scene, leaf_size)
         count = len(self._forest)
         self._queries = BoxQueries(device, np.ones(count, np.int64), np.arange(count), threshold, emulated)
-        self._visible = bytearray(count)
-        self._visited = [NEVER] * count
+        self._memory = NodeMemory(self._forest)
+        self._visible, self._visited = self._memory.visible, self._memory.visited
         self._frame = 0
         room = max(count, 1)
-        self._stack: FixedStack[int] = FixedStack(room)
+        self._frontier = Frontier(self._forest)
         self._query_queue: FixedQueue[tuple[int, bool, OcclusionQuery]] = FixedQueue(room)
         self._shown: list[int] = []
-        self._drawn = 0
+        self._drawn = self._batches = 0
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in the last frame."""
-        forest, queries, stack, query_queue = self._forest, self._queries, self._stack, self._query_queue
+        forest, frontier = self._forest, self._frontier
+        queries, query_queue = self._queries, self._query_queue
+        self._memory.follow(self._frame)
         queries.begin_frame(camera, forest.update(camera))
         self._frame += 1
-        self._drawn = 0
+        self._drawn = self._batches = 0
         self._shown.clear()
-        stack.clear()
+        frontier.begin()
         while query_queue:  # left by a frame that raised
             queries.release(query_queue.pop()[2])
-        for root in forest.roots:
-            stack.push(root)
-        while stack or query_queue:
-            while query_queue and (not stack or query_queue.front[2].is_finished):
+        while frontier or query_queue:
+            while query_queue and (not frontier or query_queue.front[2].is_finished):
                 self._resolve(*query_queue.pop(), scene_pass)
-            if stack:
-                self._visit(stack.pop(), scene_pass)
+            if frontier:
+                self._visit(frontier.pop(), scene_pass)
         pull_up(self._shown, self._visible, forest.parent)
         return VisibilityStatistics(
             objects=len(self._objects),
             visible=self._drawn,
-            batches=self._drawn,
+            batches=self._batches,
             queries=queries.issued,
             box_draws=queries.draws,
             boxes=queries.boxes,
@@ -80,13 +86,10 @@ class Chc:
 
     def _visit(self, node: int, scene_pass: ScenePass) -> None:
         forest, queries, visible = self._forest, self._queries, self._visible
-        status = forest.status[node]
-        if status == OUTSIDE:
-            return
         was_visible = bool(visible[node]) and self._visited[node] == self._frame - 1
         self._visited[node] = self._frame
         visible[node] = 0
-        if status == NEAR:
+        if forest.status[node] == NEAR:
             self._show(node, scene_pass)
         elif not was_visible:
             with queries.states():
@@ -115,16 +118,15 @@ class Chc:
         self._open(node, scene_pass)
 
     def _open(self, node: int, scene_pass: ScenePass) -> None:
-        """Draw a leaf; push the children of an inner node, the nearer one last, so that it is popped first."""
+        """Draw a leaf; have the children of an inner node visited."""
         forest = self._forest
-        child = forest.child[node]
-        if child < 0:
-            scene_pass.draw(np.array((forest.object[node],)))
-            self._drawn += 1
+        if forest.child[node] < 0:
+            rows = forest.objects((node,))
+            scene_pass.draw(rows)
+            self._drawn += len(rows)
+            self._batches += 1
         else:
-            nearer = forest.second_first[node]
-            self._stack.push(child + 1 - nearer)
-            self._stack.push(child + nearer)
+            self._frontier.open(node)
 
     def destroy(self) -> None:
         """Destroy the resources on the device."""

@@ -22,16 +22,15 @@ from math import exp
 from random import Random
 from typing import Final
 
-import numpy as np
-
 from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
-from renderer.visibility.boxes.forest import NEAR, OUTSIDE, Forest
+from renderer.visibility.boxes.forest import NEAR, Forest, Frontier
 from renderer.visibility.queries.box_queries import BoxQueries
-from renderer.visibility.queries.chc import NEVER, pull_up
+from renderer.visibility.queries.chc import pull_up
+from renderer.visibility.queries.memory import NodeMemory
 from renderer.visibility.scene_pass import ScenePass
-from rhi import Device, FixedQueue, FixedStack, OcclusionQuery, refuse
+from rhi import Device, FixedQueue, OcclusionQuery, refuse
 
 __rhi_internal__ = True
 
@@ -68,6 +67,7 @@ class ChcPlusPlus:
         *,
         batch: int = 50,
         persistence: int = 20,
+        leaf_size: int = 1,
         threshold: int = 0,
         emulated: bool = False,
         seed: int = 0,
@@ -77,46 +77,46 @@ class ChcPlusPlus:
         Args:
             batch: number of hidden nodes that are gathered before they are queried, 1 or more.
             persistence: number of frames for which a visible leaf isn't queried again, 1 or more.
+            leaf_size: largest number of objects in a leaf, 1 or more.
             threshold: a node that passes at most this many samples counts as hidden.
             emulated: whether queries are two counters and a fence, even if the device has its own.
             seed: the seed of the random numbers.
         """
-        if batch < 1 or persistence < 1:
-            given = f"batch={batch}, persistence={persistence}"
+        if min(batch, persistence, leaf_size) < 1:
+            given = f"batch={batch}, persistence={persistence}, leaf_size={leaf_size}"
             refuse(rules.BAD_PARAMETER, "ChcPlusPlus(...)", given, "1 or more")
         self._objects = scene.objects
-        self._forest = Forest(scene)
+        self._forest = Forest(scene, leaf_size)
         self._batch = batch
         self._persistence = persistence
         self._random = Random(seed)
         count = len(self._forest)
         self._queries = BoxQueries(device, self._forest.tight_sizes, self._forest.tight, threshold, emulated)
-        self._visible = bytearray(count)
-        self._visited = [NEVER] * count
-        self._hidden_since = [0] * count
-        self._next_query = [0] * count  # frame in which a visible leaf is queried again
+        self._memory = memory = NodeMemory(self._forest)
+        self._visible, self._visited = memory.visible, memory.visited
+        self._hidden_since, self._next_query = memory.hidden_since, memory.next_query
         self._is_queried = bytearray(count)  # leaves with a query whose result is not yet read
         self._frame = 0
         room = max(count, 1)
-        self._stack: FixedStack[int] = FixedStack(room)
+        self._frontier = Frontier(self._forest)
         self._i_queue: list[int] = []  # nodes
         self._requery: list[int] = []  # nodes of multiqueries in which something was visible
         self._v_queue: FixedQueue[int] = FixedQueue(room)  # leaves
         self._i_queries: FixedQueue[tuple[list[int], OcclusionQuery]] = FixedQueue(room)
         self._v_queries: FixedQueue[tuple[int, OcclusionQuery]] = FixedQueue(room)
-        self._render_queue: list[int] = []  # objects
+        self._render_queue: list[int] = []  # leaves
         self._shown: list[int] = []
         self._drawn = self._batches = self._visits = 0
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` sees, and what it saw in recent frames."""
-        forest, stack, pending, visit = self._forest, self._stack, self._i_queries, self._visit
+        forest, frontier, pending, visit = self._forest, self._frontier, self._i_queries, self._visit
         self._begin(camera)
         while True:
             while pending and pending.front[1].is_finished:
                 self._resolve(*pending.pop())
-            if stack:
-                visit(stack.pop())
+            if frontier:
+                visit(frontier.pop())
                 if len(self._i_queue) >= self._batch:
                     self._query_i_queue(scene_pass)
             elif self._i_queue or self._requery:
@@ -148,13 +148,16 @@ class ChcPlusPlus:
         )
 
     def _begin(self, camera: Camera) -> None:
-        """Read the results of the last frame's v-queue, and push the roots."""
+        """Read the results of the last frame's v-queue, and begin at the roots."""
         forest, queries = self._forest, self._queries
+        if self._memory.follow(self._frame):
+            self._release_leaves()  # their queries are about other objects
+            queries.arrange(forest.tight_sizes, forest.tight)
         queries.begin_frame(camera, forest.update(camera))
+        self._frontier.begin()
         self._frame += 1
         self._drawn = self._batches = self._visits = 0
         for left in (
-            self._stack,
             self._i_queue,
             self._requery,
             self._render_queue,
@@ -172,18 +175,13 @@ class ChcPlusPlus:
             elif self._visible[leaf]:
                 self._visible[leaf] = 0
                 self._hidden_since[leaf] = self._frame
-        for root in forest.roots:
-            self._stack.push(root)
 
     def _visit(self, node: int) -> None:
         forest, visible, frame = self._forest, self._visible, self._frame
-        status = forest.status[node]
-        if status == OUTSIDE:
-            return
         self._visits += 1
         was_visited = self._visited[node] == frame - 1
         self._visited[node] = frame
-        if status == NEAR:
+        if forest.status[node] == NEAR:
             self._show(node)
         elif not visible[node] or not was_visited:
             visible[node] = 0
@@ -194,7 +192,7 @@ class ChcPlusPlus:
             if self._next_query[node] <= frame and not self._is_queried[node]:
                 self._v_queue.push(node)
             self._shown.append(node)
-            self._render_queue.append(forest.object[node])
+            self._render_queue.append(node)
         else:
             visible[node] = 0
             self._hidden_since[node] = frame
@@ -219,13 +217,10 @@ class ChcPlusPlus:
 
     def _open(self, node: int) -> None:
         forest = self._forest
-        child = forest.child[node]
-        if child < 0:
-            self._render_queue.append(forest.object[node])
+        if forest.child[node] < 0:
+            self._render_queue.append(node)
         else:
-            nearer = forest.second_first[node]
-            self._stack.push(child + 1 - nearer)
-            self._stack.push(child + nearer)
+            self._frontier.open(node)
 
     def _query_i_queue(self, scene_pass: ScenePass) -> None:
         """Query all nodes in the i-queue; nodes that are likely to stay hidden share queries."""
@@ -265,15 +260,20 @@ class ChcPlusPlus:
     def _draw_render_queue(self, scene_pass: ScenePass) -> None:
         """Draw all objects in the render queue."""
         if self._render_queue:
-            rows = np.array(self._render_queue)
-            rows.sort()
+            rows = self._forest.objects(self._render_queue)
             scene_pass.draw(rows)
             self._drawn += len(rows)
             self._batches += 1
             self._render_queue.clear()
 
+    def _release_leaves(self) -> None:
+        """Discard the queries of leaves whose results are not yet read."""
+        while self._v_queries:
+            leaf, query = self._v_queries.pop()
+            self._is_queried[leaf] = 0
+            self._queries.release(query)
+
     def destroy(self) -> None:
         """Destroy the resources on the device."""
-        while self._v_queries:
-            self._queries.release(self._v_queries.pop()[1])
+        self._release_leaves()
         self._queries.destroy()

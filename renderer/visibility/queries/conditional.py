@@ -10,8 +10,6 @@ Conditional draws count as drawn: only the GPU knows whether they were.
 
 from __future__ import annotations
 
-import numpy as np
-
 from renderer import rules
 from renderer.scene import Camera, Scene
 from renderer.visibility.algorithm import VisibilityStatistics
@@ -32,6 +30,7 @@ class ConditionalCulling(ChcPlusPlus):
         device: Device,
         *,
         persistence: int = 20,
+        leaf_size: int = 1,
         threshold: int = 0,
         emulated: bool = False,
         seed: int = 0,
@@ -40,27 +39,29 @@ class ConditionalCulling(ChcPlusPlus):
         frame: for the GPU, one sample is enough to draw. The device needs `capabilities.conditional_rendering`.
         A condition needs a native query: `emulated` is refused.
         """
-        if not device.capabilities.conditional_rendering:
+        if not (device.capabilities.conditional_rendering and device.capabilities.occlusion_queries):
             refuse(
                 rules.NO_CONDITIONS,
                 "ConditionalCulling(...)",
-                f"a {device.backend_name} device without conditional rendering",
+                f"a {device.backend_name} device without both",
             )
         if emulated:
             refuse(rules.NO_CONDITIONS, "ConditionalCulling(...)", "emulated queries", "native ones")
-        super().__init__(scene, device, persistence=persistence, threshold=threshold, seed=seed)
+        super().__init__(
+            scene, device, persistence=persistence, leaf_size=leaf_size, threshold=threshold, seed=seed
+        )
 
     def render(self, camera: Camera, scene_pass: ScenePass) -> VisibilityStatistics:
         """Draw what `camera` saw in recent frames, and the rest on condition."""
-        forest, stack = self._forest, self._stack
+        forest, frontier = self._forest, self._frontier
         self._begin(camera)
-        while stack:
-            self._visit(stack.pop())
+        while frontier:
+            self._visit(frontier.pop())
         self._draw_render_queue(scene_pass)
         self._query_i_queue(scene_pass)
         device = self._queries.device
         for nodes, query in self._i_queries:
-            rows = np.sort(np.concatenate([forest.objects(node) for node in nodes]))
+            rows = forest.objects(nodes)
             with device.conditional(query):
                 scene_pass.draw(rows)
             self._drawn += len(rows)

@@ -6,7 +6,7 @@
   only one process at a time builds a program for the first time, and a record with the checksums of its files says that
   they are complete. Before a program is taken from the folder, its files are checked; damaged ones are removed.
 - PoCL's names of folders can't be computed. So each program contains a function whose name is its key, by which its
-  folder is found (`mark`).
+  folder is found (`KernelCache.request`).
 - When a device is closed that has written any, the programs used least recently are removed beyond `LIMIT` bytes.
 - Other drivers have no such folder. pyopencl caches their kernels.
 """
@@ -23,12 +23,14 @@ import zlib
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path, PurePosixPath
-from typing import Final
+from typing import Final, NamedTuple
 
 try:
     import fcntl
 except ImportError:  # not on Windows, where PoCL's users are few
     fcntl = None  # type: ignore[assignment]
+
+from rhi.backends.cl.declarations import GUARD, declare
 
 __rhi_internal__ = True
 
@@ -37,10 +39,11 @@ LIMIT: Final = 512 << 20
 """Bytes of compiled kernels that are kept."""
 _DRIVER_ENVIRONMENT: Final = "POCL_CACHE_DIR"
 _RECORDS: Final = "rhi"
-_COMMENT: Final = re.compile("//[^\n]*")  # they name shaders, whose stages may be the same
+_COMMENT: Final = re.compile("//[^\n]*")
 _PROGRAM: Final = "program.bc"
 _PLACES: Final = "[A-Z][A-Z]/*"
 """Where PoCL's folders of programs lie in the folder of compiled kernels."""
+_TYPICAL: Final = 400_000  # bytes of a program whose record doesn't say
 _OLD: Final = 86400.0  # seconds after which locks and unfinished records are nobody's
 
 
@@ -64,35 +67,59 @@ def choose_folder() -> Path | None:
     return folder
 
 
-class KernelCache:
-    """The compiled programs of one driver's version and device."""
+def strip_comments(source: str) -> str:
+    """Return a program without comments, which may name a shader whose stages are those of another. No line moves."""
+    return _COMMENT.sub("", source)
 
-    def __init__(self, folder: Path | None, driver: str) -> None:
+
+class Request(NamedTuple):
+    """A program as the driver is given it, and its key."""
+
+    key: str
+    source: str
+    options: tuple[str, ...]
+
+
+class KernelCache:
+    """The compiled programs of one driver's version and device.
+
+    Attributes:
+        declares: whether programs declare the functions that they use, instead of the driver's header
+            (`rhi.backends.cl.declarations`).
+    """
+
+    def __init__(self, folder: Path | None, driver: str, declares: bool = False) -> None:
         """`folder`: None if the driver has none; nothing is known then. `driver`: what compiled kernels depend on."""
         self._folder = folder
         self._driver = driver
         self._written: set[str] = set()
+        self.declares = declares
 
     @property
     def works(self) -> bool:
         """Whether compiled programs are found again."""
         return self._folder is not None
 
-    def identify(self, source: str, options: Sequence[str]) -> str:
-        """Return the key of a program."""
-        text = "\0".join((self._driver, *options, _COMMENT.sub("", source)))
-        return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-    def mark(self, source: str, key: str) -> str:
-        """Return a program's source with its key in it. No line moves."""
-        return source if self._folder is None else f"{source}\nvoid rhi_{key}(void);\nvoid rhi_{key}(void) {{}}\n"
+    def request(self, source: str, options: Sequence[str]) -> Request:
+        """Return what the driver is given for a program: its key is in it, and the driver counts its lines as here."""
+        text = strip_comments(source)
+        declarations = declare(text) if self.declares else None
+        if declarations is not None:
+            options = (*options, GUARD)
+        whole = "\0".join((self._driver, *options, declarations or "", text))
+        key = hashlib.sha256(whole.encode()).hexdigest()[:24]
+        if declarations is not None:
+            source = f"{declarations}#line 1\n{source}"
+        if self._folder is not None:
+            source = f"{source}\nvoid rhi_{key}(void);\nvoid rhi_{key}(void) {{}}\n"
+        return Request(key, source, tuple(options))
 
     def knows(self, key: str, kernels: Sequence[str] = ()) -> bool:
         """Return whether a program is there and undamaged, with machine code of these kernels."""
         if self._folder is None:
             return False
         record = self._folder / _RECORDS / key
-        place, files = _read_record(self._folder, record)
+        place, files, _ = _read_record(self._folder, record)
         try:
             complete = place is not None and all(
                 zlib.crc32((place / name).read_bytes()) == checksum for name, checksum in files.items()
@@ -141,7 +168,8 @@ class KernelCache:
             for path in (place / _PROGRAM, *place.glob("*/*/*.so"))
         }
         record = self._folder / _RECORDS / key
-        text = json.dumps({"folder": str(place.relative_to(self._folder)), "files": files})
+        size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
+        text = json.dumps({"folder": str(place.relative_to(self._folder)), "files": files, "bytes": size})
         fresh = record.with_suffix(f".{os.getpid()}.{time.monotonic_ns()}")
         with suppress(OSError):
             fresh.write_text(text)
@@ -151,7 +179,7 @@ class KernelCache:
     def _find(self, key: str) -> Path | None:
         """Return the folder of a program."""
         assert self._folder is not None
-        known, _ = _read_record(self._folder, self._folder / _RECORDS / key)
+        known, *_ = _read_record(self._folder, self._folder / _RECORDS / key)
         if known is not None and (known / _PROGRAM).is_file():
             return known
         name = f"rhi_{key}".encode()
@@ -182,9 +210,8 @@ class KernelCache:
         for record in (folder / _RECORDS).iterdir():
             with suppress(OSError):
                 used = record.stat().st_mtime
-                place, _ = _read_record(folder, record)
+                place, _, size = _read_record(folder, record)
                 if place is not None:
-                    size = sum(path.stat().st_size for path in place.rglob("*") if path.is_file())
                     found.append((used, size, record, place))
                 elif used < time.time() - _OLD:
                     record.unlink()
@@ -198,8 +225,8 @@ class KernelCache:
             total -= size
 
 
-def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int]]:
-    """Return the folder of a record's program, and the checksums of its files by their names.
+def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int], int]:
+    """Return the folder of a record's program, the checksums of its files by their names, and the bytes of the folder.
 
     The folder is None for a record that is damaged or unfinished, or that names another place than PoCL's folders: what
     it names may be removed, and records can come from elsewhere.
@@ -208,8 +235,9 @@ def _read_record(folder: Path, record: Path) -> tuple[Path | None, dict[str, int
         known = json.loads(record.read_bytes())
         name = PurePosixPath(known["folder"])
         files = {str(path): int(checksum) for path, checksum in known["files"].items()}
+        size = int(known.get("bytes", _TYPICAL))
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None, {}
+        return None, {}, 0
     if record.suffix or name.is_absolute() or ".." in name.parts or not name.match(_PLACES) or len(name.parts) != 2:
-        return None, {}
-    return folder / name, files
+        return None, {}, 0
+    return folder / name, files, size

@@ -14,13 +14,14 @@ import os
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, NoReturn
 
 import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
-from rhi.backends.cl.cache import KernelCache, choose_folder
+from rhi.backends.cl.cache import KernelCache, Request, choose_folder
 from rhi.backends.cl.errors import shorten
 from rhi.backends.cl.workers import list_threads, spread_threads
 from rhi.errors import DeviceError
@@ -44,6 +45,8 @@ SILENT: Final = "-w"
 """Build option: no warnings, which PoCL would count on standard error and pyopencl repeat."""
 PAGE: Final = 4096
 """Alignment in bytes of host memory that drivers use in place."""
+_INCLUDED: Final = str(Path(cl.__file__).parent)
+"""The place of pyopencl's headers, which it gives the driver with each program. The driver's own keys depend on it."""
 _COUNT: Final = 64
 _PROBE: Final = """
 __kernel void probe(__global uint *words) {
@@ -78,7 +81,7 @@ class ClContext:
 
     def compile(self, source: str, options: Sequence[str] = ()) -> cl.Program:
         """Build a program (`build`), which is looked for and kept in the cache."""
-        return compile_cached(self.context, self.cache, source, options)
+        return build_cached(self.context, self.cache, self.cache.request(source, options))
 
 
 def open_context() -> ClContext:
@@ -98,8 +101,9 @@ def open_context() -> ClContext:
         try:
             context = cl.Context([device])
             queue = cl.CommandQueue(context, properties=cl.command_queue_properties.PROFILING_ENABLE)
-            driver = f"{describe(device)} {device.driver_version}"
-            cache = KernelCache(folder if caches_kernels(device) else None, driver)
+            driver = f"{describe(device)} {device.driver_version} {_INCLUDED}"
+            cached = caches_kernels(device)
+            cache = KernelCache(folder if cached else None, driver, declares=cached and declares_kernels(device))
             program, shares_memory = probe(context, queue, cache)
         except (cl.Error, RuntimeError) as error:
             passed_over.append(f"{describe(device)}: {shorten(error)}")
@@ -171,6 +175,12 @@ def caches_kernels(device: cl.Device) -> bool:
     return device.platform.name == _POCL and os.environ.get("POCL_KERNEL_CACHE", "1") != "0"
 
 
+def declares_kernels(device: cl.Device) -> bool:
+    """Return whether programs can do without the driver's header (`rhi.backends.cl.declarations`), which declares
+    functions of doubles only where there are some."""
+    return "cl_khr_fp64" in device.extensions.split()
+
+
 def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tuple[cl.Program, bool]:
     """Build a kernel and run it twice, on host memory that changes in between. Return the program, and whether kernel
     and host saw each other's writes.
@@ -179,7 +189,13 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
         pyopencl.Error: the kernel can't be built or run.
         RuntimeError: the kernel computes wrong numbers.
     """
-    program = compile_cached(context, cache, _PROBE, QUICK)
+    try:
+        program = build_cached(context, cache, cache.request(_PROBE, QUICK))
+    except cl.Error:
+        if not cache.declares:
+            raise
+        cache.declares = False  # a version of the driver that can't do without its header
+        program = build_cached(context, cache, cache.request(_PROBE, QUICK))
     kernel = cl.Kernel(program, "probe")
     words = allocate_pages(_COUNT * 4 + 4).view(np.uint32)
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.USE_HOST_PTR
@@ -201,15 +217,13 @@ def probe(context: cl.Context, queue: cl.CommandQueue, cache: KernelCache) -> tu
     return program, shows and np.array_equal(seen[:_COUNT], 21 + ramp) and np.array_equal(words, seen)
 
 
-def compile_cached(context: cl.Context, cache: KernelCache, source: str, options: Sequence[str]) -> cl.Program:
+def build_cached(context: cl.Context, cache: KernelCache, request: Request) -> cl.Program:
     """Build a program, which is looked for and kept in the cache."""
-    key = cache.identify(source, options)
-    text = cache.mark(source, key)
-    if cache.knows(key):
-        return build(context, text, options)
-    with cache.writing(key):
-        program = build(context, text, options)
-        cache.record(key)
+    if cache.knows(request.key):
+        return build(context, request.source, request.options)
+    with cache.writing(request.key):
+        program = build(context, request.source, request.options)
+        cache.record(request.key)
     return program
 
 

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from rhi.backends.gl.platform_states import DepthClamp
 from rhi.errors import DeviceError
 
 if TYPE_CHECKING:
     from rhi.backends.gl.backend import GlBackend
 
 __rhi_internal__ = True
+
+__all__ = ["DepthClamp", "create_backend", "find_obstacle"]
 
 
 def create_backend(*, validation: bool = False) -> GlBackend:

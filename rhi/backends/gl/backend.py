@@ -67,7 +67,7 @@ _TESTS_ALPHA: Final = AlphaTest.ON
 _MAX_LABELS: Final = 60  # open at a time; GL guarantees 64
 _MAX_LABEL_BYTES: Final = 255
 _UNUSED_FEATURES: Final = (
-    enums.RASTERIZER_DISCARD, enums.COLOR_LOGIC_OP, enums.DEPTH_CLAMP, enums.LINE_SMOOTH, enums.POLYGON_SMOOTH,
+    enums.RASTERIZER_DISCARD, enums.COLOR_LOGIC_OP, enums.LINE_SMOOTH, enums.POLYGON_SMOOTH,
     enums.POLYGON_OFFSET_LINE, enums.POLYGON_OFFSET_POINT, enums.SAMPLE_ALPHA_TO_ONE, enums.SAMPLE_COVERAGE,
     enums.SAMPLE_MASK, enums.SAMPLE_SHADING, *range(enums.CLIP_DISTANCE0, enums.CLIP_DISTANCE0 + 8),
 )  # fmt: skip

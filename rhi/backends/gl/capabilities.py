@@ -9,6 +9,7 @@ from typing import Final
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
 from rhi.backends.gl.formats import PIXEL_FORMATS
+from rhi.backends.gl.platform_states import DepthClamp
 from rhi.contract.backend import SAMPLE_COUNTS, Capabilities
 from rhi.contract.blocks import CompressedFormat
 from rhi.contract.formats import COLOR_FORMATS, Format
@@ -75,6 +76,7 @@ def query_capabilities(gl: EntryPoints, version: int, extensions: Container[str]
         max_point_size=_largest(gl, enums.POINT_SIZE_RANGE),
         max_line_width=_largest(gl, enums.ALIASED_LINE_WIDTH_RANGE),
         wireframe=True,
+        platform_states=frozenset({DepthClamp}),
         compressed_formats=_find_compressed(extensions),
         timestamps=timestamp_bits.value > 0,
         alpha_test=True,

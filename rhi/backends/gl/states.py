@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from rhi.backends.gl import enums
 from rhi.backends.gl.entry_points import EntryPoints
+from rhi.backends.gl.platform_states import DepthClamp
 from rhi.contract.states import (
     DEFAULTS,
     MAX_TARGETS,
@@ -37,6 +38,7 @@ from rhi.contract.states import (
     DepthWrite,
     FrontFace,
     LineWidth,
+    PlatformState,
     PolygonMode,
     PolygonOffset,
     Scissor,
@@ -126,7 +128,7 @@ class RenderStates:
         self.values: dict[type, Any] = {
             state: (value,) * MAX_TARGETS if state in PER_TARGET else value
             for state, value in DEFAULTS.items()
-        }
+        } | {PlatformState: ()}
         self._alpha_changed = alpha_changed
         self._apply: dict[type, Callable[[Any], None]] = {
             CullMode: self._cull,
@@ -152,6 +154,7 @@ class RenderStates:
             PolygonOffset: self._offset,
             LineWidth: lambda value: gl.LineWidth(value.width),
             PolygonMode: self._polygon_mode,
+            PlatformState: self._platform,
             AlphaToCoverage: lambda value: self._switch(
                 enums.SAMPLE_ALPHA_TO_COVERAGE, value is AlphaToCoverage.ON
             ),
@@ -309,6 +312,9 @@ class RenderStates:
     def _polygon_mode(self, mode: PolygonMode) -> None:
         self._gl.PolygonMode(enums.FRONT_AND_BACK, enums.LINE if mode is _WIREFRAME else enums.FILL)
         self._offset(None)
+
+    def _platform(self, values: tuple[PlatformState, ...]) -> None:
+        self._switch(enums.DEPTH_CLAMP, DepthClamp.ON in values)
 
     def _offset(self, _: object) -> None:
         offset: PolygonOffset = self.values[PolygonOffset]

@@ -9,7 +9,6 @@ for renderbuffers only, and buffer offsets are aligned to 256 bytes, the coarses
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
@@ -81,7 +80,9 @@ def find_profile(profile: str | Capabilities) -> Capabilities:
         return replace(profile, backend="null", shading=False)
     found = PROFILES.get(profile) if isinstance(profile, str) else None
     if found is None:
-        close = difflib.get_close_matches(str(profile), PROFILES, 1)
+        from difflib import get_close_matches  # which only errors need
+
+        close = get_close_matches(str(profile), PROFILES, 1)
         tip = f"did you mean {close[0]!r}?" if close else ""
         allowed = f"{', '.join(PROFILES)}, or a Capabilities"
         refuse(DEVICE_ARGUMENT, "profile=", repr(profile), allowed, tip)

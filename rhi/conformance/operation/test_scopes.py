@@ -19,7 +19,7 @@ from rhi import (
 )
 from rhi.conformance.shaders import Colored
 from rhi.conformance.shapes import rectangle
-from rhi.contract.states import DEFAULTS, STATE_TYPES
+from rhi.contract.states import DEFAULTS, PlatformState
 
 pytestmark = pytest.mark.needs("draws")
 
@@ -41,7 +41,9 @@ def states_of_draws(device: Device, *draws: object) -> list[dict[type, object]]:
 
 def test_outside_of_scopes_the_defaults_hold(recording: Device) -> None:
     (states,) = states_of_draws(recording, lambda draw: draw())
-    for state_type in STATE_TYPES:
+    assert states.pop(PlatformState) == ()
+    assert set(states) == set(DEFAULTS)
+    for state_type in DEFAULTS:
         value = states[state_type]
         default = DEFAULTS[state_type]
         assert value == (default if not isinstance(value, tuple) else (default,) * 8)

@@ -217,8 +217,9 @@ def test_resources_may_be_destroyed_after_their_device(backend: str) -> None:
 
 
 @pytest.mark.needs("draws")
-def test_a_device_may_be_closed_in_the_middle_of_everything(backend: str) -> None:
-    """Blocks that are still open end quietly."""
+@pytest.mark.parametrize("quiet", [False, True])
+def test_a_device_may_be_closed_in_the_middle_of_everything(backend: str, quiet: bool) -> None:
+    """It is closed nevertheless, and blocks that are still open end quietly."""
     with rhi.create_device(backend) as device:
         image, mesh, program = (
             device.texture(SIZE, Format.R8),
@@ -232,5 +233,10 @@ def test_a_device_may_be_closed_in_the_middle_of_everything(backend: str) -> Non
             if device.capabilities.occlusion_queries:
                 stack.enter_context(device.occlusion_query())
             device.draw(program, mesh)
-            device.close()
+            if quiet:
+                device.close(quiet=True)
+            else:
+                with refuses(rules.SCOPE_OPEN):
+                    device.close()
+            assert device.closed
         assert device.closed

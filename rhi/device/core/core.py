@@ -22,6 +22,7 @@ from rhi.contract.states import AlphaTest
 from rhi.device.core.interrupts import HeldInterrupts
 from rhi.device.core.readback_pool import ReadbackPool
 from rhi.device.core.refusals import RefusalLog
+from rhi.device.core.scopes import Bracket
 from rhi.device.core.state_cache import StateCache, StateVector
 from rhi.device.core.timeline import Timeline
 from rhi.errors import DeviceError, Rule
@@ -42,6 +43,7 @@ __rhi_internal__ = True
 D = TypeVar("D")
 NO_THREAD: Final = 0
 """The `Core.thread` of a device that belongs to no thread."""
+NO_TARGETS: Final[frozenset[Id]] = frozenset()
 MAX_SAMPLERS: Final = 4096
 """Number of different samplers of a device: they live as long as it does, and platforms have few."""
 
@@ -79,13 +81,6 @@ class FrameMemory(Protocol):
 
     def mark(self, fence: int) -> None:
         """End the frame: what it took is free once `fence` has passed."""
-
-
-class OpenQuery(Protocol):
-    """An occlusion query between its begin and its end."""
-
-    def abandon(self) -> None:
-        """End the query without an answer."""
 
 
 class Creation:
@@ -139,8 +134,8 @@ class Core:
         refusals: raises and keeps the errors of refused calls.
         program: the `Program` whose bindings are in place, None when the next draw must check everything.
         render_pass: the open pass, if any.
-        pass_block: a weak reference to its block.
-        open_query: the occlusion query that counts now, if any.
+        scopes: the stack of open scopes.
+        open_query: the scope of the occlusion query that counts now, if any.
         condition_open: whether draws depend on a query's answer now.
         condition_count: number of conditions begun so far.
         targets: ids of the open pass's textures.
@@ -172,12 +167,12 @@ class Core:
         "lock_blocks",
         "locked",
         "open_query",
-        "pass_block",
         "program",
         "readbacks",
         "refusals",
         "render_pass",
         "sampler_descriptors",
+        "scopes",
         "states",
         "target_kinds",
         "targets",
@@ -198,6 +193,9 @@ class Core:
         self.refusals = refusals
         self.timeline = Timeline(backend, refusals)
         self.states = states
+        self.scopes = states.scopes
+        if self.validates:
+            states.validator = self
         self.counters = Statistics()
         self.draws = 0
         self.dispatches = 0
@@ -208,11 +206,10 @@ class Core:
         self._context = _find_context(backend)
         self.program: object | None = None
         self.render_pass: PassDescriptor | None = None
-        self.pass_block: Callable[[], object] = lambda: None
-        self.open_query: OpenQuery | None = None
+        self.open_query: Bracket | None = None
         self.condition_open = False
         self.condition_count = 0
-        self.targets: frozenset[Id] = frozenset()
+        self.targets = NO_TARGETS
         self.target_kinds: tuple[str, ...] = ()
         self.locked: list[Owner] = []
         self.lock_blocks: list[weakref.ref[object]] = []
@@ -319,14 +316,6 @@ class Core:
         if self.render_pass is None:
             self.resume()
 
-    def resume_pass(self) -> bool:
-        """Make the platform's context current for the end of a pass; return whether draws of the pass were lost."""
-        try:
-            return not self.closed and self.resume()
-        except DeviceError:
-            self.open_query = None  # nothing can end it any more, and the device may be made current later
-            raise
-
     def make_current(self) -> None:
         """Make the device usable on this thread, which it belongs to from now on."""
         if self.thread != NO_THREAD:
@@ -353,38 +342,18 @@ class Core:
         if self.locked and self.is_locked(owner):
             self.refuse(LOCK_OPEN, call, f"{describe_object(owner)}, which has an open lock")
 
-    def abandon_query(self) -> bool:
-        """End the query that is still open as its pass ends; return whether there was one."""
-        query, self.open_query = self.open_query, None
-        if query is None:
-            return False
-        query.abandon()
-        return True
-
     def has_open_pass(self) -> bool:
-        """Return whether a pass is open; end one whose block has been left without its end.
-
-        Python can raise `KeyboardInterrupt` at the first step of an `__exit__`. Then nobody holds the block any more.
-        """
-        if self.render_pass is not None and self.pass_block() is None:
-            self.end_pass()
+        """Return whether a pass is open; end one whose block has been left without its end."""
+        if self.render_pass is not None:
+            self.scopes.end_unheld()
         return self.render_pass is not None
 
     def leave_pass(self) -> None:
         """Note that no pass is open."""
         self.render_pass = None
-        self.targets = frozenset()
+        self.targets = NO_TARGETS
         self.target_kinds = ()
         self.program = None
-
-    def end_pass(self) -> bool:
-        """End the open pass; return whether a query had to be ended with it."""
-        self.leave_pass()
-        try:
-            return self.abandon_query()
-        finally:
-            if not self.closed:
-                self.backend.end_pass()
 
     def lock(self, owner: Owner, block: object) -> None:
         """Note that a resource is locked by a `with` block."""

@@ -1,23 +1,25 @@
 """State vectors and scopes: wanted states, hardware states, and the difference between them (thesis 4.2).
 
-- Every combination of states is one interned `StateVector`, every tuple of states one `StateScope`. On entry, a scope
-  looks up the vector it leads to in a memo (`vector.after[scope]`) and pushes the current one onto a fixed-size
-  stack. On exit it pops that vector, whatever happened inside. After an exception it also pops those of scopes inside
-  whose own ends were cut off.
+- Every combination of states is one interned `StateVector`. On entry, a scope looks up the vector that its states lead
+  to in a memo (`vector.after[states]`), keeps the current one, and pushes itself onto the fixed-size stack of open
+  scopes. On exit it pops itself and restores the vector that it kept, whatever happened inside. If it isn't the
+  innermost, the stack mends that (`rhi.device.core.scopes`).
 - A draw compares two pointers, wanted and hardware. Only when they differ are the changed values looked up,
   again in a memo per pair, and sent. So type, duplicate and capability checks run once per combination, not
   once per scope.
 - The pool of vectors is bounded, since scissors and viewports may take any value. When it is full, all memos are
-  dropped. Vectors on the stack stay valid, because differences compare values, not identities.
+  dropped. Vectors of open scopes stay valid, because differences compare values, not identities.
 - There are two counters, as in the thesis's tables (7.1): software changes are states set by scopes, hardware changes
   are values sent to the backend.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import TracebackType
-from typing import Final
+from typing import Final, Protocol
+from weakref import ref
 
 from rhi.contract.states import (
     DEFAULTS,
@@ -26,6 +28,7 @@ from rhi.contract.states import (
     STATE_TYPES,
     BlendFunction,
     LineWidth,
+    PlatformState,
     PolygonOffset,
     State,
     StateChange,
@@ -34,14 +37,12 @@ from rhi.contract.states import (
     StencilWriteMask,
     default_values,
 )
-from rhi.device.core.containers import FixedStack
 from rhi.device.core.refusals import NO_LOG, RefusalLog
-from rhi.errors import RhiError
-from rhi.errors.rules import STATE_CAPABILITY, STATE_DUPLICATE, STATE_TYPE
+from rhi.device.core.scopes import OpenScopes, Scope, unwrap
+from rhi.errors.rules import PLATFORM_STATE, STATE_CAPABILITY, STATE_DUPLICATE, STATE_TYPE
 
 __rhi_internal__ = True
 
-STACK_DEPTH: Final = 256
 POOL_ENTRIES: Final = 16_384
 
 
@@ -56,7 +57,7 @@ class StateVector:
 
     def __init__(self, values: tuple[object, ...]) -> None:
         self.values = values
-        self.after: dict[StateScope, StateVector] = {}
+        self.after: dict[tuple[State, ...], StateVector] = {}
         self.changes: dict[StateVector, tuple[StateChange, ...]] = {}
 
     def __getitem__(self, state_type: type) -> object:
@@ -69,22 +70,36 @@ class StateVector:
 
 
 _INDEX: Final = {state_type: index for index, state_type in enumerate(STATE_TYPES)}
+_PLATFORM: Final = _INDEX[PlatformState]
+
+
+class Validator(Protocol):
+    """The checks of a device that validates: the thread, and the platform's context."""
+
+    def check_ready(self) -> None:
+        """Check a call."""
+
+    def check_thread(self, call: str) -> None:
+        """Check the end of a block, which may follow the end of the device."""
 
 
 class StateCache:
     """The wanted states and the hardware states of one device.
 
     Attributes:
+        scopes: the open scopes of all kinds.
         wanted: the vector that the open scopes set.
         hardware: the vector that was last sent to the backend.
         refusals: raises and keeps the errors of refused scopes.
         unsupported: state types that the device lacks, each with the name of the missing capability.
         max_line_width: the largest `LineWidth`.
+        platform_states: the types of states that only this platform has.
+        validator: the checks of both ends of a `ValidatedScope`.
         software_changes, hardware_changes: numbers of states set by scopes and of values sent.
     """
 
-    __slots__ = ("_entries", "_limit", "_pool", "_scopes", "_stack", "hardware", "hardware_changes",
-                 "max_line_width", "refusals", "software_changes", "unsupported", "wanted")  # fmt: skip
+    __slots__ = ("_entries", "_limit", "_pool", "hardware", "hardware_changes", "max_line_width", "platform_states",
+                 "refusals", "scopes", "software_changes", "unsupported", "validator", "wanted")  # fmt: skip
 
     def __init__(
         self,
@@ -92,27 +107,31 @@ class StateCache:
         max_line_width: float = 1.0,
         pool_entries: int = POOL_ENTRIES,
         refusals: RefusalLog = NO_LOG,
+        platform_states: frozenset[type[PlatformState]] = frozenset(),
     ) -> None:
+        self.platform_states = platform_states
         self.unsupported = unsupported or {}
         self.max_line_width = max_line_width
         self.refusals = refusals
         self._limit = pool_entries
         self._pool: dict[tuple[object, ...], StateVector] = {}
-        self._scopes: dict[tuple[State, ...], StateScope] = {}
         self._entries = 0
-        self._stack: FixedStack[StateVector] = FixedStack(STACK_DEPTH)
+        self.scopes = OpenScopes(refusals)
+        self.validator: Validator | None = None
         self.wanted = self.hardware = self._intern(default_values())
         self.software_changes = 0
         self.hardware_changes = 0
 
     def fresh(self) -> StateCache:
         """Return an empty cache with the same limits, missing capabilities and log."""
-        return StateCache(self.unsupported, self.max_line_width, self._limit, self.refusals)
+        return StateCache(
+            self.unsupported, self.max_line_width, self._limit, self.refusals, self.platform_states
+        )
 
     @property
     def depth(self) -> int:
-        """Number of open scopes."""
-        return len(self._stack)
+        """Number of open scopes of states."""
+        return sum(isinstance(unwrap(scope), StateScope) for scope in self.scopes)
 
     @property
     def vector_count(self) -> int:
@@ -120,23 +139,18 @@ class StateCache:
         return len(self._pool)
 
     def scope(self, states: tuple[State, ...]) -> StateScope:
-        """Return the scope of these states; they are checked when it is first entered from a combination."""
-        try:
-            scope = self._scopes.get(states)
-        except TypeError:  # an unhashable object, which can't be a state; entering the scope refuses it
-            return StateScope(self, states)
-        if scope is None:
-            scope = StateScope(self, states)
-            self._reserve()
-            self._scopes[states] = scope
+        """Create a scope of these states; they are checked when it is first entered from a combination."""
+        scope = StateScope()
+        scope.cache, scope.states, scope.before = self, states, None
         return scope
 
     def derive(self, states: tuple[State, ...]) -> StateVector:
         """Return the vector that a scope of these states would set, after the same checks."""
-        if not states:
-            return self.wanted
-        scope = self.scope(states)
-        return self.wanted.after.get(scope) or self._derive(scope)
+        try:
+            return self.wanted.after.get(states) or self._derive(states)
+        except TypeError:  # an unhashable object, which can't be a state
+            self._validate(states)
+            raise
 
     def flush(self) -> tuple[StateChange, ...]:
         """Return the changes from the hardware states to the wanted ones, which then count as sent."""
@@ -172,38 +186,20 @@ class StateCache:
         self.hardware_changes += len(changes)
         return changes
 
-    def unwind(self, depth: int) -> None:
-        """Leave all scopes beyond the first `depth`, whose ends an interrupt has cut off."""
-        while len(self._stack) > depth:
-            self.wanted = self._stack.pop()
-
-    def _unwind_to(self, scope: StateScope) -> None:
-        """Leave the scopes inside an open one, whose ends an interrupt has cut off.
-
-        Python can raise `KeyboardInterrupt` at the first step of an `__exit__`. Scopes hold no data of an entry, but
-        each combination on the stack knows where its scopes lead.
-        """
-        inside = self.wanted
-        for depth in range(len(self._stack) - 1, -1, -1):
-            outside = self._stack[depth]
-            if outside.after.get(scope) is inside:
-                self.unwind(depth + 1)
-                return
-            inside = outside
-
     def reset_counters(self) -> None:
         """Set both counters to zero."""
         self.software_changes = self.hardware_changes = 0
 
-    def _derive(self, scope: StateScope) -> StateVector:
-        """Check a scope, and return and memoise the vector that it makes of the wanted one."""
-        states = scope.states
+    def _derive(self, states: tuple[State, ...]) -> StateVector:
+        """Check states, and return and memoise the vector that they make of the wanted one."""
         self._validate(states)
         values = list(self.wanted.values)
         for state in states:
-            index = _INDEX[type(state)]
+            index = _INDEX.get(type(state), _PLATFORM)
             target = getattr(state, "target", None)
-            if type(state) not in PER_TARGET:
+            if index == _PLATFORM:
+                values[index] = _change_platform(values[index], state)
+            elif type(state) not in PER_TARGET:
                 values[index] = state
             elif target is None:
                 values[index] = (state,) * MAX_TARGETS
@@ -213,7 +209,7 @@ class StateCache:
                 values[index] = tuple(per_target)
         self._reserve()
         vector = self._intern(tuple(values))
-        self.wanted.after[scope] = vector
+        self.wanted.after[states] = vector
         return vector
 
     def _validate(self, states: tuple[State, ...]) -> None:
@@ -221,7 +217,13 @@ class StateCache:
         seen: set[tuple[type, int | None]] = set()
         for state in states:
             state_type = type(state)
-            if state_type not in _INDEX:
+            if isinstance(state, PlatformState):
+                if state_type not in self.platform_states:
+                    have = ", ".join(sorted(each.__name__ for each in self.platform_states)) or "none"
+                    self.refusals.refuse(
+                        PLATFORM_STATE, call, f"{state!r} of {state.platform()!r}", f"this device's own: {have}"
+                    )
+            elif state_type not in _INDEX:
                 allowed = ", ".join(t.__name__ for t in STATE_TYPES)
                 self.refusals.refuse(
                     STATE_TYPE, call, f"{state!r}, a {state_type.__name__}", f"a value of {allowed}"
@@ -251,11 +253,11 @@ class StateCache:
         if self._entries <= self._limit:
             return
         self._entries = 0
-        for vector in (*self._pool.values(), *self._stack, self.wanted, self.hardware):
+        kept = [scope.before for scope in map(unwrap, self.scopes) if isinstance(scope, StateScope) and scope.before]
+        for vector in (*self._pool.values(), *kept, self.wanted, self.hardware):
             vector.after.clear()
             vector.changes.clear()
         self._pool = {self.wanted.values: self.wanted}
-        self._scopes.clear()
 
 
 def _needs_capability(state: State) -> bool:
@@ -269,43 +271,116 @@ def _needs_capability(state: State) -> bool:
     return state != DEFAULTS[type(state)]
 
 
+def _change_platform(values: object, state: object) -> tuple[PlatformState, ...]:
+    """Return the states of the platform that differ from their defaults, after one of them has changed."""
+    assert isinstance(values, tuple)
+    assert isinstance(state, PlatformState)
+    kept = [each for each in values if type(each) is not type(state)]
+    if state is not state.default():
+        kept.append(state)
+    return tuple(sorted(kept, key=lambda each: each.full_name))
+
+
 def _without_target(state: State) -> State:
     return replace(state, target=None)  # type: ignore[type-var]
 
 
-class StateScope:
+class StateScope(Scope):
     """A `with device.states(...)` block: sets states on entry and always restores the earlier ones on exit.
 
-    A scope holds no data of an entry, so one object may be kept and entered again, also inside itself.
+    One object may be kept and entered again, also inside itself. It has no `__init__`, whose call would cost a tenth of
+    the block: `StateCache.scope` and `Encoder.states` set its attributes.
+
+    Attributes:
+        cache: the cache of its device or command buffer.
+        states: its states.
+        before: the vector that it restores while it is open, None otherwise.
     """
 
-    __slots__ = ("_cache", "states")
-
-    def __init__(self, cache: StateCache, states: tuple[State, ...]) -> None:
-        self._cache = cache
-        self.states = states
+    __slots__ = ("before", "cache", "states")
+    cache: StateCache
+    states: tuple[State, ...]
+    before: StateVector | None
 
     def __enter__(self) -> None:
-        cache = self._cache
-        wanted = cache.wanted
-        target = wanted.after.get(self) or cache._derive(self)
-        count = len(self.states)  # from the push on nothing may be interrupted, so it calls nothing
+        if self.before is not None:
+            self._enter_again()
+            return
+        cache, states = self.cache, self.states
+        before = cache.wanted
         try:
-            cache._stack.push(wanted)
-        except RhiError as error:  # the stack is full
-            cache.refusals.note(error)
-            raise
+            target = before.after.get(states) or cache._derive(states)
+        except TypeError:
+            target = cache.derive(states)
+        count = len(states)
+        scopes = cache.scopes
+        index = scopes._index  # from here on nothing may be interrupted, so it calls nothing
+        try:
+            scopes._data[index] = self
+        except IndexError:
+            scopes.push(self)  # is refused
+        scopes._index = index + 1
+        self.before = before
         cache.wanted = target
         cache.software_changes += count
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        cache = self._cache
-        if kind is not None:
-            cache._unwind_to(self)
-        try:
-            cache.wanted = cache._stack.pop()
-        except RhiError as error:  # no scope is open
-            cache.refusals.note(error)
-            raise
+        cache = self.cache
+        scopes = cache.scopes
+        index, data = scopes._index - 1, scopes._data
+        if data[index] is not self:
+            scopes.leave(self, error)
+            return
+        data[index] = None
+        scopes._index = index
+        cache.wanted = self.before  # type: ignore[assignment]  # it is open
+        self.before = None
+
+    def _enter_again(self) -> None:
+        """Enter an open scope inside itself: a second one takes its place in the stack."""
+        again = _EnteredAgain()
+        again.cache, again.states, again.before, again.block = self.cache, self.states, None, ref(self)
+        again.__enter__()
+
+    def find_block(self) -> object | None:
+        """Return the scope itself, which is its own block."""
+        return self
+
+    def describe(self) -> str:
+        """Return the scope's text in messages."""
+        return f"device.states({', '.join(map(repr, self.states))})"
+
+    def finish(self, failed: bool) -> None:
+        """Pop the scope, the innermost one, and restore the states before it."""
+        self.__exit__(None, None, None)
+
+
+class ValidatedScope(StateScope):
+    """A scope of a device with validation, which is entered and left on the device's thread and keeps its line."""
+
+    __slots__ = ()
+
+    def __enter__(self) -> None:
+        if self.cache.validator is not None:
+            self.cache.validator.check_ready()
+        super().__enter__()
+        self.cache.scopes.keep_line()
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self.cache.validator is not None:
+            self.cache.validator.check_thread("the end of device.states(…)")
+        super().__exit__(kind, error, trace)
+
+
+class _EnteredAgain(StateScope):
+    """A scope in the stack that was entered through one that was already open."""
+
+    __slots__ = ("block",)
+    block: Callable[[], object | None]
+
+    def find_block(self) -> object | None:
+        return self.block()

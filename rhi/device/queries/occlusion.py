@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import time
 from types import TracebackType
-from typing import Final, Generic, Self, TypeVar
+from typing import Final, Generic, Protocol, Self, TypeVar
+from weakref import ref
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core, describe_object
 from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.scopes import Bracket
 from rhi.errors import DeviceError
 from rhi.errors.arguments import Arguments
 from rhi.errors.rules import (
@@ -157,16 +159,71 @@ class PendingQuery(Generic[T]):
             core.refuse(QUERY_STATE, call, f"a query that is {state}", "a query that was ended")
 
 
+class QueryOwner(Protocol):
+    """What has begun a query."""
+
+    def complete(self) -> None:
+        """End the query."""
+
+    def abandon(self) -> None:
+        """End the query without an answer."""
+
+
+class OpenQuery(Bracket):
+    """The scope of a query between its begin and its end.
+
+    Attributes:
+        owner: what has begun the query, while it is open.
+    """
+
+    __slots__ = ("_core", "owner")
+
+    def __init__(self, core: Core) -> None:
+        self.scopes = core.scopes
+        self.owner: QueryOwner | None = None
+        self._core = core
+
+    def find_block(self) -> object | None:
+        return self.owner
+
+    def describe(self) -> str:
+        return "an occlusion query"
+
+    def finish(self, failed: bool) -> None:
+        self._end(abandoned=False)
+
+    def cut_off(self) -> None:
+        self._end(abandoned=True)
+
+    def _end(self, *, abandoned: bool) -> None:
+        scopes, owner = self.scopes, self.owner
+        assert owner is not None
+        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        scopes._data[index] = None
+        scopes._index = index
+        self._core.open_query = self.owner = None
+        try:
+            if not abandoned:
+                owner.complete()
+        except BaseException:  # whether it has ended or not
+            abandoned = True
+            raise
+        finally:
+            if abandoned:
+                owner.abandon()
+
+
 class OcclusionQuery(PendingQuery[int]):
     """A counter of the samples of draws between its begin and end that pass all tests.
 
     A query may be used any number of times; `begin` discards the earlier answer. `with query:` begins and ends it.
     """
 
-    __slots__ = ()
+    __slots__ = ("_scope",)
 
     def __init__(self, core: Core, emulated: bool) -> None:
         super().__init__(core, 1, emulated, "device.occlusion_query")
+        self._scope = OpenQuery(core)
 
     @property
     def id(self) -> Id:
@@ -183,15 +240,18 @@ class OcclusionQuery(PendingQuery[int]):
             core.refuse(QUERY_NESTED, "OcclusionQuery.begin", "a second open query")
         if core.render_pass is None:
             core.refuse(DRAW_OUTSIDE_PASS, "OcclusionQuery.begin", "no open pass")
+        scope = self._scope
+        scope.owner = self
+        core.scopes.push(scope)
         self._answer = None
         self._state = _OPEN
-        core.open_query = self
+        core.open_query = scope
         try:
             self.write_begin(core)
             if self.emulated:
                 core.signal()
         except BaseException:  # whether it has begun or not
-            core.abandon_query()
+            scope.cut_off()
             raise
         core.counters.queries += 1
 
@@ -201,14 +261,19 @@ class OcclusionQuery(PendingQuery[int]):
             self._core.refuse(
                 QUERY_STATE, "OcclusionQuery.end", f"a query that is {self._state}", "an open query"
             )
-        if not self._core.closed:
-            self._check_call(self._core)
-        self._core.open_query = None
-        try:
-            self._finish()
-        except BaseException:  # whether it has ended or not
-            self.abandon()
-            raise
+        self._end(None, again=True)
+
+    def _end(self, error: BaseException | None, *, again: bool = False) -> None:
+        core = self._core
+        if core.closed:
+            self._state = _ENDED
+            return
+        self._check_call(core)
+        core.scopes.leave(self._scope, error, again=again)
+
+    def complete(self) -> None:
+        """End counting, as the query's scope ends."""
+        self._finish()
         self._state = _ENDED
 
     def _check_call(self, core: Core) -> None:
@@ -238,7 +303,7 @@ class OcclusionQuery(PendingQuery[int]):
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         if self._state is _OPEN:
-            self.end()
+            self._end(error)
 
     def _read(self) -> int | None:
         backend = self._core.backend
@@ -271,10 +336,37 @@ class OcclusionQuery(PendingQuery[int]):
             core.backend.end_query(self._ids[0])
 
 
+class OpenCondition(Bracket):
+    """The scope of a condition."""
+
+    __slots__ = ("_core",)
+
+    def __init__(self, core: Core, block: Conditional) -> None:
+        self.scopes = core.scopes
+        self.block = ref(block)
+        self._core = core
+
+    def describe(self) -> str:
+        return "a condition"
+
+    def finish(self, failed: bool) -> None:
+        core, scopes = self._core, self.scopes
+        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        scopes._data[index] = None
+        scopes._index = index
+        core.condition_open = False
+        try:
+            core.resume_scope()
+            core.backend.end_conditional()
+        except BaseException:  # whether it has ended or not
+            core.backend.end_conditional()
+            raise
+
+
 class Conditional:
     """A `with device.conditional(query):` block, whose draws are executed only if the query counted samples."""
 
-    __slots__ = ("_core", "_inverted", "_query")
+    __slots__ = ("__weakref__", "_core", "_inverted", "_query", "_scope")
 
     def __init__(self, core: Core, query: OcclusionQuery, inverted: bool) -> None:
         call = "device.conditional"
@@ -292,6 +384,7 @@ class Conditional:
         self._core = core
         self._query = query
         self._inverted = inverted
+        self._scope = OpenCondition(core, self)
 
     def _check(self) -> None:
         self._query.check_usable(self._core, "device.conditional")
@@ -303,24 +396,18 @@ class Conditional:
         if core.condition_open:
             core.refuse(CONDITION_NESTED, "device.conditional", "a condition inside another")
         self._check()
+        core.scopes.push(self._scope)
         core.condition_open = True
         try:
             core.backend.begin_conditional(self._query.id, self._inverted)
         except BaseException:  # whether it has begun or not
-            core.condition_open = False
-            core.backend.end_conditional()
+            self._scope.cut_off()
             raise
         core.condition_count += 1
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        core = self._core
-        core.condition_open = False
-        if not core.closed:
-            try:
-                core.resume_scope()
-                core.backend.end_conditional()
-            except BaseException:  # whether it has ended or not
-                core.backend.end_conditional()
-                raise
+        self._core.check_thread("the end of a condition")
+        if not self._core.closed:
+            self._core.scopes.leave(self._scope, error)

@@ -8,18 +8,17 @@ also in a program that never presents: further events inside an open one are onl
 from __future__ import annotations
 
 import time
-import weakref
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from types import TracebackType
 from typing import Final
+from weakref import ref
 
 from rhi.contract.descriptors import Id, QueryKind
 from rhi.device.core.core import Core
 from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.scopes import Bracket, OpenScopes
 from rhi.errors.arguments import Arguments
-from rhi.errors.rules import SCOPE_ORDER
 
 __rhi_internal__ = True
 
@@ -40,16 +39,43 @@ class TimerNode:
         return "\n".join(lines + [child.format(indent + 1) for child in self.children])
 
 
-@dataclass(slots=True)
-class _PendingEvent:
-    """An event whose timestamps are not available yet."""
+class _Event(Bracket):
+    """An event: open, or one whose timestamps are not available yet.
 
-    node: TimerNode
-    started: float
-    begin: Id = 0
-    end: Id = 0
-    counted: bool = True  # whether it is in the tree
-    block: Callable[[], object] = lambda: True  # a weak reference to its `with` block
+    Attributes:
+        node: its place in the tree.
+        began: when it began, in seconds.
+        first, last: its timestamps, 0 if it takes none.
+        counted: whether it is in the tree.
+    """
+
+    __slots__ = ("_timers", "began", "counted", "first", "last", "node")
+
+    def __init__(self, timers: Timers, block: object, label: str, scopes: OpenScopes) -> None:
+        self.scopes = scopes
+        self.block = ref(block)
+        self._timers = timers
+        self.node = TimerNode(label)
+        self.began = time.perf_counter()
+        self.first = self.last = 0
+        self.counted = True
+
+    def describe(self) -> str:
+        return f"event {self.node.name!r}"
+
+    def finish(self, failed: bool) -> None:
+        scopes, timers, events = self.scopes, self._timers, self._timers._open
+        index = scopes._index - 1  # from here on nothing may be interrupted before the `try`, so it calls nothing
+        scopes._data[index] = None
+        scopes._index = index
+        try:
+            events.pop()
+            if self.last:
+                timers._core.backend.write_query(self.last)
+                timers._pending.append(self)
+            self.node.cpu_milliseconds = (time.perf_counter() - self.began) * 1e3
+        finally:
+            timers._core.backend.pop_label()
 
 
 MAX_FRAMES: Final = 8
@@ -67,11 +93,11 @@ class Timers:
         self._core = core
         self.enabled = enabled
         self.latest: list[TimerNode] = []
-        self._open: list[_PendingEvent] = []
+        self._open: list[_Event] = []
         self._roots: list[TimerNode] = []
         self._count = 0  # of events in the tree
-        self._pending: list[_PendingEvent] = []
-        self._frames: deque[tuple[list[TimerNode], list[_PendingEvent]]] = deque()
+        self._pending: list[_Event] = []
+        self._frames: deque[tuple[list[TimerNode], list[_Event]]] = deque()
         self._free: list[Id] = []
 
     @property
@@ -79,11 +105,10 @@ class Timers:
         """Number of open events."""
         return len(self._open)
 
-    def begin(self, label: str) -> _PendingEvent:
-        """Open an event inside the innermost open one."""
-        if self._open:
-            self._end_abandoned()
-        event = _PendingEvent(TimerNode(label), time.perf_counter())
+    def begin(self, label: str, block: object) -> _Event:
+        """Open an event inside the innermost open one, for a `with` block."""
+        scopes = self._core.scopes
+        event = _Event(self, block, label, scopes)
         if self._count >= MAX_EVENTS:
             if self._open:
                 event.counted = False
@@ -93,53 +118,30 @@ class Timers:
         labelled = False
         try:
             if self.enabled and event.counted:
-                event.begin = self._acquire_query()
-                event.end = self._acquire_query()
+                event.first = self._acquire_query()
+                event.last = self._acquire_query()
             self._core.backend.push_label(label)
             labelled = True
-            if event.begin:
-                self._core.backend.write_query(event.begin)
+            if event.first:
+                self._core.backend.write_query(event.first)
             if event.counted:
                 siblings.append(event.node)
                 self._count += 1
             self._open.append(event)
+            scopes.push(event)
         except BaseException:
+            scopes.withdraw(event)
             del self._open[depth:]
             if siblings and siblings[-1] is event.node:
                 siblings.pop()
-            self._free += [query for query in (event.begin, event.end) if query]
+            self._free += [query for query in (event.first, event.last) if query]
             if labelled:
                 self._core.backend.pop_label()
             raise
         return event
 
-    def unwind(self, event: _PendingEvent) -> None:
-        """Close the events inside an open one, whose ends an interrupt has cut off."""
-        while event in self._open and self._open[-1] is not event:
-            self.end(self._open[-1])
-
-    def _end_abandoned(self) -> None:
-        """Close open events whose blocks were left without their end; see `Core.has_open_pass`."""
-        while self._open and self._open[-1].block() is None:
-            self.end(self._open[-1])
-
-    def end(self, event: _PendingEvent) -> None:
-        """Close an event; `scope-order` if it is not the innermost open one."""
-        if not self._open or self._open[-1] is not event:
-            given = f"the end of {event.node.name!r}"
-            self._core.refuse(SCOPE_ORDER, "device.event", given, "the innermost open event")
-        try:
-            self._open.pop()
-            if event.end:
-                self._core.backend.write_query(event.end)
-                self._pending.append(event)
-            event.node.cpu_milliseconds = (time.perf_counter() - event.started) * 1e3
-        finally:
-            self._core.backend.pop_label()
-
     def end_frame(self) -> None:
         """Close the frame's tree, and read the frames whose timestamps are available."""
-        self._end_abandoned()
         if not self._open and self._roots:
             self._frames.append((self._roots, self._pending))
             self._roots, self._pending, self._count = [], [], 0
@@ -151,7 +153,7 @@ class Timers:
         """Read finished frames, oldest first; never blocks."""
         while self._frames:
             roots, pending = self._frames[0]
-            times = [(self._read(e.begin), self._read(e.end)) for e in reversed(pending)]
+            times = [(self._read(e.first), self._read(e.last)) for e in reversed(pending)]
             if any(begin is None or end is None for begin, end in times):
                 return
             for event, (begin, end) in zip(reversed(pending), times, strict=True):
@@ -177,8 +179,8 @@ class Timers:
     def _read(self, query: Id) -> int | None:
         return self._core.backend.read_query(query) if query else 0
 
-    def _release(self, pending: list[_PendingEvent]) -> None:
-        self._free.extend(query for event in pending for query in (event.begin, event.end) if query)
+    def _release(self, pending: list[_Event]) -> None:
+        self._free.extend(query for event in pending for query in (event.first, event.last) if query)
 
 
 class EventScope:
@@ -192,25 +194,22 @@ class EventScope:
         self._core = core
         self._timers = timers
         self._label = label
-        self._events: list[_PendingEvent] = []
+        self._events: list[_Event] = []
 
     def __enter__(self) -> None:
         self._core.check_scope()
-        event = self._timers.begin(self._label)
-        try:
-            event.block = weakref.ref(self)
-            self._events.append(event)
-        except BaseException:
-            self._timers.end(event)
-            raise
+        self._events.append(self._timers.begin(self._label, self))
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if not self._core.closed:
-            self._core.resume_scope()
-            event = self._events[-1]
-            if kind is not None:
-                self._timers.unwind(event)
-            self._timers.end(event)
-            self._events.pop()
+        core, events = self._core, self._events
+        if core.closed:
+            return
+        core.check_thread("the end of an event")
+        core.resume_scope()
+        if not events:
+            core.scopes.refuse_unopened(f"event {self._label!r}", error)
+            return
+        core.scopes.leave(events[-1], error)
+        events.pop()

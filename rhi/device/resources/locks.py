@@ -63,10 +63,11 @@ class Lock:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        core = self._owner.core
+        core.check_thread("the end of a lock")
         array, self._array = self._array, None
         if array is None:
-            self._owner.core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
-        core = self._owner.core
+            core.refuse(LOCK_CLOSED, "lock", "a lock that is not open")
         core.unlock(self)
         if kind is None and self._access.writes and not self._owner.destroyed and not core.closed:
             core.check_ready()

@@ -18,24 +18,23 @@ from rhi.shading.language.source import SourceSpan, show, suggest
 
 __rhi_internal__ = True
 
-_MAIN: Final = re.compile(r"^\s*void\s+main\s*\(", re.MULTILINE)
+# Patterns are compiled on first use, which most programs never make.
+_MAIN: Final = r"(?m)^\s*void\s+main\s*\("
 _QUALIFIERS: Final = (
     r"(?:(?:flat|smooth|noperspective|centroid|highp|mediump|lowp|readonly|writeonly|coherent)\s+)*"
 )
-_DECLARATION: Final = re.compile(
+_DECLARATION: Final = (
     rf"^\s*(?:layout\s*\([^)]*\)\s*)?{_QUALIFIERS}(in|out|uniform)\s+{_QUALIFIERS}(\w+)\s+(\w+)\s*(\[\s*\w*\s*\])?\s*;"
 )
-_BLOCK: Final = re.compile(
-    r"^\s*(?:layout\s*\([^)]*\)\s*)?(?:\w+\s+)*(uniform|buffer|struct)\s+(\w+)\s*(?:\{|$)"
-)
-_GROUP: Final = re.compile(r"^\s*layout\s*\(([^)]*local_size[^)]*)\)\s*in\s*;")
-_SIZE: Final = re.compile(r"local_size_([xyz])\s*=\s*(\d+)")
+_BLOCK: Final = r"^\s*(?:layout\s*\([^)]*\)\s*)?(?:\w+\s+)*(uniform|buffer|struct)\s+(\w+)\s*(?:\{|$)"
+_GROUP: Final = r"^\s*layout\s*\(([^)]*local_size[^)]*)\)\s*in\s*;"
+_SIZE: Final = r"local_size_([xyz])\s*=\s*(\d+)"
 
 
 def is_whole(function: tree.Function) -> bool:
     """Return whether a function's native GLSL is a stage with a `main` of its own."""
     native = function.native.get("glsl")
-    return native is not None and _MAIN.search(native.body) is not None
+    return native is not None and re.search(_MAIN, native.body) is not None
 
 
 def lines_of(
@@ -59,14 +58,14 @@ def lines_of(
         text = line
         if line.lstrip().startswith(("#version", "#extension")):
             text = ""
-        elif group := _GROUP.match(line):
-            sizes = {"x": 1, "y": 1, "z": 1} | {axis: int(size) for axis, size in _SIZE.findall(group[1])}
+        elif group := re.match(_GROUP, line):
+            sizes = {"x": 1, "y": 1, "z": 1} | {axis: int(size) for axis, size in re.findall(_SIZE, group[1])}
             if tuple(sizes.values()) != work_group:
                 _refuse(
                     function, number, f"a work-group of {tuple(sizes.values())}", f"work_group = {work_group}"
                 )
             text = ""
-        elif found := _DECLARATION.match(line):
+        elif found := re.match(_DECLARATION, line):
             direction, type, name = found[1], found[2] + (found[4] or ""), found[3]
             wanted = declared.get((direction, name))
             if wanted != type:
@@ -80,7 +79,7 @@ def lines_of(
                     function, number, f"{direction} {type} {name}", ", ".join(known) or f"no {direction}", tip
                 )
             text = line[: found.start()] + line[found.end() :]
-        elif (block := _BLOCK.match(line)) and (block[1] != "struct" or block[2] in structs):
+        elif (block := re.match(_BLOCK, line)) and (block[1] != "struct" or block[2] in structs):
             tip = "remove it: the class declares it; a uniform's fields are read as `camera.view`"
             _refuse(function, number, f"{block[1]} {block[2]}", "declarations of the class", tip)
         yield text, number if native.line else 0

@@ -162,6 +162,9 @@ _LETTERS: Final[dict[str, dict[int, Type]]] = {
     "BV": _sizes(BOOL, 2),
     "M": {**MATRICES},
 }
+_SIZED: Final[dict[int, dict[str, Type]]] = {
+    size: {name: letter[size] for name, letter in _LETTERS.items() if size in letter} for size in (0, 1, 2, 3, 4)
+}
 _NAMED: Final[dict[str, Type]] = {
     "None": VOID,
     **{str(type): type for type in (BOOL, INT, UINT, FLOAT)},
@@ -182,8 +185,7 @@ def expand(signatures: str, glsl: str, names: dict[str, Type] | None = None) -> 
         used = [_LETTERS[n] for n in (result, *(p[1] for p in parameters)) if n in _LETTERS]
         for size in (1, 2, 3, 4) if used else (0,):
             if all(size in letter for letter in used):
-                sized: dict[str, Type] = {n: letter[size] for n, letter in _LETTERS.items() if size in letter}
-                scope = known | sized
+                scope = {**known, **_SIZED[size]} if used else known
                 concrete = tuple(
                     BuiltinParameter(scope[type], name, memory) for name, type, memory in parameters
                 )

@@ -14,7 +14,6 @@ from __future__ import annotations
 import ast
 import builtins
 import contextlib
-import difflib
 import linecache
 import sys
 from collections.abc import Iterable, Mapping
@@ -246,7 +245,9 @@ def source_of(function: FunctionType) -> Source:
 
 def suggest(name: str, known: Iterable[str]) -> str:
     """Return a did-you-mean tip for an unknown name, or "" if no known name is close."""
-    close = difflib.get_close_matches(name, list(known), 1, 0.6)
+    from difflib import get_close_matches  # which only errors need
+
+    close = get_close_matches(name, list(known), 1, 0.6)
     return f"did you mean {close[0]!r}?" if close else ""
 
 

@@ -165,6 +165,7 @@ def test_a_model_file_is_rendered(capsys: pytest.CaptureFixture[str], here: Path
         (["render", CITY, "--size", "-10x10"], "--size"),
         (["render", CITY, "--size", "axb"], "--size"),
         (["render", CITY, "--size", "1000000x10", "--backend", "null"], "texture-size"),
+        (["compare", "visibility", CITY, "--backend", "null", "--algorithms", "chc"], "visibility-cannot-run"),
         (["render", CITY, "--technique", "magic"], "--technique"),
         (["render", CITY, "--visibility", "magic"], "--visibility"),
         (["render", CITY, "--depth", "sideways"], "--depth"),

@@ -213,9 +213,22 @@ def test_the_null_device_compares_what_asks_nothing(capsys: pytest.CaptureFixtur
     assert [row["algorithm"] for row in rows] == ["none", "frustum", *beside, "auto"]
     assert {row["wrong_pixels"] for row in rows} == {None}
     assert rows[0]["triangles"] >= rows[1]["triangles"] > 0
-    with pytest.raises(SystemExit):
-        main([*COMMAND, "--backend", "null", "--algorithms", "chc"])
-    assert "null-samples" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("algorithm", ["stop_and_wait", "chc", "chc_plus_plus", "conditional", "two_pass"])
+@pytest.mark.parametrize("command", [[*COMMAND, "--algorithms"], ["render", "city:blocks=4", "--visibility"]])
+def test_what_a_device_lacks_for_an_algorithm_is_one_line(
+    capsys: pytest.CaptureFixture[str], command: list[str], algorithm: str
+) -> None:
+    with pytest.raises(SystemExit) as stop:
+        main([*command, algorithm, "--backend", "null"])
+    assert stop.value.code == 2
+    error = capsys.readouterr().err
+    assert error.startswith("error: the device can't run this visibility algorithm")
+    lacks = "compute shaders and draws that run" if algorithm == "two_pass" else "draws that run"
+    assert f"{algorithm!r} on a null device, which lacks {lacks}" in error
+    assert "(allowed: one of none, frustum," in error
+    assert error.count("\n") == 1
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from renderer.scene import Camera, Depth, Orthographic, Perspective
-from renderer.visibility import Culler, build_by_area, build_by_median, find_visible
+from renderer.visibility import Culler, build_by_area, build_by_middle, find_visible
 from renderer.visibility.boxes import culling
 
 
@@ -60,7 +60,7 @@ def situations(draw):
 
 @given(situation=situations())
 @settings(max_examples=150)
-@pytest.mark.parametrize("build", [build_by_area, build_by_median])
+@pytest.mark.parametrize("build", [build_by_area, build_by_middle])
 def test_the_hierarchy_finds_exactly_what_brute_force_finds(build, situation):
     lower, upper, camera = situation
     planes = camera.frustum.planes

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from renderer.visibility import build_by_area, build_by_median
+from renderer.visibility import build_by_area, build_by_middle
 from rhi.errors import ValidationError
 
-BUILDERS = [build_by_area, build_by_median]
+BUILDERS = [build_by_area, build_by_middle]
 
 
 def make_boxes(count, seed=0, spread=100.0):
@@ -82,7 +82,7 @@ def test_the_area_heuristic_separates_two_clusters():
     assert sorted(tree.objects(tree.child[0]).tolist()) == list(range(10))
 
 
-def test_the_area_heuristic_costs_less_than_the_median():
+def test_the_area_heuristic_costs_less_than_the_middle():
     rng = np.random.default_rng(3)
     lower, upper = make_boxes(2000)
     upper[rng.random(2000) < 0.05] += 60.0  # a few large boxes among many small ones
@@ -95,11 +95,25 @@ def test_the_area_heuristic_costs_less_than_the_median():
     assert cost[0] < 0.95 * cost[1]
 
 
-def test_median_halves_differ_by_at_most_one():
+def test_a_split_in_the_middle_separates_centres_at_half_of_the_longest_axis():
     lower, upper = make_boxes(1000)
-    tree = build_by_median(lower, upper)
-    inner = np.flatnonzero(tree.child >= 0)
-    assert np.abs(tree.count[tree.child[inner]] - tree.count[tree.child[inner] + 1]).max() <= 1
+    tree = build_by_middle(lower, upper)
+    centre = 0.5 * (lower + upper)
+    for node in np.flatnonzero(tree.child >= 0)[:40]:
+        among = centre[tree.objects(node)]
+        axis = np.ptp(among, axis=0).argmax()
+        middle = 0.5 * (among[:, axis].min() + among[:, axis].max())
+        assert (centre[tree.objects(tree.child[node]), axis] <= middle).all()
+        assert (centre[tree.objects(tree.child[node] + 1), axis] > middle).all()
+
+
+def test_splits_in_the_middle_have_limited_depth():
+    # Each box lies at half the distance of the one before: middles alone would cut them off one by one.
+    lower = np.zeros((200, 3))
+    lower[:, 0] = 0.5 ** np.arange(200)
+    tree = build_by_middle(lower, lower, leaf_size=1)
+    assert len(tree.level_starts) - 1 <= 2 * 8 + 4 + 8 + 1
+    assert len(tree) == 399
 
 
 @pytest.mark.parametrize("size", [1, 4, 16, 1000])

@@ -19,6 +19,8 @@ from renderer.visibility import (
     ConditionalCulling,
     FrustumCulling,
     StopAndWait,
+    find_obstacle,
+    list_algorithms,
     make_visibility,
 )
 from renderer.visibility.boxes.forest import Forest
@@ -202,6 +204,22 @@ def test_conditional_culling_needs_a_device_with_conditions(null: rhi.Device) ->
     ConditionalCulling(scene, null)
 
 
+@pytest.mark.parametrize(("native", "listed"), [(True, True), (False, False)])
+def test_conditional_culling_is_listed_where_queries_are_native(native: bool, listed: bool) -> None:
+    with rhi.create_device("null") as device:
+        device._core.capabilities = replace(
+            device.capabilities, shading=True, sample_counter=True, occlusion_queries=native
+        )
+        names = list_algorithms(device)
+        assert ("conditional" in names) is listed
+        assert "chc_plus_plus" in names  # emulated queries are enough
+        assert (find_obstacle("conditional", device) is None) is listed
+        if not listed:
+            with pytest.raises(ValidationError) as error:
+                ConditionalCulling(make_cloud(3), device)
+            assert error.value.rule.id == "visibility-no-conditions"
+
+
 @pytest.mark.parametrize("bad", [{"batch": 0}, {"persistence": 0}])
 def test_parameters_below_one_are_refused(null: rhi.Device, bad: dict[str, int]) -> None:
     scene = make_cloud(3)
@@ -263,7 +281,7 @@ def test_the_second_tree_keeps_its_nodes_while_its_bounds_follow(null: rhi.Devic
     heights = []
     for seconds in (0.0, 5.0):
         scene.update(seconds)
-        forest.update(EYE)
+        assert not forest.follow()
         heights.append((forest.lower[leaf][1], forest.upper[forest.roots[1]][1]))
     assert np.subtract(heights[1], heights[0]) == pytest.approx([5.0, 5.0], abs=0.05)
 

@@ -42,15 +42,15 @@ def test_a_file_that_holds_no_settings_is_refused(tmp_path: Path, text: str) -> 
 @pytest.mark.parametrize(
     "value",
     [
-        {"batch": 0}, {"persistence": 0}, {"threshold": -1}, {"batch": 2.5}, {"batch": "2"}, {"batch": True},
-        {"emulated": 1}, {"emulated": "native"}, {"emulated": None},
+        {"batch": 0}, {"persistence": 0}, {"leaf_size": 0}, {"threshold": -1}, {"batch": 2.5}, {"batch": "2"},
+        {"batch": True}, {"emulated": 1}, {"emulated": "native"}, {"emulated": None},
     ],
 )  # fmt: skip
 def test_a_value_out_of_its_range_is_refused(value: dict[str, int]) -> None:
     with pytest.raises(ValidationError) as refused:
         Settings(**value)
     assert refused.value.rule.id == "visibility-bad-parameter"
-    Settings(batch=1, persistence=1, threshold=0)
+    Settings(batch=1, persistence=1, leaf_size=1, threshold=0)
 
 
 def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
@@ -60,6 +60,8 @@ def test_algorithms_are_made_with_their_settings(null: rhi.Device) -> None:
     assert (made._batch, made._persistence, made._queries.threshold) == (7, 3, 2)
     assert make_visibility("chc_plus_plus", scene, null)._batch == Settings().batch
     assert make_visibility("conditional", scene, null, settings)._persistence == 3
+    for name in ("chc", "chc_plus_plus", "conditional"):
+        assert make_visibility(name, scene, null, Settings(leaf_size=5))._forest._leaf_size == 5
     for name in ("stop_and_wait", "chc"):
         assert make_visibility(name, scene, null, settings)._queries.threshold == 2
 

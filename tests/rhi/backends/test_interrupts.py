@@ -10,11 +10,12 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 import pytest
-from house_kit import CALLS, House, destroy_everything, make_things_to_destroy
+from house_kit import CALLS, House, destroy_everything, end_a_frame, make_things_to_destroy
 from interrupts_kit import EXEMPT, Interrupt
 
 import rhi
@@ -61,7 +62,8 @@ def interrupt(house: House, call: Callable[[House], None], at: int) -> str | Non
     interrupted = Interrupt(at)
     try:
         # An interrupt at the first step of a scope's end is repaired by the scope around it.
-        with house.device.states(BlendColor(1, 1, 1, 1)), interrupted:
+        around = nullcontext() if call is end_a_frame else house.device.states(BlendColor(1, 1, 1, 1))
+        with around, interrupted:
             call(house)
     except KeyboardInterrupt:
         assert at
@@ -153,6 +155,53 @@ def test_the_scope_around_repairs_one_whose_end_was_cut_off(null_device: Device)
         assert states.depth == 1
         raise KeyboardInterrupt
     assert states.wanted is default
+    assert states.depth == 0
+
+
+def test_a_scope_around_one_whose_interrupt_was_caught_ends_both(null_device: Device) -> None:
+    states = null_device._core.states
+    with null_device.states(CullMode.NONE):
+        cut_off(null_device.states(CullMode.FRONT), type(null_device.states()))
+        assert states.depth == 2
+    assert states.wanted[CullMode] is CullMode.BACK
+    assert states.depth == 0
+
+
+@pytest.mark.parametrize("kind", ["states", "event", "pass"])
+def test_a_frame_ends_scopes_whose_ends_were_cut_off(null_device: Device, kind: str) -> None:
+    image = null_device.texture((4, 4), Format.RGBA8)
+    block: Any
+    if kind == "states":
+        block = null_device.states(CullMode.NONE)
+    else:
+        block = null_device.event("cut") if kind == "event" else null_device.render_pass(image)
+    cut_off(block, type(block))
+    assert len(null_device._core.scopes) == 1
+    with pytest.raises(rhi.ValidationError):  # it may still be left: `block` holds it
+        null_device.present()
+    del block
+    null_device.present()
+    assert len(null_device._core.scopes) == 0
+    assert null_device._core.states.wanted[CullMode] is CullMode.BACK
+
+
+def test_a_pass_begins_with_the_states_of_scopes_that_are_open(null_device: Device) -> None:
+    image, states = null_device.texture((4, 4), Format.RGBA8), null_device._core.states
+    with null_device.states(CullMode.FRONT):
+        cut_off(null_device.states(CullMode.NONE), type(null_device.states()))
+        with null_device.render_pass(image):
+            assert states.wanted[CullMode] is CullMode.FRONT
+
+
+def test_an_interrupt_ends_a_scope_that_was_left_too_early(null_device: Device) -> None:
+    states, outer = null_device._core.states, null_device.states(CullMode.NONE)
+    with pytest.raises(KeyboardInterrupt), null_device.states(CullMode.FRONT):
+        outer.__enter__()
+        with null_device.states(Scissor(1, 1, 2, 2)):
+            with pytest.raises(rhi.ValidationError):
+                outer.__exit__(None, None, None)
+            raise KeyboardInterrupt
+    assert states.wanted[CullMode] is CullMode.BACK
     assert states.depth == 0
 
 

@@ -18,12 +18,14 @@ from rhi.contract.states import (
     ColorWrite,
     DepthBias,
     LineWidth,
+    PlatformState,
     PolygonOffset,
     Scissor,
     StencilReadMask,
     StencilReference,
     StencilWriteMask,
     Viewport,
+    default_values,
 )
 from rhi.errors import ValidationError
 
@@ -78,7 +80,12 @@ def test_equal_numbers_in_different_states_are_different_states():
     assert Viewport(0, 0, 1, 1) == Viewport(0.0, 0.0, 1.0, 1.0)
 
 
-@pytest.mark.parametrize("state_type", STATE_TYPES, ids=lambda t: t.__name__)
+def test_a_vector_has_an_entry_for_each_state_and_one_for_those_of_platforms():
+    assert (*DEFAULTS, PlatformState) == STATE_TYPES
+    assert default_values()[-1] == ()
+
+
+@pytest.mark.parametrize("state_type", DEFAULTS, ids=lambda t: t.__name__)
 def test_every_state_has_a_default_of_its_own_type(state_type):
     assert type(DEFAULTS[state_type]) is state_type
 

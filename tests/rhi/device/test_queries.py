@@ -119,3 +119,5 @@ def test_events_left_in_the_wrong_order_are_refused(kit: Kit) -> None:
     with pytest.raises(rhi.ValidationError) as caught:
         outer.__exit__(None, None, None)
     assert caught.value.rule.id == "scope-order"
+    inner.__exit__(None, None, None)
+    assert len(kit.ops(Op.POP_LABEL)) == 2  # the outer event ends with the inner one

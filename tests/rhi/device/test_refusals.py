@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from null_kit import Kit
 
 import rhi
 from rhi import CullMode
-from rhi.device.core.state_cache import STACK_DEPTH
+from rhi.device.core.scopes import STACK_DEPTH
 from rhi.shading import Struct
 
 
@@ -24,8 +25,9 @@ class Flag(Struct):
 
 def open_too_many_scopes(kit: Kit) -> None:
     scope = kit.device.states(CullMode.NONE)
-    for _ in range(STACK_DEPTH + 1):
-        scope.__enter__()
+    with ExitStack() as stack:
+        for _ in range(STACK_DEPTH + 1):
+            stack.enter_context(scope)
 
 
 def draw_transient_mesh_indirectly(kit: Kit) -> None:
@@ -45,9 +47,9 @@ def overflow_transient_memory(kit: Kit) -> None:
 
 CALLS: dict[str, tuple[Callable[[Kit], object], str]] = {
     "stack of scopes full": (open_too_many_scopes, "container-full"),
-    "stack of scopes empty": (
+    "scope that is not open": (
         lambda kit: kit.device.states(CullMode.NONE).__exit__(None, None, None),
-        "container-empty",
+        "scope-order",
     ),
     "fence": (lambda kit: kit.device.wait(99), "fence-value"),
     "constants without a layout": (lambda kit: kit.device.uniform(Flag(on=True)), "shading-struct"),

@@ -139,7 +139,47 @@ def test_the_report_as_json_has_capabilities(capsys: pytest.CaptureFixture[str])
     assert null["capabilities"]["shading"] is False
 
 
-def test_importing_the_package_loads_no_driver() -> None:
-    code = "import sys, rhi; print([m for m in ('moderngl', 'pyopencl', 'glcontext') if m in sys.modules])"
-    output = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-    assert output.strip() == "[]"
+def imported(code: str) -> set[str]:
+    """Run code in a new process; return the modules that it imported."""
+    script = f"import sys\n{code}\nprint('\\n'.join(sys.modules))"
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    return set(run.stdout.split())
+
+
+@pytest.mark.parametrize("code", ["import rhi", "import rhi.shading", "import rhi\nrhi.create_device('null').close()"])
+def test_importing_the_package_leaves_out_what_a_first_picture_does_not_need(code: str) -> None:
+    """Each of these takes part of the first second: languages that no device has asked for, tools, and modules of the
+    standard library and NumPy that only errors or rare features need."""
+    modules = imported(code)
+    packages = {
+        "rhi.accuracy", "rhi.backends.cl", "rhi.backends.gl", "rhi.conformance", "rhi.shading.evaluation",
+        "rhi.shading.lowering", "rhi.shading.numpy", "rhi.shading.opencl", "rhi.testing", "rhi.trace",
+    }  # fmt: skip
+    others = {
+        "asyncio", "difflib", "glcontext", "hashlib", "moderngl", "multiprocessing", "numpy.fft", "numpy.ma",
+        "numpy.polynomial", "numpy.random", "numpy.testing", "pyopencl", "rhi.shading.glsl.spirv",
+        "rhi.shading.glsl.vulkan", "sqlite3", "subprocess", "unittest",
+    }  # fmt: skip
+    assert "rhi.device.device" in modules or "rhi.shading.compile" in modules
+    assert modules & (packages | others) == set()
+
+
+@pytest.mark.parametrize("name", ["gl", "cl"])
+def test_a_first_picture_imports_only_its_own_backend_and_language(name: str) -> None:
+    draws = """
+import rhi
+from rhi.conformance.shaders import Colored
+from rhi.conformance.shapes import rectangle
+with rhi.create_device(NAME) as device:
+    image = device.texture((16, 16), rhi.Format.RGBA8)
+    with device.render_pass(image, clear=(0, 0, 0, 1)):
+        device.draw(device.program(Colored), device.mesh(rectangle()))
+    assert image.read().any()
+"""
+    modules = imported(draws.replace("NAME", repr(name)))
+    other = {"gl": "cl", "cl": "gl"}[name]
+    assert f"rhi.backends.{name}" in modules
+    assert f"rhi.backends.{other}" not in modules
+    assert "rhi.shading.numpy" not in modules
+    assert ("rhi.shading.lowering" in modules) == (name == "cl")
+    assert {"pyopencl.array", "mako", "rhi.backends.cl.raster.compiler"} & modules == set()

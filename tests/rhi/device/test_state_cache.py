@@ -20,11 +20,13 @@ from rhi.contract.states import (
     DepthTest,
     DepthWrite,
     LineWidth,
+    PlatformState,
     Scissor,
     StateChange,
     Viewport,
 )
-from rhi.device.core.state_cache import STACK_DEPTH, StateCache
+from rhi.device.core.scopes import STACK_DEPTH
+from rhi.device.core.state_cache import StateCache
 from rhi.errors import ValidationError
 
 VALUES = st.one_of(
@@ -65,7 +67,7 @@ def wanted(cache):
     return dict(zip(STATE_TYPES, cache.wanted.values, strict=True))
 
 
-DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()}
+DEFAULT_MODEL = {state_type: expand(value) for state_type, value in DEFAULTS.items()} | {PlatformState: ()}
 
 
 @given(PROGRAMS, st.sampled_from([16_384, 8, 1]))
@@ -269,7 +271,7 @@ def test_a_kept_scope_survives_a_full_pool():
 def test_stack_and_hardware_cache_fit_into_4_kilobytes():
     """Thesis 4.2.3: about 4 kB, with room for more than 200 states."""
     cache = StateCache()
-    stack, vector = cache._stack, cache.hardware
+    stack, vector = cache.scopes, cache.hardware
     per_target = [vector[state_type] for state_type in PER_TARGET]
     parts = [stack, stack._data, vector, vector.values, *per_target]
     assert stack.capacity > 200

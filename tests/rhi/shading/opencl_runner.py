@@ -1,9 +1,9 @@
-"""Runs compute shaders through pyopencl, using only rhi's shading language and a driver."""
+"""Runs compute shaders through pyopencl, using only rhi's shading language, its way of building and a driver."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache, lru_cache
 from typing import Any
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
+from rhi.backends.cl.cache import KernelCache
+from rhi.backends.cl.context import caches_kernels, declares_kernels
 from rhi.contract.descriptors import BindingKind, StageText
 from rhi.shading import Shader, compile_shader, opencl_kernel
 from rhi.shading.evaluation.compute import storage_words, uniform_words
@@ -46,8 +48,15 @@ _together: dict[tuple[type[Shader], int], Built] = {}
 
 def build(text: str, shader: type[Shader]) -> cl.Program:
     """Build a program with the options that a shader needs."""
-    flush = ["-cl-denorms-are-zero"] if compile_shader(shader).flushes_denormals else []
-    return cl.Program(queue().context, text).build(["-w", *flush])
+    return build_text(text, ["-cl-denorms-are-zero"] if compile_shader(shader).flushes_denormals else [])
+
+
+def build_text(text: str, options: Sequence[str] = ()) -> cl.Program:
+    """Build a program, without the driver's header where the OpenCL backend leaves it out too."""
+    device = queue().device
+    cache = KernelCache(None, "", declares=caches_kernels(device) and declares_kernels(device))
+    _, source, options = cache.request(text, ["-w", *options])
+    return cl.Program(queue().context, source).build(list(options))
 
 
 @lru_cache(64)
@@ -66,8 +75,8 @@ def built(shader: type[Shader], width: int) -> Built:
 def built_together(shaders: Iterable[type[Shader]], width: int) -> Iterator[None]:
     """Build the kernels of several shaders as one program; inside this block they run from it.
 
-    To PoCL a program costs 0.15 s of processor time before the first kernel, whatever is in it. The texts stay as
-    they are, but for the kernels' names and for functions that a text before had already.
+    To PoCL a program costs processor time before the first kernel, whatever is in it. The texts stay as they are, but
+    for the kernels' names and for functions that a text before had already.
     """
     shaders = list(dict.fromkeys(shaders))
     texts = [opencl_kernel(shader, width) for shader in shaders]

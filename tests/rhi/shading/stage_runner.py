@@ -12,7 +12,7 @@ from typing import Any
 import moderngl
 import numpy as np
 import pyopencl as cl
-from opencl_runner import place_texture, queue
+from opencl_runner import build_text, place_texture, queue
 
 from rhi.contract.descriptors import BindingKind, Interpolation, ProgramDescriptor, Stage
 from rhi.shading import Shader, compile_shader, run_fragment, run_vertex
@@ -90,7 +90,7 @@ class StageKernel:
             outputs=self.outputs,
         )
         self.text = descriptor.emit("opencl16", stage).text + text
-        self.kernel = cl.Kernel(cl.Program(queue().context, self.text).build(["-w"]), "run")
+        self.kernel = cl.Kernel(build_text(self.text), "run")
 
     def launch(self, groups: int, words: int, *values: Any) -> Any:
         """Run groups of lanes and return their words, (groups, words, 16) uint32."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 import pyopencl as cl
 
-from rhi.backends.cl.context import FLUSHES_DENORMALS, PAGE, QUICK, ClContext, build_again
+from rhi.backends.cl.context import FLUSHES_DENORMALS, PAGE, QUICK, ClContext, build_again, build_cached
 from rhi.backends.cl.raster.tables import BATCH_STRUCT
 
 if TYPE_CHECKING:
@@ -158,7 +158,7 @@ class Builds:
 
     def is_cached(self, text: Text) -> bool:
         """Return whether optimised machine code of these kernels is in the cache."""
-        return self._cache.knows(self._cache.identify(text.source, text.options), text.names)
+        return self._cache.knows(self._cache.request(text.source, text.options).key, text.names)
 
     def optimise(self, text: Text) -> Optimisation:
         """Return the optimisation of a text, which hasn't begun."""
@@ -172,12 +172,13 @@ class Builds:
         """
         options = (*text.options, *QUICK) if quick else text.options
         count = len(text.names)
-        known = self._cache.knows(self._cache.identify(text.source, options))
+        request = self._cache.request(text.source, options)
+        known = self._cache.knows(request.key)
         if not known:
             self.built += 1
             self._count(count, 0)
         try:
-            return self._context.compile(text.source, options)
+            return build_cached(self._context.context, self._cache, request)
         finally:
             if not known:
                 self._count(0, count)
@@ -254,13 +255,12 @@ class Builds:
         from rhi.backends.cl.raster.compiler import Job
 
         text, cache = optimisation.text, self._cache
-        key = cache.identify(text.source, text.options)
-        source = cache.mark(text.source, key)
+        key, source, options = cache.request(text.source, text.options)
         if not cache.knows(key, text.names):
-            compiler.compile(Job(source, text.options, text.names, *_EMPTY_TABLE, cache.find_lock(key)))
+            compiler.compile(Job(source, options, text.names, *_EMPTY_TABLE, cache.find_lock(key)))
             cache.record(key)
         if cache.knows(key, text.names):
-            optimisation.program = build_again(self._context.context, source, text.options)
+            optimisation.program = build_again(self._context.context, source, options)
 
     def _count(self, begun: int, done: int) -> None:
         with self._lock:

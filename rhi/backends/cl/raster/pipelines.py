@@ -22,6 +22,7 @@ from typing import Final, TypeAlias
 
 import pyopencl as cl
 
+from rhi.backends.cl.cache import strip_comments
 from rhi.backends.cl.context import ClContext
 from rhi.backends.cl.pools import Addresses
 from rhi.backends.cl.programs import FaultBuffer, make_shader_error
@@ -187,5 +188,5 @@ class Pipeline:
 
 @cache
 def read_kernels(name: str) -> str:
-    """Return the text of a file in kernels/."""
-    return files(__package__).joinpath("kernels", f"{name}.cl").read_text()
+    """Return the text of a file in kernels/, without comments."""
+    return strip_comments(files(__package__).joinpath("kernels", f"{name}.cl").read_text())

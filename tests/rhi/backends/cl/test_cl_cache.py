@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -70,11 +71,24 @@ def test_a_first_run_and_its_optimisation_print_nothing(tmp_path: Path) -> None:
     assert draw(tmp_path) == (picture, 0)
 
 
-def test_a_folder_may_be_moved_and_shipped(tmp_path: Path) -> None:
-    picture, made = draw(tmp_path / "one")
+@pytest.fixture(scope="module")
+def drawn(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder that a first run has filled, not to be written, and the checksum of its picture."""
+    folder = tmp_path_factory.mktemp("kernels")
+    picture, made = draw(folder)
     assert made == 3
-    (tmp_path / "one").rename(tmp_path / "two")
-    assert draw(tmp_path / "two") == (picture, 0)
+    return folder, picture
+
+
+@pytest.fixture
+def filled(drawn: tuple[Path, str], tmp_path: Path) -> tuple[Path, str]:
+    """A copy of the folder that a first run has filled, and the checksum of its picture."""
+    return shutil.copytree(drawn[0], tmp_path / "copy"), drawn[1]
+
+
+def test_a_folder_may_be_moved_and_shipped(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    assert draw(folder) == (picture, 0)
 
 
 def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
@@ -86,21 +100,24 @@ def test_processes_that_begin_together_share_the_work(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["program.bc", "*.so"])
 @pytest.mark.parametrize("damage", [bytes.upper, lambda content: content[:100], lambda content: b""])
 def test_a_damaged_file_is_built_again(
-    tmp_path: Path, name: str, damage: Callable[[bytes], bytes]
+    filled: tuple[Path, str], name: str, damage: Callable[[bytes], bytes]
 ) -> None:
-    picture, made = draw(tmp_path)
-    for path in (tmp_path / "pocl").rglob(name):
+    folder, picture = filled
+    (kernel,) = folder.rglob("transform.so")  # the vertices', the smallest of the three programs
+    damaged = list(kernel.parents[2].rglob(name))
+    assert damaged
+    for path in damaged:
         path.write_bytes(damage(path.read_bytes()))
-    assert draw(tmp_path) == (picture, made)
-    assert draw(tmp_path) == (picture, 0)
+    assert draw(folder) == (picture, 1)
+    assert draw(folder) == (picture, 0)
 
 
-def test_a_damaged_record_is_made_again(tmp_path: Path) -> None:
-    picture, _ = draw(tmp_path)
-    for path, content in zip(records(tmp_path), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
+def test_a_damaged_record_is_made_again(filled: tuple[Path, str]) -> None:
+    folder, picture = filled
+    for path, content in zip(records(folder), [b"", b"{}", b"[1]", b'{"folder": 1, "files": 2}'], strict=False):
         path.write_bytes(content)
-    assert draw(tmp_path)[0] == picture
-    assert draw(tmp_path) == (picture, 0)
+    assert draw(folder)[0] == picture
+    assert draw(folder) == (picture, 0)
 
 
 @pytest.mark.parametrize("place", ["", ".", "..", "AB", "AB/..", "../mine", "AB/key/more", "{outside}"])
@@ -148,9 +165,9 @@ def test_the_programs_used_least_recently_are_removed_beyond_the_limit(
 
 def test_another_driver_source_or_option_is_another_program(tmp_path: Path) -> None:
     mine, other = KernelCache(tmp_path, "driver 1"), KernelCache(tmp_path, "driver 2")
-    keys = [mine.identify("a", ()), mine.identify("b", ()), mine.identify("a", ["-w"]), other.identify("a", ())]
-    assert len(set(keys)) == 4
-    assert mine.identify("a", ()) == keys[0]
+    requests = [mine.request("a", ()), mine.request("b", ()), mine.request("a", ["-w"]), other.request("a", ())]
+    assert len({each.key for each in requests}) == 4
+    assert mine.request("a", ()) == requests[0]
 
 
 def test_machine_code_of_a_kernel_is_told_from_its_absence(tmp_path: Path) -> None:

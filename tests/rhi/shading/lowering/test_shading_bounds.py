@@ -9,7 +9,7 @@ import pyopencl as cl
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
-from opencl_runner import queue
+from opencl_runner import build_text, queue
 from stage_runner import buffer
 
 from rhi.contract.descriptors import Stage
@@ -236,7 +236,7 @@ ROUNDS = 512
 @pytest.fixture(scope="module", params=[Placed, Swayed])
 def kernel(request: pytest.FixtureRequest) -> cl.Kernel:
     text = compile_shader(request.param).emit("opencl16", Stage.VERTEX).text + KERNEL
-    return cl.Kernel(cl.Program(queue().context, text).build(["-w"]), "run")
+    return cl.Kernel(build_text(text), "run")
 
 
 @given(seed=st.integers(0, 2**32 - 1), scale=st.floats(-8, 5), spread=st.floats(0, 12), flat=st.booleans())

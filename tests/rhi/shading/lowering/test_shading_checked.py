@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pyopencl as cl
 import pytest
-from opencl_runner import queue
+from opencl_runner import build_text, queue
 
 import rhi
 from rhi.errors import ShaderError
@@ -33,7 +33,7 @@ from rhi.shading.language import rules
 def run_checked(shader, width, groups=1, **bindings):
     """Run a kernel on OpenCL and raise the fault that it reports."""
     kernel_text = opencl_kernel(shader, width)
-    kernel = cl.Kernel(cl.Program(queue().context, kernel_text.text).build(["-w"]), "compute")
+    kernel = cl.Kernel(build_text(kernel_text.text), "compute")
     arguments, results = [], {}
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
     for binding in compile_shader(shader).bindings:

@@ -1,0 +1,21 @@
+"""States that only OpenGL has here: they are used where `capabilities.platform_states` names them."""
+
+from __future__ import annotations
+
+from rhi.contract.states import PlatformState
+
+__rhi_internal__ = True
+
+
+class DepthClamp(PlatformState):
+    """Whether depth beyond the viewport's range is clamped to it, instead of clipping triangles at the near and the far
+    plane: shadow casters in front of the light's near plane still cast."""
+
+    OFF = "off"
+    ON = "on"
+
+    __hash__ = object.__hash__
+
+    @classmethod
+    def platform(cls) -> str:
+        return "gl"

@@ -1,0 +1,257 @@
+"""The open scopes of a device or command buffer, in one stack: states, passes, events, conditions and queries.
+
+Scopes nest, whatever their kinds. Most are left as the innermost one, and then only pop themselves. Two things can go
+wrong, and `OpenScopes` mends both in one place:
+
+- **A scope is left while scopes inside it are open**: one that a generator holds, for example, which is closed inside
+  another scope. This is refused (`scope-order`), unless an exception is on its way that the refusal would hide. The
+  scope then ends together with the one inside it. So until then draws have the states with which the inner scope was
+  entered, afterwards those of the scopes that are still open, and backends see begins and ends that always nest.
+- **A block is left without its end**, since Python can raise `KeyboardInterrupt` at the first step of an `__exit__`.
+  Then nobody holds the block any more, and its scope ends with the next one around it, or before the next pass or
+  `present`. While the interrupt is on its way, its traceback still holds the block. So the scopes that the interrupt
+  leaves end everything inside.
+
+A scope that ended before its block leaves quietly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from sys import getrefcount
+from typing import Final
+from weakref import WeakSet
+
+from rhi.device.core.containers import FixedStack
+from rhi.device.core.interrupts import HeldInterrupts
+from rhi.device.core.refusals import NO_LOG, RefusalLog
+from rhi.errors import CallSite, find_call_site
+from rhi.errors.rules import SCOPE_OPEN, SCOPE_ORDER
+
+__rhi_internal__ = True
+
+STACK_DEPTH: Final = 256
+_UNHELD: Final = 2
+"""Number of references to a scope of states that nobody but the stack holds: the stack's, and an argument's."""
+
+
+class Scope:
+    """An entry of the stack: what one entering of a `with` block has begun."""
+
+    __slots__ = ("__weakref__",)
+
+    def find_block(self) -> object | None:
+        """Return the `with` block, None if nobody holds it any more. A scope of states is its own block."""
+        raise NotImplementedError
+
+    def describe(self) -> str:
+        """Return the scope's text in messages."""
+        raise NotImplementedError
+
+    def finish(self, failed: bool) -> None:
+        """Pop this scope, the innermost one, and end it; `failed` if an exception leaves its block."""
+        raise NotImplementedError
+
+    def cut_off(self) -> None:
+        """End this scope, the innermost one, before its block."""
+        self.finish(True)
+
+
+class Bracket(Scope):
+    """A scope whose begin and end are commands.
+
+    Attributes:
+        scopes: the stack.
+        block: a weak reference to the `with` block.
+    """
+
+    __slots__ = ("block", "scopes")
+    scopes: OpenScopes
+    block: Callable[[], object | None]
+
+    def find_block(self) -> object | None:
+        return self.block()
+
+
+class _LastInside(Scope):
+    """A scope in the stack whose end also ends the one below it, which was left before."""
+
+    __slots__ = ("scope",)
+
+    def __init__(self, scope: Scope) -> None:
+        self.scope = scope
+
+    def find_block(self) -> object | None:
+        return self.scope.find_block()
+
+    def describe(self) -> str:
+        return self.scope.describe()
+
+
+class OpenScopes(FixedStack[Scope]):
+    """The stack of the open scopes of one encoder. Scopes of states fill up to its capacity, others find more room.
+
+    Attributes:
+        refusals: raises and keeps the errors of refused calls.
+        keeps_lines: whether messages name the lines that entered the scopes.
+    """
+
+    __slots__ = ("_closed", "_cut", "_lines", "keeps_lines", "refusals")
+
+    def __init__(self, refusals: RefusalLog = NO_LOG) -> None:
+        super().__init__(STACK_DEPTH)
+        self.refusals = refusals
+        self.keeps_lines = False
+        self._closed = False
+        self._cut: WeakSet[Scope] = WeakSet()  # ended before their blocks
+        self._lines: dict[int, CallSite | None] = {}  # by place in the stack
+
+    def push(self, value: Scope) -> None:
+        """Enter a scope; `container-full` for one of states too many."""
+        index = self._index
+        try:
+            self._data[index] = value
+        except IndexError:
+            if isinstance(value, Bracket):
+                self._data.append(value)
+            else:
+                with self.refusals:
+                    super().push(value)
+        self._index = index + 1
+        if self.keeps_lines:
+            self.keep_line()
+
+    def keep_line(self) -> None:
+        """Keep the user's line as the one that entered the innermost scope, if lines are kept."""
+        if self.keeps_lines:
+            self._lines[self._index - 1] = find_call_site()
+
+    def leave(self, scope: Scope, error: BaseException | None, *, again: bool = False) -> None:
+        """End a scope as its block is left, by an exception or without one.
+
+        Args:
+            again: whether a refused call has no effect, since it can be repeated later.
+
+        Raises:
+            ValidationError: `scope-order` if scopes inside it are open or it isn't; not while an exception is on its
+                way, unless that only closes a generator.
+        """
+        if self._data[self._index - 1] is scope:
+            scope.finish(error is not None)
+        elif not self._closed:
+            with HeldInterrupts():
+                self._leave_around(scope, error, again)
+
+    def _leave_around(self, scope: Scope, error: BaseException | None, again: bool) -> None:
+        """End a scope that is not the innermost."""
+        place = self._find(scope)
+        if place < 0:
+            if scope in self._cut:
+                self._cut.discard(scope)
+            else:
+                self.refuse_unopened(scope.describe(), error)
+            return
+        if _comes_of_interrupt(error):
+            while self._index > place + 1:
+                self._cut.add(unwrap(self.top))
+                self._end_innermost(cut_off=True)
+        else:
+            self.end_unheld()
+        if self._index <= place:
+            return  # it ended with what was inside
+        if self._index == place + 1:
+            self._end_innermost(failed=error is not None)
+            return
+        inner = self[place + 1]
+        if not again and not isinstance(inner, _LastInside):
+            self._data[place + 1] = _LastInside(inner)
+        if _may_raise(error):
+            given = f"{inner.describe()}, entered inside it, is still open"
+            if self.keeps_lines:
+                given += f"\nentered at {self._lines.get(place + 1)}, the one around it at {self._lines.get(place)}"
+            self.refusals.refuse(
+                SCOPE_ORDER, f"the end of {scope.describe()}", given, "the innermost open scope"
+            )
+
+    def _end_innermost(self, *, failed: bool = True, cut_off: bool = False) -> None:
+        """End the innermost scope, and those around it that were left before."""
+        entry = self.top
+        scope = self._data[self._index - 1] = unwrap(entry)
+        try:
+            scope.cut_off() if cut_off else scope.finish(failed)
+        finally:
+            if isinstance(entry, _LastInside) and self._index:
+                self._cut.add(unwrap(self.top))
+                self._end_innermost()
+
+    def _find(self, scope: Scope) -> int:
+        """Return the place of a scope, or of the latest one that was entered through it; -1 if there is none."""
+        for place in reversed(range(self._index)):
+            entry = unwrap(self[place])
+            if entry is scope or entry.find_block() is scope:
+                return place
+        return -1
+
+    def withdraw(self, scope: Scope) -> None:
+        """Take a scope out, with all that is inside it, which can't be ended; their blocks are left quietly."""
+        place = self._find(scope)
+        if place >= 0:
+            self._cut.update(map(unwrap, self._data[place : self._index]))  # type: ignore[arg-type]
+            self._data[place : self._index] = [None] * (self._index - place)
+            self._index = place
+
+    def end_unheld(self) -> None:
+        """End the innermost scopes whose blocks nobody holds any more."""
+        while self._index and not self._is_held():
+            self._end_innermost(cut_off=True)
+
+    def _is_held(self) -> bool:
+        """Return whether anybody holds the block of the innermost scope."""
+        holder = self.top
+        if isinstance(holder, _LastInside):
+            if holder.scope.find_block() is holder.scope:
+                return getrefcount(holder.scope) > _UNHELD
+            return holder.find_block() is not None
+        if holder.find_block() is not holder:
+            return holder.find_block() is not None
+        del holder
+        return getrefcount(self._data[self._index - 1]) > _UNHELD
+
+    def refuse_unopened(self, scope: str, error: BaseException | None) -> None:
+        """Refuse the end of a scope that isn't open, unless that would hide an exception that is on its way."""
+        if _may_raise(error):
+            given = "a scope that isn't open, or was left before"
+            self.refusals.refuse(SCOPE_ORDER, f"the end of {scope}", given, "one end for each begin")
+
+    def refuse_open(self, call: str) -> None:
+        """Refuse a call that no scope may surround."""
+        self.end_unheld()
+        if self._index:
+            given = f"a call inside {self.describe_open()}"
+            self.refusals.refuse(SCOPE_OPEN, call, given, "no open scope")
+
+    def describe_open(self) -> str:
+        """Return the innermost scope's text, empty if none is open."""
+        return self.top.describe() if self._index else ""
+
+    def close(self) -> None:
+        """Forget all scopes: their blocks are left quietly from now on."""
+        self.clear()
+        self._closed = True
+
+
+def unwrap(entry: Scope) -> Scope:
+    """Return the scope itself, whether or not it also ends the one below it."""
+    return entry.scope if isinstance(entry, _LastInside) else entry
+
+
+def _may_raise(error: BaseException | None) -> bool:
+    """Return whether a block's end may raise: no exception is on its way, or one that only closes a generator."""
+    return error is None or isinstance(error, GeneratorExit)
+
+
+def _comes_of_interrupt(error: BaseException | None) -> bool:
+    """Return whether an exception is an interrupt, or was raised while one was on its way."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None

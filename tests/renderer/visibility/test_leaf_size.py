@@ -1,0 +1,123 @@
+"""Leaves of several objects: queried once, drawn as a whole."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from occlusion_scenes import (
+    OCCLUSION,
+    SIZE,
+    Oracle,
+    count_wrong_pixels,
+    delay_answers,
+    draw_with,
+    look,
+    make_boxes,
+    visible,
+    walk,
+)
+
+import rhi
+from renderer.content import load_scene
+from renderer.renderer import Renderer
+from renderer.scene import Scene
+from renderer.visibility import (
+    Chc,
+    FrustumCulling,
+    Settings,
+    find_visible_objects,
+    list_algorithms,
+    make_visibility,
+)
+from renderer.visibility.boxes.forest import Forest, Frontier
+
+EYE = look((0.0, 0.0, 30.0), (0.0, 0.0, 0.0), near=0.1)
+
+
+@pytest.fixture(scope="module")
+def cloud() -> Scene:
+    rng = np.random.default_rng(1)
+    return make_boxes(
+        rng.uniform(-6.0, 6.0, (60, 3)),
+        rng.uniform(0.1, 0.8, (60, 3)),
+        motion=lambda seconds: (0.0, 0.0, 0.0),
+        moving=range(20),
+    )
+
+
+@pytest.mark.parametrize("leaf_size", [1, 2, 7, 100])
+def test_leaves_hold_all_objects_once_and_no_more_than_their_size(cloud: Scene, leaf_size: int) -> None:
+    forest = Forest(cloud, leaf_size)
+    forest.update(EYE)
+    frontier, leaves = Frontier(forest), []
+    frontier.begin()
+    while frontier:
+        node = frontier.pop()
+        if forest.child[node] < 0:
+            leaves.append(node)
+        else:
+            frontier.open(node)
+    assert forest.objects(leaves).tolist() == list(range(60))
+    assert forest.count[leaves].max() <= leaf_size
+    above = [forest.parent[leaf] for leaf in leaves if forest.parent[leaf] >= 0]
+    assert all(forest.count[node] > leaf_size for node in above)
+
+
+def test_a_visible_leaf_is_drawn_as_a_whole_inside_one_query(null: rhi.Device, cloud: Scene) -> None:
+    Oracle(null, cloud, "chc", seen=set(range(60)))
+    algorithm = Chc(cloud, null, leaf_size=4)
+    forest = algorithm._forest
+    is_leaf = [forest.child[node] < 0 for node in range(len(forest))]
+    tops = [node for node, leaf in enumerate(is_leaf) if leaf and not is_leaf[forest.parent[node]]]
+    with Renderer(null, cloud, size=(64, 36)) as renderer:
+        for _ in range(2):
+            result = draw_with(renderer, algorithm, EYE)
+    assert visible(result) == set(range(60))
+    assert result.statistics.queries == result.visibility.batches == len(tops) < 40
+
+
+@pytest.mark.parametrize("name", OCCLUSION)
+def test_of_a_leaf_across_the_edge_of_the_view_only_what_is_in_view_is_drawn(
+    null: rhi.Device, cloud: Scene, name: str
+) -> None:
+    camera = look((0.0, 0.0, 8.0), (3.0, 0.0, 0.0), fov=0.4, near=0.1)
+    Oracle(null, cloud, name, seen=set(range(60)))
+    inside = set(find_visible_objects(FrustumCulling(cloud), camera).tolist())
+    assert 0 < len(inside) < 60
+    algorithm = make_visibility(name, cloud, null, Settings(leaf_size=16))
+    with Renderer(null, cloud, size=(64, 36)) as renderer:
+        for _ in range(3):
+            assert visible(draw_with(renderer, algorithm, camera)) == inside
+
+
+@pytest.mark.parametrize("leaf_size", [3, 64])
+@pytest.mark.parametrize("name", OCCLUSION[1:])
+def test_leaves_of_several_objects_change_no_pixel(
+    drawing_device: rhi.Device, name: str, leaf_size: int
+) -> None:
+    if name not in list_algorithms(drawing_device):
+        pytest.skip(f"{name} doesn't run on {drawing_device.backend_name}")
+    city = load_scene("city:blocks=8,detail=2")
+    algorithm = make_visibility(name, city, drawing_device, Settings(leaf_size=leaf_size))
+    shots = walk(city, "ground", range(600, 640, 8))
+    assert count_wrong_pixels(drawing_device, city, algorithm, shots) == [0] * len(shots)
+    algorithm.destroy()
+
+
+@pytest.mark.parametrize("name", ["chc", "chc_plus_plus"])
+def test_larger_leaves_ask_less_and_draw_more(
+    gl: rhi.Device, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    delay_answers(monkeypatch, 0)
+    city = load_scene("city:blocks=8,detail=2")
+    costs = []
+    for leaf_size in (1, 4):
+        algorithm = make_visibility(name, city, gl, Settings(leaf_size=leaf_size))
+        with Renderer(gl, city, size=SIZE) as renderer:
+            found = [
+                draw_with(renderer, algorithm, camera) for camera, _ in walk(city, "sky", range(600, 624, 2))
+            ]
+        costs.append(np.sum([(one.statistics.queries, one.visibility.visible) for one in found[2:]], axis=0))
+        algorithm.destroy()
+    assert costs[1][0] < 0.6 * costs[0][0]
+    assert costs[0][1] < costs[1][1]
