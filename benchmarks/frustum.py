@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from renderer.scene import Camera, Perspective
-from renderer.visibility import Culler, build_by_area, build_by_middle, find_visible
+from renderer.visibility import Culler, build_by_area, find_visible
 
 Rows = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -81,13 +81,11 @@ def measure(count: int, cube: bool) -> dict[str, Any]:
     hierarchy = build_by_area(lower, upper)
     seconds = time.perf_counter() - started
     culler = Culler(hierarchy, lower, upper)
-    balanced = Culler(build_by_middle(lower, upper), lower, upper)
     ways: dict[str, Callable[[Floats], Rows]] = {
         "every box": lambda planes: find_visible(planes, *columns).nonzero()[0],
         "every box, early out": lambda planes: cull_with_early_out(planes, *columns),
         "every box, rows of three": lambda planes: find_visible(planes, lower, upper).nonzero()[0],
         "hierarchy": lambda planes: culler.find_visible(planes)[0],
-        "hierarchy, middle splits": lambda planes: balanced.find_visible(planes)[0],
     }
     frames = [camera.frustum.planes for camera in make_cameras(cube)]
     reference = ways["every box"]

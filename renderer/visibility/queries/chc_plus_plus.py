@@ -12,7 +12,7 @@ CHC with everything in batches:
 - *multiqueries*: hidden nodes that are likely to stay hidden share a query (6.4.6): see `choose_size`.
 - *tight bounds*: a node is queried by the boxes of nodes below it where these fit more closely.
 
-Stack and queues have a fixed size (6.5.2, 6.5.3).
+The nodes still to be visited (`Frontier`) and the queues have a fixed size (6.5.2, 6.5.3).
 """
 
 from __future__ import annotations
@@ -150,12 +150,20 @@ class ChcPlusPlus:
     def _begin(self, camera: Camera) -> None:
         """Read the results of the last frame's v-queue, and begin at the roots."""
         forest, queries = self._forest, self._queries
-        if self._memory.follow(self._frame):
-            self._release_leaves()  # their queries are about other objects
+        self._frame += 1
+        while self._v_queries and self._v_queries.front[1].is_finished:
+            leaf, query = self._v_queries.pop()
+            self._is_queried[leaf] = 0
+            if queries.resolve(query):
+                self._next_query[leaf] = self._frame - 1 + self._persistence
+            elif self._visible[leaf]:
+                self._visible[leaf] = 0
+                self._hidden_since[leaf] = self._frame
+        if self._memory.follow(self._frame - 1):
+            self._release_leaves()  # the others' queries are about other objects
             queries.arrange(forest.tight_sizes, forest.tight)
         queries.begin_frame(camera, forest.update(camera))
         self._frontier.begin()
-        self._frame += 1
         self._drawn = self._batches = self._visits = 0
         for left in (
             self._i_queue,
@@ -167,14 +175,6 @@ class ChcPlusPlus:
             left.clear()
         while self._i_queries:  # left by a frame that raised
             queries.release(self._i_queries.pop()[1])
-        while self._v_queries and self._v_queries.front[1].is_finished:
-            leaf, query = self._v_queries.pop()
-            self._is_queried[leaf] = 0
-            if queries.resolve(query):
-                self._next_query[leaf] = self._frame - 1 + self._persistence
-            elif self._visible[leaf]:
-                self._visible[leaf] = 0
-                self._hidden_since[leaf] = self._frame
 
     def _visit(self, node: int) -> None:
         forest, visible, frame = self._forest, self._visible, self._frame

@@ -251,3 +251,23 @@ def test_a_trial_that_is_refused_says_why(
     error = capsys.readouterr().err
     assert "null-samples" in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.usefixtures("gl")
+def test_the_best_pair_is_tried_with_leaves_of_several_objects(
+    here: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried = []
+
+    def try_none(
+        walk: Walk, pairs: list[ParameterPair], threshold: int = 0, leaf_size: int = 1
+    ) -> list[Trial]:
+        tried.append(leaf_size)
+        ratio = 0.5 if leaf_size == 4 else 0.9
+        return [Trial(*pair, 1.0, 1.0, ratio, 0, 0, 0, 0, leaf_size) for pair in pairs]
+
+    monkeypatch.setattr("renderer.cli.tune.try_pairs", try_none)
+    assert main([*COMMAND, "--rounds", "1", "--leaf-size", "1:16"]) == 0
+    assert [size for size in tried if size != 1] == [2, 4, 8, 16]
+    (found,) = here.glob("**/settings.json")
+    assert Settings.load(found).leaf_size == 4

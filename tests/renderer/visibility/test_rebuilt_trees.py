@@ -121,7 +121,7 @@ def test_what_is_below_a_hidden_node_is_known_to_be_hidden_as_long_as_that_node(
 
 
 def count_queries(device: rhi.Device, scene: Scene, name: str, frames: list[float]) -> list[int]:
-    algorithm = make_visibility(name, scene, device)
+    algorithm = make_visibility(name, scene, device, Settings(persistence=1))
     with Renderer(device, scene, size=SIZE) as renderer:
         queries = [draw_with(renderer, algorithm, EYE, seconds).statistics.queries for seconds in frames]
     algorithm.destroy()
